@@ -46,6 +46,7 @@ def test_every_file_of_live_tests_stands_in_the_table() -> None:
     named = {test for _, _, tests in hazards() for test in tests}
     here = {f"tests/live/{file.name}" for file in Path(__file__).parent.glob("test_*.py")}
     about_others = {
-        f"tests/live/test_{name}.py" for name in ("hazards", "signals", "guards_removed")
+        f"tests/live/test_{name}.py"
+        for name in ("hazards", "signals", "guards_removed", "host_names")
     }
     assert here - about_others <= named

@@ -14,10 +14,12 @@ type Way = { axis: string; sign: number };
 export class Hands {
   private readonly keys = new Map<string, Way>();
   private held = ""; // the key that moves an axis
+  /** The button that moves an axis: it stays enabled until it is let go, for a button that is disabled loses the focus, which ends the motion. */
+  pressed: HTMLButtonElement | null = null;
 
   constructor(private readonly session: Session) {
     by<HTMLInputElement>("share").oninput = () => this.tellShare();
-    window.addEventListener("keydown", (event) => this.pressed(event), true);
+    window.addEventListener("keydown", (event) => this.keyed(event), true);
     window.addEventListener("keyup", (event) => { if (event.key === this.held) this.end(); }, true);
     window.addEventListener("blur", () => { this.held = ""; session.letGo(); });
     document.addEventListener("visibilitychange", () => { if (document.hidden) { this.held = ""; session.letGo(); } });
@@ -43,9 +45,9 @@ export class Hands {
       const found = made("button", `${sign > 0 ? "+" : "−"}${key ? ` ${SHOWN[key]}` : ""}`);
       found.dataset.what = "jog";
       found.setAttribute("aria-label", `Jog ${axis.name} ${sign > 0 ? "plus" : "minus"} while held`);
-      found.onpointerdown = (event) => { found.setPointerCapture(event.pointerId); this.begin({ axis: axis.name, sign }); };
+      found.onpointerdown = (event) => { found.setPointerCapture(event.pointerId); this.pressed = found; this.begin({ axis: axis.name, sign }); };
       found.onpointerup = found.onpointercancel = found.onlostpointercapture = () => this.end();
-      found.onkeydown = (event) => { if (event.key === "Enter" && !event.repeat) { event.preventDefault(); this.begin({ axis: axis.name, sign }); } };
+      found.onkeydown = (event) => { if (event.key === "Enter" && !event.repeat) { event.preventDefault(); this.pressed = found; this.begin({ axis: axis.name, sign }); } };
       found.onkeyup = (event) => { if (event.key === "Enter") this.end(); };
       found.onblur = () => { if (session.moves) this.end(); };
       found.oncontextmenu = (event) => event.preventDefault();
@@ -71,10 +73,11 @@ export class Hands {
 
   private end(): void {
     this.held = "";
+    this.pressed = null;
     if (value("step") === "") this.session.letGo(); else this.session.runOut();
   }
 
-  private pressed(event: KeyboardEvent): void {
+  private keyed(event: KeyboardEvent): void {
     const { session } = this;
     if (event.key === "Escape" || (event.key === " " && !typing())) {
       event.preventDefault();
