@@ -83,6 +83,64 @@ def test_a_manual_stepper_that_is_two_axes_is_refused(
         read_settings(file)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("rotation_distance: 360", "rotation_distance: -360", "rotation_distance is '-360'"),
+        ("rotation_distance: 360", "rotation_distance: 1e300", "rotation_distance is '1e300'"),
+        ("rotation_distance: 360", "rotation_distance: 1e8", "rotation_distance is '1e8' at"),
+        ("microsteps: 16\nrot", "microsteps: 0\nrot", "microsteps is '0'"),
+        (
+            "microsteps: 16\nrot",
+            "microsteps: 16.5\nrot",
+            "microsteps is '16.5'; it must be a whole",
+        ),
+        ("LIMIT_VELOCITY=400", "LIMIT_VELOCITY=-400", "LIMIT_VELOCITY is '-400'"),
+        ("GCODE_AXIS=A", "GCODE_AXIS=AB", "GCODE_AXIS=AB is no axis"),
+    ],
+)
+def test_an_error_quotes_what_is_typed_and_its_line(
+    tmp_path: Path, old: str, new: str, said: str
+) -> None:
+    file = tmp_path / "printer.cfg"
+    own = MANDREL + TAKEN
+    assert own.count(old) == 1
+    file.write_text(X_ALONE + own.replace(old, new))
+    line = X_ALONE.count("\n") + own[: own.index(old)].count("\n") + 1
+    with pytest.raises(
+        MachineError, match=re.escape(f"printer.cfg:{line}: ") + ".*" + re.escape(said)
+    ):
+        read_settings(file)
+
+
+def test_a_comment_makes_no_axis(tmp_path: Path) -> None:
+    file = tmp_path / "printer.cfg"
+    for mark in ("; ", "# "):
+        file.write_text(X_ALONE + MANDREL + TAKEN.replace("MANUAL", mark + "MANUAL"))
+        settings = read_settings(file)
+        assert list(settings.axes) == ["X"]
+        assert "is left out" in settings.unheeded[0]
+
+
+def test_an_axis_that_is_taken_away_again_is_told(tmp_path: Path) -> None:
+    file = tmp_path / "printer.cfg"
+    file.write_text(X_ALONE + MANDREL + TAKEN + "    MANUAL_STEPPER STEPPER=mandrel GCODE_AXIS=\n")
+    settings = read_settings(file)
+    assert list(settings.axes) == ["X", "A"]
+    assert len(settings.unheeded) == 1 and "takes the axis away again" in settings.unheeded[0]
+
+
+def test_two_steppers_of_one_letter_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "printer.cfg"
+    second = MANDREL.replace("mandrel", "carriage")
+    also = TAKEN.splitlines()[-1].replace("mandrel", "carriage")
+    file.write_text(text := X_ALONE + MANDREL + second + TAKEN + also + "\n")
+    last = text.count("\n")
+    said = f"printer.cfg:{last}: carriage is the axis A here, and mandrel on line {last - 1}"
+    with pytest.raises(MachineError, match=re.escape(said)):
+        read_settings(file)
+
+
 def test_a_value_that_goes_on_in_the_next_line_is_no_number(tmp_path: Path) -> None:
     """A key behind a tab is the rest of the value before it, to Klipper too."""
     file = tmp_path / "printer.cfg"

@@ -68,15 +68,21 @@ class Settings:
     planner: dict[str, Said] = field(default_factory=dict)
     unheeded: list[str] = field(default_factory=list)
 
-    def say(self, axis: str, what: str, text: str, line: int, name: str) -> None:
+    def say(
+        self, axis: str, what: str, text: str, line: int, name: str, typed: str | None = None
+    ) -> None:
         """Add a number ``text`` of an axis, for its setting ``what``; ``name`` is the file's word.
+
+        ``typed`` is what the file has, where ``text`` was converted from it.
 
         Raises
         ------
         MachineError
             If it is not a number from 1e-6 to 1e9, or differs from one given before.
         """
-        value = self._number(text, line, name, zero=False)
+        if typed is not None:
+            self.number(typed, line, name)
+        value = self._number(text, line, name, zero=False, typed=typed)
         settings = self.axes.setdefault(axis, AxisSettings())
         before: Said | None = getattr(settings, what)
         self._refuse_another(before, value, line, name)
@@ -129,14 +135,26 @@ class Settings:
             remedy="Write the machine file by hand: docs/machines.md says how.",
         )
 
-    def _number(self, text: str, line: int, name: str, *, zero: bool) -> float:
+    def number(self, text: str, line: int, name: str) -> float:
+        """Return a number of the file as it is typed.
+
+        Raises
+        ------
+        MachineError
+            If it is not a number from 1e-6 to 1e9.
+        """
+        return self._number(text, line, name, zero=False)
+
+    def _number(
+        self, text: str, line: int, name: str, *, zero: bool, typed: str | None = None
+    ) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
         if not (_LEAST <= value <= _MOST or (value == 0.0 and zero)):
             raise MachineError(
-                f"{name} is {text.strip()[:40]!r}; it must be "
+                f"{name} is {(typed or text).strip()[:40]!r}; it must be "
                 f"{'0, or ' if zero else ''}a number from 10^-6 up to 10^9",
                 place=Place(self.file, line),
                 remedy="Dump the settings anew, or correct that line.",

@@ -19,12 +19,15 @@ _PRINTER = {
     "square_corner_velocity": "square_corner_velocity",
     "minimum_cruise_ratio": "minimum_cruise_ratio",
 }  # fmt: skip
+_COMMENT = re.compile(r"#.*|(?:^|(?<=\s));.*")
 _TEETH = re.compile(r"(\d+\.?\d*|\.\d+)\s*:\s*(\d+\.?\d*|\.\d+)")
 _KEY = re.compile(r"([A-Za-z0-9_]+)\s*[:=]\s*(.*)$")
 _WORD = re.compile(r"([A-Z_]+)=([^\s;{}]+)")
 _OF_AXIS = {
     "LIMIT_VELOCITY": ("rate", 60.0), "LIMIT_ACCEL": ("acceleration", 1.0),
 }  # fmt: skip
+
+_LEAST_STEPS, _MOST_STEPS = 1e-3, 1e7
 
 Keys = dict[str, tuple[str, int]]
 
@@ -35,6 +38,7 @@ class _File:
 
     sections: dict[str, Keys] = field(default_factory=dict)
     axes: dict[str, list[tuple[dict[str, str], int]]] = field(default_factory=dict)
+    taken: dict[str, tuple[str, int]] = field(default_factory=dict)
 
 
 def read_printer_cfg(lines: list[str], file: str) -> Settings:
@@ -47,7 +51,7 @@ def read_printer_cfg(lines: list[str], file: str) -> Settings:
         are others than a motor for each axis.
     """
     settings = Settings("klipper", file)
-    read = _sections(lines, file)
+    read = _sections(lines, file, settings)
     sections = read.sections
     printer = sections.get("printer", {})
     kinematics, at = printer.get("kinematics", ("cartesian", 0))
@@ -69,14 +73,14 @@ def read_printer_cfg(lines: list[str], file: str) -> Settings:
     return settings
 
 
-def _sections(lines: list[str], file: str) -> _File:
+def _sections(lines: list[str], file: str, settings: Settings) -> _File:
     read = _File()
     section: Keys | None = None
     for number, whole in enumerate(lines, start=1):
         # What SAVE_CONFIG has added is in force, behind a mark that makes it a comment elsewhere.
         saved = whole.startswith("#*#")
         line = whole.removeprefix("#*#").strip() if saved else whole
-        code = line.split("#", 1)[0].rstrip()
+        code = _COMMENT.sub("", line).rstrip()
         if not code.strip():
             continue
         header = re.match(r"\[([^\]]+)\]$", code)
@@ -93,7 +97,7 @@ def _sections(lines: list[str], file: str) -> _File:
             continue  # its heading
         if section is None:
             raise unknown(line, file, number, "[stepper_x]")
-        _note_axis(read, code, number)
+        _note_axis(settings, read, code, number)
         if code[0] in " \t":  # the value of the key before it goes on, as Klipper reads it
             if (last := next(reversed(section), None)) is not None:
                 section[last] = f"{section[last][0]} {code.strip()}".strip(), section[last][1]
@@ -105,13 +109,25 @@ def _sections(lines: list[str], file: str) -> _File:
     return read
 
 
-def _note_axis(read: _File, code: str, number: int) -> None:
+def _note_axis(settings: Settings, read: _File, code: str, number: int) -> None:
     """Note a command MANUAL_STEPPER, of a macro, that makes a stepper an axis of programs."""
-    command = re.search(r"\bMANUAL_STEPPER\b(.*)", code.upper())
-    if command is None:
+    command = re.search(r"\bMANUAL_STEPPER\b([^;]*)", code.upper())
+    letters = None if command is None else re.search(r"\bGCODE_AXIS=(\S*)", command[1])
+    if command is None or letters is None:
         return
     words = dict(_WORD.findall(command[1]))
-    if len(words.get("GCODE_AXIS", "")) == 1 and "STEPPER" in words:
+    if not letters[1]:
+        settings.unheeded.append(
+            f"{Place(settings.file, number)}: GCODE_AXIS= takes the axis away again; programs are "
+            "planned for the time while it is one"
+        )
+    elif len(letters[1]) > 1:
+        raise MachineError(
+            f"GCODE_AXIS={letters[1][:40]} is no axis: it must be one letter",
+            place=Place(settings.file, number),
+            remedy="Write it like GCODE_AXIS=A.",
+        )
+    elif "STEPPER" in words:
         read.axes.setdefault(words["STEPPER"], []).append((words, number))
 
 
@@ -124,7 +140,7 @@ def _of_kinematics(settings: Settings, axis: str, keys: Keys, section: str, prin
     ):
         if key in printer:
             text, number = printer[key]
-            settings.say(axis, what, times(text, factor), number, f"[printer] {key}")
+            settings.say(axis, what, times(text, factor), number, f"[printer] {key}", text)
 
 
 def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
@@ -155,6 +171,15 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
             f"{Place(settings.file, line)}: [{section}] is taken for the axis {axis}, which it is "
             f"after MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS={axis}"
         )
+    own = commands[0][1] if commands else line
+    if axis in read.taken:
+        other, at = read.taken[axis]
+        raise MachineError(
+            f"{name.lower()} is the axis {axis} here, and {other} on line {at}",
+            place=Place(settings.file, own),
+            remedy="Give one of them another letter.",
+        )
+    read.taken[axis] = name.lower(), own
     _steps(settings, axis, keys, section)
     if "accel" in keys:
         text, number = keys["accel"]
@@ -170,7 +195,7 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
             )
         for word, (what, factor) in _OF_AXIS.items():
             if word in words:
-                settings.say(axis, what, times(words[word], factor), number, word)
+                settings.say(axis, what, times(words[word], factor), number, word, words[word])
         jump = words.get("INSTANTANEOUS_CORNER_VELOCITY")
         if jump is not None:
             name_of_it = "INSTANTANEOUS_CORNER_VELOCITY"
@@ -193,11 +218,27 @@ def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:
                 line = keys["gear_ratio"][1]
                 raise unknown(f"gear_ratio: {part}", settings.file, line, "gear_ratio: 60:20")
             ratio *= float(teeth[1]) / float(teeth[2])
-        distance = number("rotation_distance", "40")
-        steps = number("full_steps_per_rotation", "200") * number("microsteps", "16") * ratio
-        line = keys["rotation_distance"][1]
-        text = repr(steps / distance) if distance else "0"
-        settings.say(axis, "steps", text, line, f"[{section}] rotation_distance")
+        typed, line = keys["rotation_distance"]
+        distance = settings.number(typed, line, f"[{section}] rotation_distance")
+        micro = settings.number(*keys["microsteps"], f"[{section}] microsteps")
+        whole = keys.get("full_steps_per_rotation", ("200", 0))
+        full = settings.number(*whole, f"[{section}] full_steps_per_rotation")
+        if micro != int(micro):
+            raise MachineError(
+                f"[{section}] microsteps is {keys['microsteps'][0]!r}; it must be a whole number",
+                place=Place(settings.file, keys["microsteps"][1]),
+                remedy="Write it like microsteps: 16.",
+            )
+        steps = full * micro * ratio / distance
+        if not _LEAST_STEPS <= steps <= _MOST_STEPS:
+            raise MachineError(
+                f"[{section}] rotation_distance is {typed!r} at microsteps "
+                f"{keys['microsteps'][0]} on line {keys['microsteps'][1]}: {steps:g} steps per mm "
+                f"or degree; they must be from {_LEAST_STEPS:g} to {_MOST_STEPS:g}",
+                place=Place(settings.file, line),
+                remedy="Correct the one that is wrong.",
+            )
+        settings.say(axis, "steps", repr(steps), line, f"[{section}] rotation_distance")
         settings.say(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")
     if "position_max" in keys:
         way = number("position_max", "200") - number("position_min", "0")

@@ -110,7 +110,7 @@ def _marlin(lines: list[str], file: str) -> Settings:
                 settings.say_of_planner("acceleration", text, number, name)
             if code in _MARLIN and letter in _LETTERS:
                 written = times(text, 60.0) if code == 203 else text  # mm/s there
-                settings.say(letter, _MARLIN[code], written, number, name)
+                settings.say(letter, _MARLIN[code], written, number, name, text)
     return settings
 
 
