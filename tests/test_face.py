@@ -17,6 +17,7 @@ from threadline import face
 from threadline.cli.fastest import ANSWERS
 from threadline.errors import InputError, OptionError
 from threadline.jobs.operations import Pace
+from threadline.pipeline import Trials
 from threadline.search.by_pace import SEARCHES
 
 ROOT = Path(__file__).parents[1]
@@ -148,3 +149,48 @@ def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> Non
             tl.fastest(ROOT / "examples" / job, machine, margin="20 %")
     whole = [face.load_spec(None, tl.load_machine(machine)) for _, machine, _ in asked]
     assert [spec for _, _, spec in asked] == [spec.with_margin(0.2) for spec in whole]
+
+
+def test_ends_of_tolerances_are_judged_as_on_the_command_line() -> None:
+    """At 39.4 mm/s the machine of the file is in spec, and one with other loads is not."""
+    job = ROOT / "examples" / "x-180.prg"
+    words = {"interpolation": "linear", "feed": "39.4 mm/s", "level": "nominal"}
+    assert tl.prove(job, "lathe-winder", **words).passed
+    proof = tl.prove(job, "lathe-winder", **words, ends="100 %")
+    assert not proof.passed and proof.verdict.ends == 2
+    assert "loads" in proof.result("contour_error").note
+    with pytest.raises(OptionError, match=r"ends '0 %' must be above 0 %"):
+        tl.prove(job, "lathe-winder", ends="0 %")
+
+
+@pytest.mark.parametrize(
+    ("job", "machine", "search", "words", "planned"),
+    [
+        ("x-180.prg", "lathe-winder", "fastest_job", {}, None),
+        ("x-180.prg", "lathe-winder", "fastest_job", {"interpolation": "optimal"}, None),
+        ("stitcher-robust.seam.toml", "stitcher", "fastest_needle", {"feed_forward": True}, 1.0),
+        ("rosette.dst", "schiffli-frame", "fastest_shaft", {}, None),
+    ],
+)
+def test_a_search_is_asked_to_hold_at_the_ends_of_tolerances(
+    job: str, machine: str, search: str, words: dict[str, object], planned: float | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """What the search is given is what the command line gives it; the twin judges in its tests."""
+    from threadline.search import by_pace
+
+    given = []
+
+    def noted(one, two, spec, options, *, trials, **more):
+        given.append((options.robust_share, trials))
+        raise KeyError(search)
+
+    monkeypatch.setattr(by_pace, search, noted)
+    with pytest.raises(KeyError, match=search):
+        tl.fastest(ROOT / "examples" / job, machine, level="nominal", robust="100 %", **words)
+    assert given == [(planned, Trials(ends=1.0))]
+
+
+def test_a_search_of_commands_and_waits_has_no_ends_of_loads() -> None:
+    with pytest.raises(OptionError, match=r"robust 100 % does not apply to .*letter-cycle"):
+        tl.fastest(ROOT / "examples" / "letter-cycle.toml", "letter-placer", robust="100 %")

@@ -18,13 +18,14 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine import load_machine as load_machine_file
 from threadline.machine.par import read_parameters
-from threadline.option_words import parse_feed, parse_margin
+from threadline.option_words import parse_ends, parse_feed, parse_margin
 from threadline.options import (
     DEFAULT_INTERPOLATION,
     DEFAULT_LIMITS,
     DEFAULT_TOLERANCE,
     Options,
     options_of,
+    robust_plan,
 )
 from threadline.trajectory import retime
 from threadline.verdict import Spec, load_spec
@@ -69,6 +70,7 @@ def prove(
     actual: PathLike | Machine | None = None,
     level: str = "repeated",
     repeats: int | None = None,
+    ends: str | None = None,
     **words: Any,
 ) -> Proved:
     """Plan a job, simulate it on the machine, and judge it.
@@ -89,6 +91,9 @@ def prove(
         tolerances of the machine file.
     repeats
         Number of runs of the machine itself; None takes that of the level.
+    ends
+        Share of the tolerances of loads and springs, ``"100 %"``: the machines at their ends are
+        judged as well, in one run each; None judges none of them.
     **words
         ``interpolation``, ``feed``, ``dialect``, ``feed_mode``, ``radius``, ``tolerance``,
         ``limits``, ``shaper``, ``feed_forward``, ``smoothing``, ``robust``, ``law``,
@@ -102,7 +107,7 @@ def prove(
     from threadline.pipeline import prove as prove_job
     from threadline.pipeline import with_shaping
 
-    trials = _trials(level, repeats)
+    trials = _trials(level, repeats, ends)
     chosen, options = load_machine(machine, par), _options(words)
     asked = with_shaping(_spec(spec, chosen), chosen, options)
     other = None if actual is None else load_machine(actual, par)
@@ -118,6 +123,7 @@ def fastest(
     actual: PathLike | Machine | None = None,
     margin: str = "0 %",
     level: str = "repeated",
+    robust: str | None = None,
     **words: Any,
 ) -> Found:
     """Find the fastest way to do a job in spec.
@@ -133,6 +139,10 @@ def fastest(
         Share of every limit to keep free.
     level
         Level at which every try is proved, as ``prove`` takes it.
+    robust
+        Share of the tolerances of loads and springs, ``"100 %"``: one plan has to hold on every
+        machine at their ends, each judged in one run. With ``feed_forward`` alone it is planned
+        for all of them.
     **words
         ``interpolation``, ``tolerance``, ``feed_forward``, ``smoothing``: as on the command line.
 
@@ -145,8 +155,10 @@ def fastest(
     from threadline.kinds import kind_of
     from threadline.search.by_pace import SEARCHES, Question
 
-    trials = _trials(level, None)
-    chosen, options = load_machine(machine, par), _options(words)
+    trials = _trials(level, None, robust)
+    way = words.get("interpolation", DEFAULT_INTERPOLATION), words.get("feed_forward", False)
+    planned = {"robust": robust_plan(robust, *way)} if robust is not None else {}
+    chosen, options = load_machine(machine, par), _options({**words, **planned})
     asked = _spec(spec, chosen).with_margin(parse_margin(margin))
     other = None if actual is None else load_machine(actual, par)
     kind_of(chosen).check_options(chosen, options)
@@ -325,19 +337,25 @@ _OF_A_PLAN = (
 )  # fmt: skip
 
 
-def _trials(level: str, repeats: int | None) -> Trials:
-    """Return the trials of a level, with ``repeats`` runs of the machine itself if given."""
+def _trials(level: str, repeats: int | None, ends: str | None = None) -> Trials:
+    """Return the trials of a level, with ``repeats`` runs of the machine itself if given.
+
+    ``ends`` is the share of the tolerances at whose ends machines are judged as well.
+    """
+    from dataclasses import replace
+
     from threadline.foreign_messages import nearest
     from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials
 
     levels = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
     if level not in levels:
         raise OptionError(f"unknown level {level!r}", remedy=nearest(level, tuple(levels)))
-    if repeats is None:
-        return levels[level]
-    if repeats < 1:
-        raise OptionError(f"repeats must be at least 1, got {repeats}")
-    return Trials(repeats=repeats, machines=levels[level].machines)
+    found = levels[level]
+    if repeats is not None:
+        if repeats < 1:
+            raise OptionError(f"repeats must be at least 1, got {repeats}")
+        found = Trials(repeats=repeats, machines=found.machines)
+    return found if ends is None else replace(found, ends=parse_ends(ends))
 
 
 _WORDS = {

@@ -271,6 +271,14 @@ def options_of(
     )
 
 
+def robust_plan(ends: str | None, interpolation: str, feed_forward: bool) -> str | None:
+    """Return the share of tolerances over which a search plans, given at whose ``ends`` it judges.
+
+    None where the plan has no averages to choose: then the plan for the machine as typed is judged.
+    """
+    return ends if feed_forward and interpolation == DEFAULT_INTERPOLATION else None
+
+
 def refuse_axis_options(machine: Machine, options: Options) -> None:
     """Refuse options of machines with axes: a schedule has only those of the shaper.
 

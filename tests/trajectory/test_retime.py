@@ -189,3 +189,12 @@ def test_what_is_no_time_is_refused(times, said):
     with pytest.raises(PlanError, match=said):
         motion(times)
     assert motion([]).shape == (0, 1) and motion(2).tolist() == [[1.0]]
+
+
+@pytest.mark.parametrize("derivative", [-1, 1.5, None])
+def test_a_derivative_is_a_whole_number(derivative):
+    """Of -1 the places were returned."""
+    motion = retime([[0.0], [1.0]], 1.0, 1.0)
+    with pytest.raises(PlanError, match=f"the derivative is {derivative}; it must be"):
+        motion([0.5], derivative)
+    assert motion([0.5], np.int64(1)).shape == (1, 1)

@@ -41,6 +41,7 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import Pace
 from threadline.machine.radii import with_radii
 from threadline.option_words import parse_margin, parse_number
+from threadline.options import robust_plan
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
 from threadline.search.until import Until
@@ -145,7 +146,7 @@ def fastest(
     -o best.toml
     """
     trials = trials_of(nominal, None, tolerances, wished, robust)
-    planned = robust if feed_forward and interpolation == DEFAULT_INTERPOLATION_TEXT else None
+    planned = robust_plan(robust, interpolation, feed_forward)
     chosen, kept_free = with_radii(machine_from(machine, par), radius), parse_margin(margin)
     options = options_of(
         interpolation,

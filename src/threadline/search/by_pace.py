@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from threadline.errors import OptionError
 from threadline.jobs.operations import Job, Pace
 from threadline.machine import Machine
 from threadline.options import Options
@@ -73,6 +74,12 @@ def _shaft(asked: Question) -> Answer:
 
 
 def _switchings(asked: Question) -> Answer:
+    if asked.trials.ends is not None:
+        raise OptionError(
+            f"robust {100.0 * asked.trials.ends:.12g} % does not apply to {asked.job.name}, of "
+            "which commands and waits are searched",
+            remedy="Leave it out; threadline fastest --band searches over a band of modes.",
+        )
     cycle = fastest_cycle(
         asked.job, asked.machine, asked.spec, actual=asked.actual, trials=asked.trials
     )

@@ -162,8 +162,14 @@ class Trajectory:
         Raises
         ------
         PlanError
-            If ``time_s`` is neither a number nor a row of numbers, or one of them is not finite.
+            If ``time_s`` is neither a number nor a row of numbers, or one of them is not finite;
+            or if ``derivative`` is no whole number from 0 on.
         """
+        if not isinstance(derivative, int | np.integer) or derivative < 0:
+            raise PlanError(
+                f"the derivative is {derivative!r}; it must be a whole number from 0 on",
+                remedy="0 is the place, 1 the velocity, 2 the acceleration.",
+            )
         wanted = _checked_times(time_s)
         result = np.zeros((len(wanted), len(self.axes)))
         last = None
