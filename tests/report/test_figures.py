@@ -122,3 +122,14 @@ def test_a_comparison_shows_the_path_of_the_eye(winding: Proof) -> None:
     programmed = figures["paths-XY"].axes[0].lines[-1].get_xydata()
     assert programmed.min(axis=0) == pytest.approx([-101.4, 0.0], abs=0.1)
     assert programmed.max(axis=0) == pytest.approx([331.4, 75.4], abs=0.1)
+
+
+def test_a_name_in_a_script_that_the_font_lacks_is_drawn_without_a_warning(tmp_path: Path) -> None:
+    """The suite turns warnings into errors; whoever calls from Python would see a line for each."""
+    with figure_style():
+        from matplotlib.figure import Figure
+
+        figure = Figure()
+        figure.suptitle("K\u00e4fig \u7e54")
+        figure.savefig(tmp_path / "title.svg")
+    assert (tmp_path / "title.svg").stat().st_size > 1000

@@ -11,6 +11,7 @@ from threadline.foreign_messages import grouped
 from threadline.jobs.gcode.f_words import of_which
 from threadline.pipeline import Proof
 from threadline.plan import Plan
+from threadline.report.circuits import count_circuits
 from threadline.report.document import (
     Document,
     Table,
@@ -23,7 +24,6 @@ from threadline.report.seam import seam_figure, seam_run
 from threadline.report.strips import binding_lines, binding_of, strips_figure
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
-from threadline.targets import calculate
 from threadline.trajectory.optimal.binding import BINDS
 from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
@@ -69,7 +69,7 @@ def write_motion(proof: Proof, folder: Path) -> Path:
                             *feed_lines(plan),
                             *motion_lines(plan),
                             *([] if bound is None else binding_lines(bound)),
-                            *calculate(plan).lines(),
+                            *count_circuits(plan).lines(),
                         ]
                     ],
                 ),
@@ -94,7 +94,7 @@ def about_motion(proof: Proof) -> list[str]:
         *feed_forward_lines(plan.motion.demands),
         *feed_lines(plan),
         *motion_lines(plan),
-        *calculate(plan).lines(),
+        *count_circuits(plan).lines(),
         *([] if added is None else [_points_line(added)]),
     ]
 

@@ -9,13 +9,12 @@ from typing import Protocol
 
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.signals import TickTable
+from threadline.signals import Commands, TickTable
 from threadline.signals.files.array import write_array
 from threadline.signals.files.beside import Beside
 from threadline.signals.files.common import Written, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.boards import BOARDS
-from threadline.targets.calculate import CompiledPlan
 from threadline.targets.firmware_program import write_firmware_program
 from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
@@ -53,8 +52,23 @@ class Timed(Protocol):
         ...
 
 
-class WrittenPlan(CompiledPlan, Protocol):
+class WrittenPlan(Protocol):
     """What targets read of a plan; each asks for what its kind of work has."""
+
+    @property
+    def job(self) -> Job:
+        """What is to be done."""
+        ...
+
+    @property
+    def machine(self) -> Machine:
+        """On what."""
+        ...
+
+    @property
+    def commands(self) -> Commands:
+        """What the controller is given."""
+        ...
 
     @property
     def feeds_as_programmed(self) -> bool:

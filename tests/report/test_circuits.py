@@ -6,13 +6,14 @@ from dataclasses import replace
 from math import ceil
 from types import SimpleNamespace
 
+from tests.targets.makers import job_of, polynomials, winder
+
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Move, Source
 from threadline.options import Options
 from threadline.pipeline import plan_job
-from threadline.targets import calculate, compile_ticks
-
-from .makers import job_of, polynomials, winder
+from threadline.report.circuits import count_circuits
+from threadline.targets import compile_ticks
 
 FEED = Feed(FeedMode.RAPID, 0.0)
 
@@ -40,7 +41,7 @@ def test_the_cone_dome_cylinder_has_three_circuits_of_26_moves(examples) -> None
         machine,
         Options(interpolation="linear", feed=Feed(FeedMode.COUNT_PER_TICK, 10.0)),
     )
-    found = calculate(plan)
+    found = count_circuits(plan)
 
     moves = [op for op in plan.job if isinstance(op, Move)][:26]
     at = [0.0, 0.0, 0.0]
@@ -56,7 +57,7 @@ def test_the_cone_dome_cylinder_has_three_circuits_of_26_moves(examples) -> None
 
 
 def test_passes_are_circuits_and_the_rest_is_not() -> None:
-    found = calculate(
+    found = count_circuits(
         plan_of(
             (30, (), 1), (100, (1,), 2), (50, (1,), 3), (110, (2,), 2), (50, (2,), 3), (9, (), 9)
         )
@@ -74,31 +75,33 @@ def test_passes_are_circuits_and_the_rest_is_not() -> None:
 
 
 def test_inner_passes_belong_to_the_outer_circuit() -> None:
-    found = calculate(plan_of((10, (1, 1), 5), (10, (1, 2), 5), (10, (2, 1), 5), (10, (2, 2), 5)))
+    found = count_circuits(
+        plan_of((10, (1, 1), 5), (10, (1, 2), 5), (10, (2, 1), 5), (10, (2, 2), 5))
+    )
     assert (found.circuits, found.shortest_ticks, found.longest_ticks) == (2, 20, 20)
 
 
 def test_two_calls_of_one_pass_are_two_circuits() -> None:
-    found = calculate(plan_of((10, (1,), 2), (10, (1,), 3), (15, (1,), 2), (15, (1,), 3)))
+    found = count_circuits(plan_of((10, (1,), 2), (10, (1,), 3), (15, (1,), 2), (15, (1,), 3)))
     assert (found.circuits, found.shortest_ticks, found.longest_ticks) == (2, 20, 30)
 
 
 def test_a_program_without_subroutines_is_one_circuit() -> None:
-    found = calculate(plan_of((10, (), 1), (30, (), 2)))
+    found = count_circuits(plan_of((10, (), 1), (30, (), 2)))
     assert (found.circuits, found.shortest_ticks, found.longest_ticks) == (1, 40, 40)
 
 
 def test_the_limit_of_the_old_plot_file_is_told() -> None:
-    found = calculate(plan_of((120_000, (), 1)))
+    found = count_circuits(plan_of((120_000, (), 1)))
     assert (found.record_every, found.data_points) == (20, 6001)
     assert "the 1994 plot file held 5000" in found.lines()[3]
 
 
 def test_a_machine_without_the_controller_of_1994_has_none_of_its_words() -> None:
-    found = calculate(plan_of((6000, (), 1), operator=False))
+    found = count_circuits(plan_of((6000, (), 1), operator=False))
     assert (found.record_every, found.data_points) == (None, 6001)
     assert found.lines() == ["Ticks in all:         6000 (30 s; a tick is 5 ms)"]
-    twice = calculate(plan_of((10, (1,), 2), (10, (2,), 2), operator=False)).lines()
+    twice = count_circuits(plan_of((10, (1,), 2), (10, (2,), 2), operator=False)).lines()
     assert [line.split(":")[0] for line in twice] == [
         "Ticks per circuit",
         "Circuits",

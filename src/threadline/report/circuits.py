@@ -5,37 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Protocol
 
 import numpy as np
 
 from threadline.jobs.operations import Job, Source
-from threadline.machine import Machine
-from threadline.signals import Commands, TickTable, tick_table
+from threadline.plan import Plan
+from threadline.signals import TickTable, tick_table
 from threadline.signals.files.plt import LINES_1994
 
 
-class CompiledPlan(Protocol):
-    """What is needed of a plan: job, machine and commands."""
-
-    @property
-    def job(self) -> Job:
-        """What is to be done."""
-        ...
-
-    @property
-    def machine(self) -> Machine:
-        """On what."""
-        ...
-
-    @property
-    def commands(self) -> Commands:
-        """What the controller is given."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Calculation:
+class CircuitCounts:
     """The figures of a compiled job.
 
     Parameters
@@ -88,7 +68,7 @@ class Calculation:
         ]
 
 
-def calculate(plan: CompiledPlan) -> Calculation:
+def count_circuits(plan: Plan) -> CircuitCounts:
     """Return ticks per circuit, circuits and data points of a plan; reads its tick table once.
 
     A circuit is one pass of an outermost subroutine call. Ticks of operations outside any call
@@ -110,7 +90,7 @@ def calculate(plan: CompiledPlan) -> Calculation:
         lengths = _Lengths(count=1, shortest=ticks, longest=ticks)
     operator = plan.machine.operator
     every = None if operator is None else max(1, round(operator.record_every.si))
-    return Calculation(
+    return CircuitCounts(
         ticks=ticks,
         circuits=lengths.count,
         shortest_ticks=lengths.shortest,
