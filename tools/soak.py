@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tests.live.bench import Wire
+from tests.live.bench import GROUP, Wire
 from tests.live.kill_bench import child
 
 from threadline.live import sim_process
@@ -111,6 +111,7 @@ class Inside(Wire):
 
     def send(self, message: Message) -> None:
         self.sent.clear()
+        self.group = max(GROUP, int(message.head.get("ticks", GROUP)))
         super().send(message)
 
 

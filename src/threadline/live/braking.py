@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.compiled import njit
 from threadline.machine import Machine
 from threadline.plant.actuator import fastest
 
@@ -88,13 +89,39 @@ class CountLimits:
             (m, axes) positions of the table that the motion is made from. Where a table itself
             exceeds a limit, as those of historical interpolations do, its own peak is the limit.
         """
-        worst = 0.0
-        limits = (self.velocity, self.acceleration, self.jerk)
-        for order, limit in enumerate(limits, start=1):
-            asked = np.abs(np.diff(counts, order, axis=0)).max(axis=0, initial=0.0)
-            told = np.abs(np.diff(own, order, axis=0)).max(axis=0, initial=0.0)
-            worst = max(worst, float((asked / (np.maximum(limit, told) + _ROUNDED[order])).max()))
-        return worst
+        return float(_excess(counts, own, self.velocity, self.acceleration, self.jerk))
+
+
+@njit()
+def _excess(
+    counts: FloatArray,
+    own: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    jerk: FloatArray,
+) -> float:
+    """Return the largest ratio of the differences of ``counts`` to limits or to those of ``own``.
+
+    It is asked for at every refill, of some 260 rows: as machine code.
+    """
+    worst = 0.0
+    for k in range(counts.shape[1]):
+        asked, told = np.zeros(4), np.zeros(4)
+        for values, found in ((counts, asked), (own, told)):
+            first, second = 0.0, 0.0
+            for i in range(1, len(values)):
+                now = values[i, k] - values[i - 1, k]
+                found[1] = max(found[1], abs(now))
+                if i > 1:
+                    change = now - first
+                    found[2] = max(found[2], abs(change))
+                    if i > 2:  # the third difference needs four values
+                        found[3] = max(found[3], abs(change - second))
+                    second = change
+                first = now
+        for order, limit in enumerate((velocity[k], acceleration[k], jerk[k]), 1):
+            worst = max(worst, asked[order] / (max(limit, told[order]) + _ROUNDED[order]))
+    return worst
 
 
 def _velocity(machine: Machine, *, loads_follow: bool) -> FloatArray:

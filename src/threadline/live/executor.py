@@ -31,6 +31,11 @@ LEASE_S = 0.25
 _STEPPED_S = 60.0  # longest silence, in s, of a machine whose time waits for the executor
 _LEAD_S = 0.02
 """Time in s from the last report to the beginning of a stop: reports are that old in real time."""
+MANY_S = 0.09
+"""Longest time in s that a machine plays for one report, where its time waits for the executor: it
+goes through a run as fast as it can, and nothing else is asked of it."""
+_QUICK = 10.0
+"""Least speed at which that is done: a stop is not heeded in it, for 9 ms at that speed."""
 _STARVED = "refills came too late: the machine has braked by itself"
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
@@ -57,6 +62,7 @@ class Executor(AtRest):
     ) -> None:
         super().__init__(link, machine, desk, sink)
         self._real_time = speed == 1.0
+        self._many = _many(machine) if speed == 0.0 or speed >= _QUICK else 0
         self._way = way_of(machine)
         self._ahead: RunAhead | JogAhead | None = None
         self._hold_at_rest = False
@@ -196,6 +202,19 @@ class Executor(AtRest):
         self._owes_go = not self._real_time
 
     @property
+    def _passes(self) -> bool:
+        """Whether a run goes on with nothing to be decided within the next ``MANY_S``."""
+        ahead = self._ahead
+        return (
+            self._many > 0
+            and self.state is State.RUNNING
+            and self.ended is None
+            and not isinstance(ahead, JogAhead | None)
+            and not ahead.complete
+            and ahead.halt is None
+        )
+
+    @property
     def time_s(self) -> float:
         """Time of the machine since the beginning of the run, in s."""
         return self.tick * float(self._machine.command_clock.period_s)
@@ -205,7 +224,7 @@ class Executor(AtRest):
         if self._owes_go:  # the machine's time waits for us: what was asked comes before it
             self.obey()
             self._owes_go = False
-            self._link.send(Message("go"))
+            self._link.send(Message("go", {"ticks": self._many} if self._passes else {}))
         if not self._link.waiting:
             silence_s = 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
             waited = [self._desk.fileno(), self._link.fileno()]
@@ -373,3 +392,8 @@ class Executor(AtRest):
         """Go to the state of a fault, and brake."""
         super()._fault(text)
         self._brake()
+
+
+def _many(machine: Machine) -> int:
+    """Return the number of whole ticks in ``MANY_S``; 0 where there is none."""
+    return int(MANY_S / float(machine.command_clock.period_s) + 1e-9)

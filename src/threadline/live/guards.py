@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.compiled import njit
 from threadline.live.lateness import Lateness
 from threadline.machine import Machine
 from threadline.plant.closed_loop import answers_of
@@ -33,8 +33,7 @@ class _Axis:
     low: float
     high: float
     reverses_by_zero: bool
-    memory: int  # number of ticks for which a reference acts on the load
-    speeds: deque[tuple[int, float]] = field(default_factory=deque)  # tick and top speed of reports
+    speeds: FloatArray  # told at the last ticks that still act on the load, the oldest first
     last: dict[str, float] = field(default_factory=dict)  # the last sample of each channel
     still: tuple[float, float] = (0.0, 0.0)  # encoder and command when the encoder last moved
 
@@ -73,7 +72,7 @@ class Guards:
                     high=ends[1] + _TRAVEL_M,
                     reverses_by_zero=controller.dac.zero_on_reversal
                     and controller.clock == machine.tick_clock.name,
-                    memory=int(np.ceil(answers[name].memory_s / tick_s)),
+                    speeds=np.zeros(int(np.ceil(answers[name].memory_s / tick_s))),
                 )
             )
 
@@ -83,7 +82,11 @@ class Guards:
         return {axis.name: axis.lag_s for axis in self._axes}
 
     def trip(
-        self, tick: int, samples: Mapping[str, FloatArray], late: bool, late_periods: float
+        self,
+        tick: int,  # noqa: ARG002  # samples come without gaps
+        samples: Mapping[str, FloatArray],
+        late: bool,
+        late_periods: float,
     ) -> str:
         """Return the text of the fault in a report; empty where there is none.
 
@@ -101,7 +104,7 @@ class Guards:
         if why := self._switch_hit(samples):
             return why
         for axis in self._axes:
-            if why := self._trip_of(axis, tick, samples):
+            if why := self._trip_of(axis, samples):
                 return why
         return ""
 
@@ -111,7 +114,7 @@ class Guards:
                 return f"the limit switch {name} is hit"
         return ""
 
-    def _trip_of(self, axis: _Axis, tick: int, samples: Mapping[str, FloatArray]) -> str:
+    def _trip_of(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> str:
         told, read = (self._with_last(axis, what, samples) for what in ("commanded", "measured"))
         if len(told) < 2 or len(read) < 2:
             return ""
@@ -120,7 +123,7 @@ class Guards:
             self._jumped(axis, read)
             or self._beyond(axis, read)
             or self._reversed(axis, volts)
-            or self._following(axis, tick, told, read)
+            or self._following(axis, told, read)
         )
 
     def _jumped(self, axis: _Axis, read: FloatArray) -> str:
@@ -139,18 +142,17 @@ class Guards:
             return f"the output of {axis.name} changed its sign without a tick of zero between"
         return ""
 
-    def _following(self, axis: _Axis, tick: int, told: FloatArray, read: FloatArray) -> str:
-        axis.speeds.append((tick, float(np.abs(np.diff(told)).max()) / self._tick_s))
-        while axis.speeds[0][0] < tick - axis.memory:
-            axis.speeds.popleft()
-        limit = 2.0 * axis.lag_s * max(speed for _, speed in axis.speeds) + axis.room
-        if np.abs(read - axis.still[0]).max() > 1.5 * axis.count:
-            axis.still = (float(read[-1]), float(told[-1]))
-        error = float(np.abs(told - read).max())
-        if error <= limit:
+    def _following(self, axis: _Axis, told: FloatArray, read: FloatArray) -> str:
+        speeds = np.concatenate([axis.speeds, np.abs(np.diff(told)) / self._tick_s])
+        at, limit, axis.still = _too_far(
+            told, read, speeds, 2.0 * axis.lag_s, axis.room, 1.5 * axis.count, axis.still
+        )
+        axis.speeds = speeds[len(speeds) - len(axis.speeds) :]
+        if not at:
             return ""
+        error = abs(float(told[at] - read[at]))
         unit, to_unit = ("mm", 1e3) if axis.room == FOLLOWING_M else ("deg", 180.0 / np.pi)
-        if abs(float(told[-1]) - axis.still[1]) > 0.5 * limit:
+        if abs(float(told[at]) - axis.still[1]) > 0.5 * limit:
             return (
                 f"the encoder of {axis.name} stands still while the axis is told to move: encoder, "
                 "cable or drive"
@@ -168,3 +170,45 @@ class Guards:
         before = axis.last.get(what, float(found[0]))
         axis.last[what] = float(found[-1])
         return np.concatenate([[before], found])
+
+
+@njit()
+def _too_far(
+    told: FloatArray,
+    read: FloatArray,
+    speeds: FloatArray,
+    per_speed: float,
+    room: float,
+    moves: float,
+    still: tuple[float, float],
+) -> tuple[int, float, tuple[float, float]]:
+    """Return the first sample that follows too far behind.
+
+    Every tick has a limit of its own, so that reports of any length are judged alike.
+
+    Parameters
+    ----------
+    told, read
+        (n,) commanded and measured; the first is the last sample of the report before.
+    speeds
+        (m + n - 1,) speeds told, of which each of the last n - 1 and the m before it act on it.
+    per_speed, room
+        The limit is the largest of those speeds times ``per_speed``, plus ``room``.
+    moves, still
+        Encoder and command when the encoder last moved, and how far it has to go for that.
+
+    Returns
+    -------
+    tuple
+        Its index, 0 where there is none; its limit; and ``still`` at that sample, or the last.
+    """
+    memory = len(speeds) - len(told) + 1
+    for k in range(1, len(told)):
+        if max(abs(read[k] - still[0]), abs(read[k - 1] - still[0])) > moves:
+            still = (read[k], told[k])
+        error = abs(told[k] - read[k])
+        if error > room:  # elsewhere no speed has to be looked for
+            limit = per_speed * speeds[k - 1 : k + memory].max() + room
+            if error > limit:
+                return k, limit, still
+    return 0, room, still

@@ -94,7 +94,7 @@ def serve(
 
 
 def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s: float) -> None:
-    """Play a group of ticks after each answer, and no faster than ``period_s`` for each tick."""
+    """Play the ticks that each answer asks for, a group at least, at ``period_s`` for each."""
     due = time.monotonic()
     while not (connection.lost or simulated.left):
         message = connection.receive()
@@ -102,9 +102,10 @@ def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s
             return
         simulated.take(message)
         if simulated.begun and message.kind == "go":
-            due = max(due + group * period_s, time.monotonic())
+            ticks = max(group, int(message.head.get("ticks", group)))
+            due = max(due + ticks * period_s, time.monotonic())
             time.sleep(max(0.0, due - time.monotonic()))
-            simulated.play(group)
+            simulated.play(ticks)
             if simulated.silenced:
                 connection.close()
 

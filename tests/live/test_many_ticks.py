@@ -1,0 +1,113 @@
+"""A report of many ticks is guarded as one of each tick, and is asked for in a quiet run alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.live.bench import Bench, table_of_counts, there_and_back, winder
+from threadline.live.executor import DEPTH_S, MANY_S, Executor
+from threadline.live.guards import Guards
+from threadline.live.states import Cause, State
+from threadline.live.wire import Message
+from threadline.signals import Event
+
+TICKS = 900
+
+
+def followed(chance: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return what X is told and reads: a filtered walk, whose encoder sticks somewhere."""
+    scale = winder().counts_per_unit[1]
+    speeds = np.repeat(chance.uniform(-0.036, 0.036, TICKS // 30), 30)
+    told = np.rint(np.cumsum(speeds) * 0.005 * scale) / scale
+    read, lag = np.zeros(TICKS), chance.uniform(4.0, 16.0)
+    for k in range(1, TICKS):
+        read[k] = read[k - 1] + (told[k - 1] - read[k - 1]) / lag
+    stuck = int(chance.integers(100, TICKS))
+    read[stuck:] = read[stuck]
+    return {"X.commanded": told, "X.measured": np.rint(read * scale) / scale}
+
+
+def tripped(samples: dict[str, np.ndarray], length: int) -> tuple[int, str]:
+    """Return the report in which the guards trip, as its first tick, and what they say."""
+    guards = Guards(winder())
+    for first in range(0, TICKS, length):
+        part = {name: values[first : first + length] for name, values in samples.items()}
+        if why := guards.trip(first, part, late=False, late_periods=0.0):
+            return first, why
+    return TICKS, ""
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_reports_of_any_length_trip_at_the_same_tick(seed: int) -> None:
+    samples = followed(np.random.default_rng(seed))
+    at, why = tripped(samples, 1)
+    if seed == 0:
+        assert why  # or nothing is compared
+    for length in (5, 18, 60):
+        assert tripped(samples, length) == (at - at % length if why else TICKS, why), length
+
+
+class Asked(Bench):
+    """Notes how many ticks the executor asks for, and its state then."""
+
+    def __init__(self, speed: float = 0.0) -> None:
+        super().__init__()
+        self.asked: list[tuple[State, int]] = []
+        wire, send = self.wire, self.wire.send
+        self.executor = Executor(wire, winder(), self.desk, self.kept, speed=speed)  # type: ignore[arg-type]
+        wire.machine.greet()
+        self.executor.connect()
+
+        def noted(message: Message) -> None:
+            if message.kind == "go":
+                wire.group = int(message.head.get("ticks", 5))
+                self.asked.append((self.executor.state, wire.group))
+            send(message)
+
+        wire.send = noted  # type: ignore[method-assign]
+
+
+def test_many_ticks_are_asked_for_in_a_run_alone() -> None:
+    bench = Asked().ready()
+    many = int(MANY_S / 0.005)
+    assert many * 0.005 < DEPTH_S  # what it holds is never used up
+    bench.executor.jog("X", 0.02)
+    bench.go_on(20)
+    bench.executor.let_go()
+    bench.go_on()
+    assert {asked for asked in bench.asked if asked[0] is State.JOGGING} == {(State.JOGGING, 5)}
+    assert bench.executor.stands[1]
+    bench.executor.move("X", 0)
+    while not bench.executor.over:
+        bench.executor.renew()
+        bench.executor.step()
+    bench.asked.clear()
+    bench.executor.start(table_of_counts(there_and_back()))
+    bench.go_on(100)
+    bench.desk.ask(Cause.HOLD)
+    bench.go_on(250)
+    bench.desk.ask(Cause.RESUME)
+    bench.go_on()
+    found = set(bench.asked)
+    assert (State.RUNNING, many) in found
+    assert {ticks for at, ticks in found if at is State.HOLDING} == {5}
+    assert bench.executor.ended is not None
+    assert bench.executor.ended[0] == "completed"
+
+
+def test_a_slow_machine_is_looked_at_as_often_as_before() -> None:
+    """At twice real time a report of many ticks would keep a stop waiting for 45 ms."""
+    bench = Asked(2.0).ready()
+    bench.executor.start(table_of_counts(there_and_back()))
+    bench.go_on()
+    assert {ticks for _, ticks in bench.asked} == {5}
+
+
+def test_a_stop_of_the_program_is_met_as_with_short_reports() -> None:
+    event = Event(tick=200, kind="stop", operation=4)
+    bench = Asked().ready()
+    bench.executor.start(table_of_counts(there_and_back(), (event,)))
+    while bench.executor.state is not State.HOLDING:
+        bench.executor.step()
+    assert np.array_equal(bench.executor.stands, there_and_back()[:200].sum(axis=0))
