@@ -71,7 +71,7 @@ def test_an_axis_that_falls_behind_is_a_fault_at_twice_its_lag_and_1_mm() -> Non
     told = 0.036 * 0.005 * np.arange(400)
     for behind, trips in ((1.06e-3, False), (3.0e-3, False), (3.3e-3, True)):
         guards = Guards(winder())
-        read = np.maximum(told - behind, 0.0)
+        read = np.maximum(told - behind, 0.5 * told)  # it falls behind while it moves
         found = [
             guards.trip(at, report_of(told[at : at + 5], read[at : at + 5]), False, 0.0)
             for at in range(0, 400, 5)
