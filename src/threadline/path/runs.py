@@ -63,9 +63,11 @@ def _away(places, stops, near_m):  # type: ignore[no-untyped-def]
     last = 0
     for k in range(1, len(places)):
         least_m = COINCIDENT_M if stops[k - 1] else near_m
-        if np.abs(places[k] - places[last]).max() > least_m:
-            away[k - 1] = True
-            last = k
+        for axis in range(places.shape[1]):  # a difference of rows would be a new array for each
+            if abs(places[k, axis] - places[last, axis]) > least_m:
+                away[k - 1] = True
+                last = k
+                break
     return away
 
 
