@@ -244,6 +244,7 @@ def _content(result: FastestJob, read: Job) -> dict[str, Any]:
         "moves": result.moves,
         "judged_moves": result.judged_moves,
         "parts": result.parts,
+        "long_moves_cut": result.cut,
         "whole_job_judged": result.whole,
         "ended": result.ended,
         "verdict": _verdict_content(found),
@@ -313,8 +314,10 @@ def _how_judged(result: FastestJob) -> Iterator[str]:
             f"judged by {result.judged_moves} of {result.moves} moves, {parts}: the others repeat "
             "them"
         )
-        if not result.whole:
-            yield "the whole job was not judged: prove it by the command below"
+    if result.cut:
+        yield "moves that last long were judged by their beginnings and their ends"
+    if (result.parts or result.cut) and not result.whole:
+        yield "the whole job was not judged: prove it by the command below"
     yield from until_words(result.ended)
 
 

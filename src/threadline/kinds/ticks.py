@@ -37,7 +37,7 @@ from threadline.trajectory import (
     plan_trajectory,
     with_steps,
 )
-from threadline.twin import simulate, simulate_runs
+from threadline.twin import simulate, simulate_runs, simulate_told_runs
 from threadline.verdict import Criterion, Spec
 from threadline.verdict.needle import has_stitches
 
@@ -170,11 +170,14 @@ def _days(
         return [simulate(table, machine)]
     days = drawn_days(count, len(table.axes), random)
     if machine.position_sources:
+        varied = zip(days.friction.tolist(), days.supply.tolist(), strict=True)
+        machines = [vary(machine, friction=f, supply=s) for f, s in varied]
+        beside = simulate_told_runs(table, machines, encoder_phase=days.phases)
+        if beside is not None:
+            return [beside]
         return [
-            simulate(table, vary(machine, friction=f, supply=s), encoder_phase=phase)
-            for f, s, phase in zip(
-                days.friction.tolist(), days.supply.tolist(), days.phases, strict=True
-            )
+            simulate(table, one, encoder_phase=phase)
+            for one, phase in zip(machines, days.phases, strict=True)
         ]
     numbers = Values.of(machine, varied_numbers(machine, days.friction, days.supply)).replaced
     values = Values(machine, numbers, count)

@@ -185,26 +185,27 @@ def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> F
         (k,) speeds in rad/s, not negative.
     """
     most, volts = winding.current.si, winding.supply.si
-    k = winding.holding_torque.si / most
+    k, resistance = winding.holding_torque.si / most, winding.resistance.si
     w = np.asarray(speed, dtype=np.float64)
     # A turn has 2 pi full_steps of them, four to an electrical turn.
-    impedance = winding.resistance.si + 1j * w * (2.0 * np.pi * full_steps / 4.0) * (
-        winding.inductance.si
-    )
-    centre = -1j * k * w / impedance
-    radius = volts / np.abs(impedance)
-    top = centre + 1j * radius  # of the disc of voltages
-    found = np.where(np.abs(top) <= most, top.imag, -np.inf)
-    found = np.where(np.abs(1j * most - centre) <= radius, most, found)
+    reactance = w * (2.0 * np.pi * full_steps / 4.0 * winding.inductance.si)
+    size = np.sqrt(resistance * resistance + reactance * reactance)
+    radius = volts / size
+    # The disc of voltages is about -j k w / (R + j w_e L): across and up, no torque at standstill.
+    share = -k * w / (size * size)
+    across, up = share * reactance, share * resistance
+    top = up + radius
+    found = np.where(across * across + top * top <= most * most, top, -np.inf)
+    inside = across * across + (most - up) ** 2 <= radius * radius
+    found = np.where(inside, most, found)
     # Where neither top lies in the other disc, the highest point is a crossing of the two circles.
-    apart = np.abs(centre)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (most**2 - radius**2 + apart**2) / (2.0 * apart)
-        aside = np.sqrt(most**2 - along**2)
-        unit = centre / apart
-        crossing = np.maximum(
-            (unit * (along + 1j * aside)).imag, (unit * (along - 1j * aside)).imag
-        )
-    crossing = np.where(np.isfinite(crossing), crossing, 0.0)
-    found = np.where(np.isfinite(found), found, crossing)
+    neither = np.flatnonzero(np.isneginf(found))
+    if len(neither):
+        across, up, radius = across.flat[neither], up.flat[neither], radius.flat[neither]
+        apart = np.hypot(across, up)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = (most * most - radius * radius + apart * apart) / (2.0 * apart)
+            aside = np.sqrt(most * most - along * along)
+            crossing = (up * along + np.abs(across) * aside) / apart
+        found.flat[neither] = np.where(np.isfinite(crossing), crossing, 0.0)
     return np.asarray(k * np.maximum(found, 0.0))

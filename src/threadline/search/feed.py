@@ -23,6 +23,8 @@ from threadline.search.fastest import (
     Fastest,
     find_fastest,
 )
+from threadline.search.judge_runs import kept_in_memory
+from threadline.search.long_moves import LongMoves
 from threadline.search.refused import beyond
 from threadline.search.until import Until
 from threadline.verdict import Spec, Verdict
@@ -105,7 +107,7 @@ def fastest_feed(
     by
         What the feed is of: the fastest axis, or F words, by the job's rule for them.
     """
-    judged_jobs = list(parts or (job,))
+    judged_jobs = [LongMoves.of(part, machine) for part in parts or (job,)]
     lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
 
     def judged(feed_m_s: float) -> Verdict:
@@ -117,16 +119,17 @@ def fastest_feed(
                 return verdict
         return verdict
 
-    def judged_part(part: Job, feed_m_s: float) -> Verdict:
+    def judged_part(part: LongMoves, feed_m_s: float) -> Verdict:
         feed = Feed(by, feed_m_s)
+        watched, on = part.without_middles(feed, options.limit_share)
         try:
-            plan = plan_job(part, machine, replace(options, feed=feed))
+            plan = plan_job(watched, on, replace(options, feed=feed))
         except LimitError as error:
             # What is programmed outside the travel is so at every feed.
             if options.following is Following.MOTOR or error.quantity == "travel":
                 raise
             return beyond(error, machine)
-        return try_plan(plan, spec, trials, actual).verdict
+        return try_plan(kept_in_memory(plan), spec, trials, actual).verdict
 
     return find_fastest(
         judged,

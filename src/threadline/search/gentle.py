@@ -7,7 +7,7 @@ share of the limits are searched together, and the shortest job wins.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
@@ -26,6 +26,7 @@ from threadline.search.fastest import (
     worst_criterion,
 )
 from threadline.search.feed import fastest_feed, feed_range_m_s, searched_by
+from threadline.search.long_moves import LongMoves
 from threadline.search.rungs import FastestJob, Rung
 from threadline.search.until import HaltError, Until, no_answer
 from threadline.trajectory import Pace
@@ -74,7 +75,8 @@ def fastest_job(
     Notes
     -----
     Where most of a job repeats what was met before, tries are judged by its distinct stretches, and
-    the best by the whole job; where that is out of spec, the feed is lowered until it is not.
+    the best by the whole job; where that is out of spec, the feed is lowered until it is not. So
+    are moves that go on at a constant speed for long: tries leave out the middle.
     """
     check_loops(machine)
     if options.interpolation == OPTIMAL:
@@ -139,7 +141,9 @@ def fastest_job(
             raise
     best = min(rungs.values(), key=_order)
     ended = "" if until is None else until.ended
-    if parts == (job,):
+    repeats = parts != (job,)
+    cut = _cut(parts, machine, best, by)
+    if not (repeats or cut):
         return FastestJob(best=best, rungs=_ordered(rungs), ended=ended, by=by)
     whole = not ended
     if whole and best.duration_s is not None:
@@ -152,7 +156,8 @@ def fastest_job(
         rungs=_ordered(rungs),
         moves=_moves_in(job),
         judged_moves=sum(map(_moves_in, parts)),
-        parts=len(parts),
+        parts=len(parts) if repeats else 0,
+        cut=cut,
         whole=whole,
         ended=ended,
         by=by,
@@ -177,6 +182,18 @@ def _climb(tried: Callable[..., Rung], rungs: Mapping[float, Rung]) -> None:
 
 def _ordered(rungs: Mapping[float, Rung]) -> tuple[Rung, ...]:
     return tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
+
+
+def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bool:
+    """Say whether the best plan was judged without the middles of long moves."""
+    feed_m_s = best.found.best
+    if feed_m_s is None:
+        return False
+    feed = Feed(by, feed_m_s)
+    return any(
+        LongMoves.of(part, machine).without_middles(feed, best.share)[0] is not part
+        for part in parts
+    )
 
 
 def _moves_in(job: Job) -> int:

@@ -62,8 +62,10 @@ class FastestJob:
     moves, judged_moves, parts
         How many moves the job has, and how many of them in how many distinct stretches every try
         was judged by; 0 where it was judged by all of them.
+    cut
+        Whether tries were judged without the middles of moves that last long.
     whole
-        Whether the best plan of the whole job was judged, too, where tries were judged by parts.
+        Whether the best plan of the whole job was judged, too, where tries were judged by less.
     ended
         Why the search stopped before its end; empty where it did not.
     by
@@ -76,6 +78,7 @@ class FastestJob:
     moves: int = 0
     judged_moves: int = 0
     parts: int = 0
+    cut: bool = False
     whole: bool = True
     ended: str = ""
     by: FeedMode = FeedMode.FASTEST_AXIS

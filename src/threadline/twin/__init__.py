@@ -3,6 +3,7 @@
 from threadline.twin.batch import BatchResult, simulate_batch
 from threadline.twin.session import Session
 from threadline.twin.simulate import fastest_rates, session_of, simulate, simulate_runs
+from threadline.twin.told_runs import simulate_told_runs
 
 __all__ = [
     "BatchResult",
@@ -12,4 +13,5 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "simulate_runs",
+    "simulate_told_runs",
 ]

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,6 +22,27 @@ from threadline.twin.session_part import Part
 
 _HALTING = ("stop", "wait")
 _AT_ONCE = 1 << 16
+
+
+class Rows(Protocol):
+    """What takes up rows: a ``RowSession``, or several under the same rows."""
+
+    @property
+    def failed(self) -> bool:
+        """Whether nothing is known of it any more."""
+
+    @property
+    def halted(self) -> Event | None:
+        """The stop or wait at which the rows stand."""
+
+    def resume(self) -> None:
+        """Let the rows go on."""
+
+    def finish(self, ended: Ended = ..., text: str = ...) -> None:
+        """Say that no more rows come."""
+
+    def advance(self, rows: TickBlock | None = ..., *, ticks: int | None = ...) -> RecordingBlock:
+        """Take up rows and go on; return what happened."""
 
 
 class RowSession(ABC):

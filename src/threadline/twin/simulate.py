@@ -26,7 +26,7 @@ from threadline.signals import (
 from threadline.twin.channels import encoder_phases, run_phases, tick_channels
 from threadline.twin.kernel import Engine
 from threadline.twin.prescribed import Advance, advances_of
-from threadline.twin.row_session import RowSession
+from threadline.twin.row_session import Rows, RowSession
 from threadline.twin.session import Session
 from threadline.twin.told_session import ToldSession, told_channels
 
@@ -89,7 +89,7 @@ def simulate(
         If the commands are not for this machine, or an option is out of range.
     """
     check_commands(commands, machine, record_every, settle_s)
-    options = _Options(
+    options = RunOptions(
         phases=encoder_phases(machine, encoder_phase)[None],
         record_every=record_every,
         settle_s=settle_s,
@@ -135,7 +135,7 @@ def simulate_runs(
     """
     machine = values.machine
     check_commands(commands, machine, 1, settle_s)
-    options = _Options(
+    options = RunOptions(
         phases=run_phases(machine, encoder_phase, values.count),
         record_every=1,
         settle_s=settle_s,
@@ -163,7 +163,7 @@ def fastest_rates(commands: TickTable, values: Values) -> tuple[FloatArray, ...]
 def _recording(
     commands: TickTable,
     values: Values,
-    options: _Options,
+    options: RunOptions,
     least_rates: tuple[float, ...] = (),
 ) -> Recording:
     machine, start = values.machine, commands.start_counts / commands.counts_per_unit
@@ -185,7 +185,7 @@ def session_of(machine: Machine, start_counts: IntArray) -> RowSession:
     return Session(machine, start_counts=start_counts)
 
 
-def _told_recording(commands: TickTable, machine: Machine, options: _Options) -> Recording:
+def _told_recording(commands: TickTable, machine: Machine, options: RunOptions) -> Recording:
     return Recording(
         channels=told_channels(machine, options.record_every),
         blocks=Stream(_told_blocks, advances_of(machine), machine, commands, options),
@@ -219,7 +219,7 @@ def check_commands(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Options:
+class RunOptions:
     """How the machine is simulated."""
 
     phases: FloatArray
@@ -237,7 +237,7 @@ class _Options:
 
 
 def _blocks(
-    engine: Engine, values: Values, commands: TickTable, options: _Options
+    engine: Engine, values: Values, commands: TickTable, options: RunOptions
 ) -> Iterator[RecordingBlock]:
     """Run a session over the commands and its settling; every reading starts anew."""
     machine = engine.machine
@@ -251,11 +251,11 @@ def _blocks(
         kinds=options.kinds,
         engine=engine,
     )
-    yield from _run_over(session, commands, options)
+    yield from run_over(session, commands, options)
 
 
 def _told_blocks(
-    advances: tuple[Advance, ...], machine: Machine, commands: TickTable, options: _Options
+    advances: tuple[Advance, ...], machine: Machine, commands: TickTable, options: RunOptions
 ) -> Iterator[RecordingBlock]:
     """Do the same with a machine whose drives are told positions."""
     session = ToldSession(
@@ -265,12 +265,10 @@ def _told_blocks(
         record_every=options.record_every,
         advances=advances,
     )
-    yield from _run_over(session, commands, options)
+    yield from run_over(session, commands, options)
 
 
-def _run_over(
-    session: RowSession, commands: TickTable, options: _Options
-) -> Iterator[RecordingBlock]:
+def run_over(session: Rows, commands: TickTable, options: RunOptions) -> Iterator[RecordingBlock]:
     """Yield the blocks of a new session until it has settled, or failed."""
     tick_s = float(commands.clock.period_s)
     owed: tuple[Event, ...] = ()
@@ -285,13 +283,13 @@ def _run_over(
             return
 
 
-def _pause(session: RowSession, ticks: int, most: int) -> Iterator[RecordingBlock]:
+def _pause(session: Rows, ticks: int, most: int) -> Iterator[RecordingBlock]:
     """Let the plant go on for ``ticks`` without new rows; blocks of at most ``most`` ticks."""
     for at in range(0, ticks, most):
         yield session.advance(ticks=min(most, ticks - at))
 
 
-def _parts(session: RowSession, commands: TickTable, options: _Options) -> Iterator[RecordingBlock]:
+def _parts(session: Rows, commands: TickTable, options: RunOptions) -> Iterator[RecordingBlock]:
     """Yield the blocks of a run of the commands, which halts at stops and waits until answered."""
     answers = None if options.answers is None else iter(options.answers)
     for block in _pieces(commands, options.most_rows):
