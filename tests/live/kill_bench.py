@@ -79,7 +79,10 @@ def child(work: Callable[[], object]) -> int:
 
 
 def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
-    """Serve as a simulated machine; write all channels, and the tick of what was heard last."""
+    """Serve as a simulated machine; write all channels, and the tick of what was heard last.
+
+    The position is that after the last sample, in the units of the machine's commands.
+    """
     way = way_of(which.machine)
     told: dict[str, list[np.ndarray]] = {}
     seen: dict[str, Any] = {"heard": 0}
@@ -93,7 +96,7 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
             for part in parts:
                 for name, values in part.samples.items():
                     told.setdefault(name, []).append(np.array(values, dtype=np.float64))
-            seen["standing"] = self.standing
+            seen["standing"], seen["position"] = self.standing, self.position
             super()._report(first, parts, late_by)
 
     boxed: type[SimMachine] = Boxed
@@ -101,7 +104,7 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
     sim_process.way_of = lambda _: other  # type: ignore[assignment]
     sim_process.serve(end, which.machine, which.start, 0.0)
     np.savez(
-        box, heard=seen["heard"], standing=seen["standing"],
+        box, heard=seen["heard"], standing=seen["standing"], position=seen["position"],
         **{f"c_{name}": np.concatenate(parts) for name, parts in told.items()},
     )  # fmt: skip
 
