@@ -66,7 +66,7 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
         welcome = next(one for one in anna.heard if one["type"] == "welcome")
         assert not welcome["simulated"]
         assert welcome["link"].startswith("grbl:")
-        assert set(welcome["lacks"]) == {"disable"}
+        assert set(welcome["lacks"]) == {"disable", "continue"}
         for _ in range(2):
             started(anna)
             wait(anna, lambda: anna.x_mm() > 5.0)

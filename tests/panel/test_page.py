@@ -9,7 +9,7 @@ import urllib.request
 
 import pytest
 
-from tests.panel.browsing import Browser, expect, opened, press, ready, shot, state, x_mm
+from tests.panel.browsing import Browser, expect, opened, part, press, ready, shot, state, x_mm
 from tests.panel.test_panel_killed import Plant
 
 
@@ -54,6 +54,22 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     state(page, "idle")
     expect(page.locator("#progress-text")).to_contain_text("stopped")
     shot(page, "4-stopped")
+
+    part(page, "Runs")  # what was broken off is done from there on, after a confirmation
+    expect(page.locator("#kept")).to_contain_text("stopped", timeout=60_000)
+    press(page, "Continue")
+    expect(page.locator("#rest-told")).to_contain_text("the work begins again at line")
+    expect(page.get_by_role("button", name="Start the rest")).to_be_enabled()
+    state(page, "idle")
+    press(page, "Go there")
+    expect(page.locator("#at-X")).to_have_text("0.00 mm", timeout=60_000)
+    state(page, "idle")
+    shot(page, "8-rest")
+    press(page, "Start the rest")
+    state(page, "running")
+    expect(page.get_by_role("button", name="Start the rest")).to_be_disabled()
+    page.keyboard.press("Escape")
+    state(page, "idle")
     page.close()
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
+
 from tests.panel.browsing import Browser, Page, expect, opened, part, state, x_mm
 from tests.panel.test_panel_killed import Plant
 
@@ -66,7 +68,15 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
 
     tab_to(page, "Jog X plus while held")
     jog_until(page, "Enter", lambda at: at > 1.0)
+    page.keyboard.down("Enter")
+    state(page, "jogging")
+    page.keyboard.press("Tab")  # to leave the button ends it, though Enter is still down
+    state(page, "idle")
     there = x_mm(page)
+    assert there < 400.0  # it did not go on to the end of its travel
+    page.wait_for_timeout(400)
+    assert x_mm(page) == pytest.approx(there, abs=3.0)  # the loop settles; nothing is commanded
+    page.keyboard.up("Enter")
     tab_to(page, "Jog by keys")
     page.keyboard.press("Enter")
     expect(page.get_by_label("Jog by keys")).to_be_checked()

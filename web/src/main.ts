@@ -8,6 +8,7 @@ import { Guide } from "./guide";
 import { Hands } from "./hands";
 import type { FromPanel, Mandrel, State, Welcome } from "./messages";
 import { Program } from "./program";
+import { Rest } from "./rest";
 import { Session, say, unitOf } from "./session";
 import { Teach } from "./teach";
 import { Traces } from "./traces";
@@ -23,6 +24,7 @@ const program = new Program(session);
 const teach = new Teach(session, program);
 new Draw(session, program);
 const traces = new Traces(session);
+const rest = new Rest(session, program);
 const guide = new Guide(session);
 const view = shownIn3d();
 const shown = (): string => by<HTMLSelectElement>("axis").value;
@@ -119,6 +121,7 @@ function show(state: State | null): void {
   program.show(state);
   teach.show(state);
   traces.show(state);
+  rest.show(state);
   view?.live(state);
   // A state that was on its way when they came does not know of them yet.
   if (!state.proven && session.figures && state.calculating === null && state.seq > session.figuresAt + 1) { session.figures = null; program.forget(); replan(); view?.show(null, bare); }

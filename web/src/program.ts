@@ -1,7 +1,7 @@
 /** The program: load, calculate by the operator's priority, look at the figures, run. */
 
 import { button, by, made, value } from "./dom";
-import type { Criterion, Figures, State } from "./messages";
+import type { Criterion, Figures, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { say, unitOf } from "./session";
 
@@ -47,8 +47,11 @@ export class Program {
 
   private start(): void {
     const proven = this.session.state?.proven;
-    if (proven) this.session.link.act({ what: "start", proof: proven.proof, override: proven.passed ? null : value("override") });
+    if (proven) this.session.link.act({ what: "start", proof: proven.proof, override: this.reason(proven) });
   }
+
+  /** Why what is out of specification is run all the same; null for what is not. */
+  reason(proven: Proven): string | null { return proven.passed ? null : value("override"); }
 
   /** Put a program into the project folder; it has to be calculated like any other. */
   async load(name: string, content: Blob): Promise<boolean> {

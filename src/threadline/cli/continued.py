@@ -9,12 +9,11 @@ from typing import Annotated
 import typer
 
 from threadline.cli.told import note
-from threadline.errors import OptionError, StoreError
+from threadline.errors import OptionError
 from threadline.live.continuing import Continued, continued, last_executed, operation_at
 from threadline.plan import Plan
-from threadline.signals import Ended
-from threadline.store.index import REFUSED, RunRecord
-from threadline.store.run_store import TRACE, opened
+from threadline.store.run_store import TRACE
+from threadline.store.unfinished import refuse_other_rows, unfinished_run
 
 ContinueOption = Annotated[
     str | None,
@@ -62,37 +61,12 @@ def check_continued(
             "--continue: a controller with grbl runs whole programs",
             remedy="Write the rest of the job as a program of its own.",
         )
-    found_run(store, run)
+    unfinished_run(store, run)
     if not confirmed and not sys.stdin.isatty():
         raise OptionError(
             "--continue: nobody is at the keys to confirm that it may go on",
             remedy="Run it from a terminal, or with --confirmed.",
         )
-
-
-def found_run(store: Path, run: str) -> tuple[Path, RunRecord]:
-    """Return the folder and the record of a run that can be continued; nothing is made.
-
-    Raises
-    ------
-    StoreError
-        If there is no such run, or it came to its end.
-    """
-    kept = opened(store)
-    if kept is None:
-        raise StoreError(
-            f"there is no run {run[:60]!r} in {str(store)!r}", remedy="Give its folder: --store."
-        )
-    try:
-        folder = kept.find(run)
-        record = kept.index.record(folder.name)
-    finally:
-        kept.index.close()
-    if record.ended in {Ended.COMPLETED, REFUSED}:
-        raise StoreError(
-            f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
-        )
-    return folder, record
 
 
 def continued_run(
@@ -122,12 +96,8 @@ def continued_run(
     """
     if run is None:
         return None, {}
-    folder, record = found_run(store, run)
-    if plan.commands.rows_sha256() != record.commands_sha256:
-        raise StoreError(
-            f"run {folder.name} was of other rows than these: another job, machine or options",
-            remedy="Give the files and options of that run; its proof.json names them.",
-        )
+    folder, record = unfinished_run(store, run)
+    refuse_other_rows(record, plan)
     operation = operation_at(plan, last_executed(folder / TRACE), at or "block")
     again = continued(plan, operation, at_rest=at_rest)
     for line in again.told:

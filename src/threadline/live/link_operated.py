@@ -26,6 +26,7 @@ from threadline.plan import Plan
 from threadline.signals import Channel
 
 _BY_ITSELF = "grbl switches its drives by itself"
+_WHOLE = "a controller with grbl runs whole programs"
 _NO_HOME = "there is nothing to home: HAL takes where it begins for home"
 
 
@@ -63,7 +64,7 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
         return AtLink(found.label, {}, (_NO_HOME,))
     return AtLink(
         "",
-        {"disable": _BY_ITSELF},
+        {"disable": _BY_ITSELF, "continue": _WHOLE},
         (
             "grbl makes its own ramps, and reports what it commanded, ten times a second: nothing "
             "is measured, inputs and outputs are not reported",
@@ -90,14 +91,15 @@ class RowsOperated(Executor):
 
     def refuse(self, load: Load) -> None:
         """Refuse a plan that begins elsewhere than the machine stands."""
-        self._way.ahead(load.plan.commands, self._machine).refuse_elsewhere(self.stands)
+        self._way.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
 
     def run(self, load: Load, *, hold_at_rest: bool) -> None:
         """Begin a run; see ``Executor.start``."""
         self.start(
-            load.plan.commands,
+            load.commands,
             hold_at_rest=hold_at_rest,
             loads_follow=way_of(self._machine).loads_follow(load.plan),
+            from_rest=load.rest is not None,
         )
 
 

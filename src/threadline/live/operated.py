@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from threadline.arrays import IntArray
+from threadline.live.derived import Rest
 from threadline.live.grbl_words import Program
 from threadline.live.states import State
 from threadline.plan import Plan
-from threadline.signals import Channel, Ended
+from threadline.signals import Channel, Commands, Ended
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,12 +28,20 @@ class Load:
         What the operator has to know before it is sent.
     program
         Its lines, where it is sent as lines.
+    rest
+        What is sent in place of the plan's commands, where a run is continued; else None.
     """
 
     plan: Plan
     sent: Mapping[str, bytes] = field(default_factory=dict)
     notes: Sequence[str] = ()
     program: Program | None = None
+    rest: Rest | None = None
+
+    @property
+    def commands(self) -> Commands:
+        """What is sent, where that is rows, scans or turns."""
+        return self.plan.commands if self.rest is None else self.rest.commands
 
 
 class Operated(Protocol):

@@ -10,14 +10,17 @@ import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from threadline.arrays import finite
-from threadline.errors import ProofError, ThreadlineError
+from threadline.errors import ProofError, RecordingError, ThreadlineError
 from threadline.input_files import inputs_read, noting_inputs
+from threadline.live.continued_sink import ContinuedSink
+from threadline.live.continuing import Continued, continued, last_executed, operation_at
 from threadline.live.hold_deviation import hold_limit_m
+from threadline.live.kept import Sink
 from threadline.live.operated import Load, Operated
 from threadline.live.states import Cause, State
 from threadline.live.supervised import check_halts, check_override, check_runnable
@@ -28,7 +31,8 @@ from threadline.pipeline import with_shaping
 from threadline.proof_file import ProofFile
 from threadline.signals import Channel, RecordingBlock
 from threadline.signals.files import read_recording
-from threadline.store.run_store import OpenRun, RunStore
+from threadline.store.run_store import TRACE, OpenRun, RunStore
+from threadline.store.unfinished import refuse_other_rows, unfinished_run
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
 
 
@@ -42,6 +46,8 @@ class Prepared:
         Number of the request.
     stops
         How many stops had been heard when it was asked for.
+    again, continues
+        The rest of a run that was broken off, and its name; else None, and empty.
     """
 
     number: int
@@ -52,6 +58,23 @@ class Prepared:
     override: str | None
     inputs: tuple[Path, ...]
     leaves_m: float
+    again: Continued | None = None
+    continues: str = ""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether a hold waits for a rest of the program, so as not to leave the path."""
+        return self.leaves_m > hold_limit_m(self.spec) or not math.isfinite(self.leaves_m)
+
+    def ways(self, machine: Machine) -> list[tuple[str, int]]:
+        """Return the moves to where the rest begins, one after the other as they are told."""
+        assert self.again is not None
+        return list(zip(machine.axes, self.again.rest.begins.tolist(), strict=False))
+
+    def told_rest(self) -> dict[str, Any]:
+        """Return what the operator has to know before it is confirmed."""
+        assert self.again is not None
+        return {"run": self.continues, "told": list(self.again.told)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +124,8 @@ class KeptRuns:
         self._judging: Future[_Finished] | None = None
         self._channels: tuple[Channel, ...] = ()
         self._simulated = True
+        self._sink: Sink | None = None  # of the open run
+        self._left_out_s = 0.0  # of its commands, where it does the rest of a job
         self._open: tuple[OpenRun, Prepared, ExitStack] | None = None
         self._progress: dict[str, Any] | None = None
         self._held = 0  # ticks of the run that it was held
@@ -115,8 +140,8 @@ class KeptRuns:
 
     def block(self, block: RecordingBlock) -> None:
         """Write a block into the open run."""
-        if self._open is not None:
-            self._open[0].block(block)
+        if self._open is not None and self._sink is not None:
+            self._sink.block(block)
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
         """Keep the reason of a change of state, and write the change into the open run."""
@@ -168,8 +193,19 @@ class KeptRuns:
         if proof.content["sha256"] != told["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
         leaves_m = way_of(self._machine).hold_deviation_m(plan)
-        load = executor.prepare(plan)
-        return Prepared(int(told["number"]), stops, load, spec, proof, override, inputs, leaves_m)
+        load, number = executor.prepare(plan), int(told["number"])
+        found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m)
+        return self._rest_of(str(told["run"]), str(told["at"]), found) if "run" in told else found
+
+    def _rest_of(self, run: str, at: str, whole: Prepared) -> Prepared:
+        """Return the rest of a run that was broken off; its approach is checked."""
+        folder, record = unfinished_run(self._store, run)
+        plan = whole.load.plan
+        refuse_other_rows(record, plan)
+        operation = operation_at(plan, last_executed(folder / TRACE), at)
+        again = continued(plan, operation, at_rest=whole.at_rest)
+        load = replace(whole.load, rest=again.rest)
+        return replace(whole, load=load, again=again, continues=folder.name)
 
     def set_out(self, ready: Prepared, executor: Operated) -> None:
         """Open the run in the store, and begin it.
@@ -180,25 +216,29 @@ class KeptRuns:
             If the machine is not idle, or the run begins elsewhere.
         """
         plan, sent = ready.load.plan, ready.load.sent
-        told = {**self._link, **({"override": ready.override} if ready.override else {})}
-        at_rest = ready.leaves_m > hold_limit_m(ready.spec) or not math.isfinite(ready.leaves_m)
+        told = {**self._link, **self._known_of(ready)}
         executor.refuse(ready.load)
         for note in ready.load.notes:
             self._said(note, False)
         run = RunStore(self._store).begin(plan, ready.proof, told, self._speed, ready.inputs, sent)
         stack = ExitStack()
         stack.enter_context(run)
-        run.begin(self._channels, self._simulated)
+        rest, self._sink = ready.load.rest, run
+        self._left_out_s = 0.0
+        if rest is not None:
+            self._sink = ContinuedSink(run, self._machine, rest.left_out, rest.operation)
+            self._left_out_s = rest.left_out * float(self._machine.command_clock.period_s)
+        self._sink.begin(self._channels, self._simulated)
         self._open = (run, ready, stack)
         self._held, self._held_from = 0, None
         self._progress = {
             "run": run.path.name,
             "program": plan.job.name,
-            "time_s": 0.0,
+            "time_s": self._left_out_s,
             "duration_s": plan.duration_s,
         }
         try:
-            executor.run(ready.load, hold_at_rest=at_rest)
+            executor.run(ready.load, hold_at_rest=ready.at_rest)
         except ThreadlineError as error:
             self._break_off(error)
             raise
@@ -213,7 +253,7 @@ class KeptRuns:
             ended, why = executor.ended
             assert self._progress is not None
             share, whole_s = executor.share_done, float(self._progress["duration_s"])
-            time_s = executor.time_s if share is None else share * whole_s
+            time_s = self._left_out_s + executor.time_s if share is None else share * whole_s
             self._progress |= {"time_s": time_s, "ended": ended.value, "why": why}
             self._judging = self._pool.submit(self._judged, run, ready, ended.value, why)
         elif self._judging is not None and self._judging.done():
@@ -225,18 +265,35 @@ class KeptRuns:
                 self._said(f"the run could not be judged: {error}", True)
 
     def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
-        verdict = judge([read_recording(run.trace)], ready.load.plan, ready.spec)
+        try:
+            verdict = judge([read_recording(run.trace)], ready.load.plan, ready.spec)
+        except RecordingError as error:
+            if ready.again is None:
+                raise
+            text = f"NOT PROVEN: the rest of a job alone is not judged ({error.message})"
+            run.unjudged(ended, text)
+            return _Finished({}, text)
         content = {
             **verdict_json(verdict, ready.load.plan),
             **self._link,
-            **({"override": ready.override} if ready.override else {}),
+            **self._known_of(ready),
             "run": run.path.name,
             "trace": str(run.trace),
             "ended": ended,
             "hold_deviation_m": finite(ready.leaves_m),
         }
         run.judged(content, ended, why)
-        return _Finished(content, closing(verdict))
+        alone = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
+        return _Finished(content, closing(verdict) + alone)
+
+    @staticmethod
+    def _known_of(ready: Prepared) -> dict[str, str]:
+        """Return what the recording and the verdict of a run tell of why and whence it was run."""
+        told = {"override": ready.override} if ready.override else {}
+        if ready.again is not None:
+            operation = str(ready.again.rest.operation)
+            told |= {"continues": ready.continues, "from_operation": operation}
+        return told
 
     def progress(self, executor: Operated) -> dict[str, Any] | None:
         """Return how far the open run is, or how the last one ended; None where there was none.
@@ -247,9 +304,10 @@ class KeptRuns:
             return self._progress
         if (share := executor.share_done) is not None:
             return {**self._progress, "time_s": share * float(self._progress["duration_s"])}
-        time_s = executor.time_s
+        time_s = self._left_out_s + executor.time_s
         period_s = float(self._machine.command_clock.period_s)
-        since = 0.0 if self._held_from is None else time_s - self._held_from * period_s
+        held_s = executor.time_s - (self._held_from or 0) * period_s
+        since = 0.0 if self._held_from is None else held_s
         return {**self._progress, "time_s": time_s - self._held * period_s - max(since, 0.0)}
 
     def _break_off(self, error: BaseException | None) -> None:

@@ -31,6 +31,8 @@ TELL_S = 0.04
 """Period of the reports to the server, s."""
 _PATIENCE_S = 0.02
 _BY_DESK = {"hold": Cause.HOLD, "resume": Cause.RESUME}
+_LATER = frozenset({"start", "continue"})
+"""What is answered when it was checked, which takes seconds."""
 _MOVES = frozenset({"zero", "zero-axis", "approach"})
 
 
@@ -71,6 +73,7 @@ class Owner:
         self._heard_s = time.monotonic()
         self._leaving = False
         self._moves = MoveSequence()
+        self._rest: Prepared | None = None  # of a run that was broken off, not confirmed yet
         self._told_s, self._told = 0.0, State.DISABLED
 
     def serve(self) -> None:
@@ -142,7 +145,7 @@ class Owner:
                 self._say("answer", number=number, ok=False, text=str(error))
             else:
                 self._tell()  # what has become of it comes before the answer
-                if asked.what != "start":  # which is answered when it has begun
+                if asked.what not in _LATER:
                     self._say("answer", number=number, ok=True, text="")
 
     def _obey(self, asked: _Asked) -> None:
@@ -170,19 +173,34 @@ class Owner:
             k = self._machine.axis_names.index(str(head["axis"]))
             to = int(executor.stands[k]) + int(head["by"])
             self._moves.begin([(str(head["axis"]), to)], asked.stops, time.monotonic())
-        elif what == "start":
+        elif what in _LATER:
             self._refuse_impossible(Cause.START)
+            self._rest = None
             self._runs.prepare(head, asked.stops, executor)
+        elif what == "approach-rest":
+            self._refuse_impossible(Cause.JOG)
+            ways = self._ready_rest().ways(self._machine)
+            self._moves.begin(ways, asked.stops, time.monotonic())
+        elif what == "start-rest":
+            self._refuse_impossible(Cause.START)
+            self._runs.set_out(self._ready_rest(), executor)
+            self._rest = None
         elif what == "enable":
             executor.enable()
         elif what == "disable":
             executor.disable()
         elif what == "home":
+            self._rest = None
             executor.home()
         elif what == "reset":
             executor.reset()
         else:
             raise CommandError(f"{what[:40]!r} is no command", remedy="Use the panel's own page.")
+
+    def _ready_rest(self) -> Prepared:
+        if self._rest is None:
+            raise CommandError("no run was chosen to be continued", remedy="Choose it again.")
+        return self._rest
 
     def _refuse_impossible(self, cause: Cause) -> None:
         if (self._executor.state, cause) not in TRANSITIONS:
@@ -197,6 +215,10 @@ class Owner:
     def _go_on(self) -> None:
         """Begin a prepared run or the next move; end a run that is over."""
         executor = self._executor
+        if self._rest is not None and (
+            self._rest.stops != self._stops or executor.state not in {State.IDLE, State.JOGGING}
+        ):
+            self._rest = None
         if executor.under_way:
             return
         self._runs.end(executor)
@@ -206,6 +228,7 @@ class Owner:
             return
         if not isinstance(prepared, Prepared):
             number, why = prepared
+            self._tell(at_once=True)  # it is not busy any more
             self._say("answer", number=number, ok=False, text=why)
             return
         ok, text = True, ""
@@ -214,7 +237,11 @@ class Owner:
                 raise CommandError("it was stopped before it began", remedy="Start it again.")
             if executor.under_way:
                 raise CommandError("the machine moves", remedy="Wait until it stands.")
-            self._runs.set_out(prepared, executor)
+            if prepared.again is None:
+                self._runs.set_out(prepared, executor)
+            else:
+                self._rest = prepared
+                self._tell(at_once=True)
         except ThreadlineError as error:
             ok, text = False, str(error)
         self._say("answer", number=prepared.number, ok=ok, text=text)
@@ -236,10 +263,10 @@ class Owner:
 
     # --- what is told ----------------------------------------------------------------------
 
-    def _tell(self) -> None:
+    def _tell(self, *, at_once: bool = False) -> None:
         """Tell the server how the machine is, every ``TELL_S`` and when its state has changed."""
         now_s, executor, machine = time.monotonic(), self._executor, self._machine
-        if now_s - self._told_s < TELL_S and executor.state is self._told:
+        if not at_once and now_s - self._told_s < TELL_S and executor.state is self._told:
             return
         self._told_s, self._told = now_s, executor.state
         channels = executor.channels
@@ -254,6 +281,7 @@ class Owner:
             moving=executor.under_way or bool(self._moves.left),
             busy=self._runs.busy,
             progress=self._runs.progress(executor),
+            rest=None if self._rest is None else self._rest.told_rest(),
             age_s=executor.age_s,
         )
 

@@ -33,9 +33,12 @@ _SAFE = frozenset({"let-go", "hold"})
 _CAUSES = {
     "enable": Cause.ENABLE, "disable": Cause.DISABLE, "home": Cause.HOME, "jog": Cause.JOG,
     "step": Cause.JOG, "zero": Cause.JOG, "zero-axis": Cause.JOG, "approach": Cause.JOG,
-    "start": Cause.START,
+    "approach-rest": Cause.JOG, "start": Cause.START, "continue": Cause.START,
+    "start-rest": Cause.START,
     "hold": Cause.HOLD, "resume": Cause.RESUME, "reset": Cause.RESET,
 }  # fmt: skip
+_OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
+_OF_REST = frozenset({"approach-rest", "start-rest"})
 _OF_IDLE = frozenset({Cause.JOG, Cause.START, Cause.HOME, Cause.DISABLE})
 
 
@@ -227,7 +230,9 @@ class Panel:
         client.tell(say.Answer(number=act.number, ok=True))
 
     def _pass_on(
-        self, command: say.Simple | say.ZeroAxis | say.Jog | say.Step | say.Start, number: int
+        self,
+        command: say.Simple | say.ZeroAxis | say.Jog | say.Step | say.Start | say.Continue,
+        number: int,
     ) -> None:
         owner, machine = self._owner, self._machine
         names = list(machine.axes)
@@ -248,6 +253,10 @@ class Panel:
             case say.Start():
                 told = self.calculation.to_start(command.proof)
                 owner.send("start", number=number, override=command.override, **told)
+            case say.Continue():
+                told = self.calculation.to_start(command.proof)
+                asked = {"run": command.run, "at": command.at, "override": command.override}
+                owner.send("continue", number=number, **asked, **told)
             case say.Simple(what="zero"):
                 owner.send("zero", number=number, to=[[name, 0] for name in self._in_order()])
             case say.Simple(what="approach"):
@@ -287,7 +296,9 @@ class Panel:
         if not way_of(self._machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if calculation.proven is None:
-            found = [what for what in found if what not in {"start", "approach"}]
+            found = [what for what in found if what not in _OF_PROVEN]
+        if now["rest"] is None:
+            found = [what for what in found if what not in _OF_REST]
         found = [what for what in found if what not in self._far_end.lacks]
         calculates = ["cancel"] if calculation.share is not None else []
         return [*found, *(["calculate"] if at_rest else calculates)]
@@ -343,6 +354,7 @@ class Panel:
                 passes_in_s=round(control.passes_in_s(now_s), 1),
             ),
             progress=None if progress is None else say.Progress.model_validate(progress),
+            rest=None if not now.get("rest") else say.RestOfRun.model_validate(now["rest"]),
             proven=self.calculation.proven,
             calculating=self.calculation.share,
             clients=len(self._clients),

@@ -42,12 +42,13 @@ class Simple(_Strict):
     ``home`` finds the positions of the axes; ``zero`` moves every axis to 0, linear ones first;
     ``approach`` moves them to where the proven program begins; ``let-go`` ends a jog or a move;
     ``renew`` prolongs one by its lease; ``cancel`` ends a calculation; ``reconnect`` begins with a
-    new process and link.
+    new process and link. ``approach-rest`` moves the axes to where the rest of a run begins, and
+    ``start-rest`` confirms it: it is done then.
     """
 
     what: Literal[
         "enable", "disable", "home", "zero", "approach", "renew", "let-go", "hold", "resume",
-        "reset", "reconnect", "cancel",
+        "reset", "reconnect", "cancel", "approach-rest", "start-rest",
     ]  # fmt: skip
 
 
@@ -104,7 +105,23 @@ class Start(_Strict):
     override: Text | None = None
 
 
-Command = Annotated[Simple | ZeroAxis | Jog | Step | Calculate | Start, Field(discriminator="what")]
+class Continue(_Strict):
+    """Make the rest of a run ready that was broken off; nothing moves before ``start-rest``.
+
+    What was calculated last has to be what that run was of, to the row.
+    """
+
+    what: Literal["continue"]
+    run: Text
+    at: Text = "block"
+    """Where the work begins again: ``block``, ``circuit``, ``circuit 12``, ``line 40``."""
+    proof: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    override: Text | None = None
+
+
+Command = Annotated[
+    Simple | ZeroAxis | Jog | Step | Calculate | Start | Continue, Field(discriminator="what")
+]
 
 
 # --- messages of a client ------------------------------------------------------------------------
@@ -237,6 +254,14 @@ class Progress(BaseModel):
     verdict: str = ""
 
 
+class RestOfRun(BaseModel):
+    """The rest of a run that was broken off, ready to be done; a stop drops it."""
+
+    run: str
+    told: list[str]
+    """What will move, and where the work begins again."""
+
+
 class Proven(BaseModel):
     """What was calculated last."""
 
@@ -265,6 +290,7 @@ class State(BaseModel):
     late_ticks: int
     control: Holder
     progress: Progress | None
+    rest: RestOfRun | None = None
     proven: Proven | None
     calculating: float | None
     """Share of a calculation that is done; None where there is none."""

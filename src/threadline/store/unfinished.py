@@ -1,0 +1,51 @@
+"""Runs of a store whose rest can be done: broken off before the end of their job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from threadline.errors import StoreError
+from threadline.plan import Plan
+from threadline.signals import Ended
+from threadline.store.index import REFUSED, RunRecord
+from threadline.store.run_store import opened
+
+
+def unfinished_run(store: Path, run: str) -> tuple[Path, RunRecord]:
+    """Return the folder and the record of a run that can be continued; nothing is made.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, or it came to its end.
+    """
+    kept = opened(store)
+    if kept is None:
+        raise StoreError(
+            f"there is no run {run[:60]!r} in {str(store)!r}", remedy="Give its folder: --store."
+        )
+    try:
+        folder = kept.find(run)
+        record = kept.index.record(folder.name)
+    finally:
+        kept.index.close()
+    if record.ended in {Ended.COMPLETED, REFUSED}:
+        raise StoreError(
+            f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
+        )
+    return folder, record
+
+
+def refuse_other_rows(record: RunRecord, plan: Plan) -> None:
+    """Refuse a plan whose commands are not those of a run, to the row.
+
+    Raises
+    ------
+    StoreError
+        If they are others.
+    """
+    if plan.commands.rows_sha256() != record.commands_sha256:
+        raise StoreError(
+            f"run {record.run} was of other rows than these: another job, machine or options",
+            remedy="Give the files and options of that run; its proof.json names them.",
+        )

@@ -1,0 +1,35 @@
+/** The rest of a run that was broken off: chosen among those that were kept, gone to, confirmed. */
+
+import { button, by, made, value } from "./dom";
+import type { State } from "./messages";
+import type { Program } from "./program";
+import type { Session } from "./session";
+
+const HINT = "A run that was broken off: load its program, calculate it with the options that it had, and home the machine. Then choose the run.";
+
+export class Rest {
+  private shown = "";
+
+  constructor(session: Session, program: Program) {
+    const at = made("input");
+    at.value = "block";
+    at.size = 10;
+    at.id = "rest-at";
+    const where = made("label", "from ");
+    where.append(at);
+    by("rest-row").replaceChildren(
+      button("Continue", "continue", () => { const proven = session.state?.proven; if (proven) session.link.act({ what: "continue", run: value("kept"), at: at.value, proof: proven.proof, override: program.reason(proven) }); }),
+      where,
+      button("Go there", "approach-rest", () => session.hold({ what: "approach-rest" })),
+      button("Start the rest", "start-rest", () => session.link.act({ what: "start-rest" })),
+    );
+    by("rest-told").replaceChildren(made("li", HINT));
+  }
+
+  show(state: State): void {
+    const told = state.rest ? [state.rest.run, ...state.rest.told, "Start the rest confirms it; a stop drops it"] : [HINT];
+    if (told.join("\n") === this.shown) return;
+    this.shown = told.join("\n");
+    by("rest-told").replaceChildren(...told.map((line) => made("li", line)));
+  }
+}
