@@ -14,8 +14,7 @@ type Way = { axis: string; sign: number };
 export class Hands {
   private readonly keys = new Map<string, Way>();
   private held = ""; // the key that moves an axis
-  /** The button that moves an axis: it stays enabled until it is let go, for a button that is disabled loses the focus, which ends the motion. */
-  pressed: HTMLButtonElement | null = null;
+  private pressed: HTMLButtonElement | null = null; // the button that moves an axis, or did last
 
   constructor(private readonly session: Session) {
     by<HTMLInputElement>("share").oninput = () => this.tellShare();
@@ -71,9 +70,11 @@ export class Hands {
     else this.session.hold({ what: "step", axis: way.axis, by: way.sign * Number(step) / unitOf(this.session, way.axis)[0] });
   }
 
+  /** Whether a button stays enabled in motion: one that is disabled loses the focus, which ends the motion, and the next Enter would go nowhere. */
+  keeps(button: HTMLButtonElement): boolean { return button === this.pressed && (this.session.moves || button === document.activeElement); }
+
   private end(): void {
     this.held = "";
-    this.pressed = null;
     if (value("step") === "") this.session.letGo(); else this.session.runOut();
   }
 

@@ -110,7 +110,7 @@ function show(state: State | null): void {
   named.textContent = state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : "no connection";
   named.className = !state || ["fault", "gone"].includes(state.state) ? "wrong" : "";
   const unreasoned = state !== null && program.wantsReason(state);
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) one.disabled = one !== hands.pressed && (stale || !session.can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned));
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) one.disabled = !hands.keeps(one) && (stale || !session.can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned));
   by<HTMLButtonElement>("take").disabled = state === null;
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;
