@@ -48,6 +48,46 @@ def test_reports_of_any_length_trip_at_the_same_tick(seed: int) -> None:
         assert tripped(samples, length) == (at - at % length if why else TICKS, why), length
 
 
+def spoiled(chance: np.random.Generator, kind: str) -> dict[str, np.ndarray]:
+    """Return samples of X that one guard has to trip at, somewhere, and no other before it."""
+    samples = {"X.voltage": np.full(TICKS, 1.0), **followed(np.random.default_rng(3))}
+    samples["X.measured"] = samples["X.commanded"].copy()
+    at = int(chance.integers(2, TICKS - 1))
+    if kind == "jumps":
+        samples["X.measured"][at] += 0.1
+    elif kind == "beyond":
+        samples = {name: np.full(TICKS, 0.0) for name in samples}
+        for name in ("X.commanded", "X.measured"):
+            samples[name] = np.concatenate([np.full(at, 0.5), np.full(TICKS - at, 0.503)])
+    elif kind == "changed its sign":
+        samples["X.voltage"][at:] = -1.0
+    elif kind == "follows":
+        samples["X.measured"] -= np.linspace(0.0, 0.05 * TICKS / at, TICKS)
+    return samples
+
+
+@pytest.mark.parametrize("kind", ["", "jumps", "beyond", "changed its sign", "follows"])
+def test_one_call_for_all_ticks_judges_as_the_guards_that_say_which(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Either way alone, each guard by itself: the same report, the same words."""
+    chance = np.random.default_rng(7)
+    for _ in range(8):
+        samples = spoiled(chance, kind)
+        with monkeypatch.context() as patched:
+            patched.setattr(Guards, "_in_order", lambda *_: False)
+            one_by_one = tripped(samples, 18)
+        with monkeypatch.context() as patched:
+            patched.setattr(
+                Guards, "_trip_of", lambda _, axis, __: "trips" if axis.name == "X" else ""
+            )
+            at_once = tripped(samples, 18)
+        assert at_once[0] == one_by_one[0]
+        assert tripped(samples, 18) == one_by_one
+        assert kind in one_by_one[1]
+        assert bool(one_by_one[1]) == bool(kind)
+
+
 class Asked(Bench):
     """Notes how many ticks the executor asks for, and its state then."""
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.errors import CommandError, LimitError
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import PathWindow
@@ -116,7 +117,7 @@ class Ahead:
 
     def place_at(self, tick: int) -> float:
         """Return the place of the run at a tick for which it is still kept."""
-        return float(self._places[np.clip(tick - self._first, 0, len(self._places) - 1)])
+        return float(self._places[min(max(tick - self._first, 0), len(self._places) - 1)])
 
     def forget(self, tick: int) -> None:
         """Delete everything before ``tick``, except the few ticks that braking needs."""
@@ -199,9 +200,10 @@ class Ahead:
     def _refill(self, begin: int, tail: FloatArray) -> Message:
         places = np.concatenate([self._places[begin - self._first :], tail])
         wanted = self.end - begin
-        at = self._window.rounded(places)
-        counts = np.diff(at, axis=0)
-        self._check(places, counts)
+        stands = self._window.counts(places)
+        at = np.rint(stands).astype(np.int64)
+        counts = at[1:] - at[:-1]
+        self._check(stands + self.start, counts)
         head = {
             "first": begin,
             "wanted": wanted,
@@ -223,16 +225,25 @@ class Ahead:
             found.append(replace(due, tick=tick))
         return found
 
-    def _check(self, places: FloatArray, counts: FloatArray) -> None:
+    def _check(self, stands: FloatArray, counts: IntArray) -> None:
         """Refuse rows beyond the travel or the speed of an axis.
+
+        Parameters
+        ----------
+        stands
+            (n + 1, axes) positions before, between and after the rows, in counts, not rounded.
+        counts
+            (n, axes) the rows.
 
         Raises
         ------
         LimitError
             With the axis; the rows are then not sent.
         """
-        limits, names = self._limits, self._machine.axis_names
-        stands = self._window.counts(places) + self.start
+        limits = self._limits
+        if not _breaks(stands, counts, limits.velocity, limits.low, limits.high):
+            return
+        names = self._machine.axis_names
         scale = self._machine.counts_per_unit
         tick_s = float(self._machine.tick_clock.period_s)
         for k, name in enumerate(names):
@@ -262,6 +273,22 @@ class Ahead:
                     limit_si=ends,
                     remedy="Move the job, or the position where it starts.",
                 )
+
+
+@njit()
+def _breaks(
+    stands: FloatArray, counts: IntArray, velocity: FloatArray, low: FloatArray, high: FloatArray
+) -> bool:
+    """Return whether a row is faster than ``velocity`` or goes beyond ``low`` or ``high``."""
+    for k in range(counts.shape[1]):
+        for i in range(len(counts)):
+            if abs(counts[i, k]) > velocity[k] + _LIMIT_COUNTS:
+                return True
+        for i in range(len(stands)):
+            at = stands[i, k]
+            if at < low[k] - _LIMIT_COUNTS or at > high[k] + _LIMIT_COUNTS:
+                return True
+    return False
 
 
 def ticks_in(duration_s: float, machine: Machine) -> int:

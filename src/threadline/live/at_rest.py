@@ -163,9 +163,11 @@ class AtRest:
         elif message is None and self._link.lost:
             self._lost("the link is gone")
 
-    def _keep_latest(self, report: Message) -> None:
+    def _keep_latest(self, report: Message) -> dict[str, float]:
+        """Keep the last sample of each channel in a report, and return these."""
         found = {name: float(a[-1]) for name, a in report.arrays.items() if len(a)}
         self.latest = {**self.latest, **found}
+        return found
 
     def obey(self) -> None:
         """Execute the commands of the desk; one that is not possible is recorded and dropped."""

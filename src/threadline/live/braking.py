@@ -146,11 +146,18 @@ def _risen(share: FloatArray) -> FloatArray:
     return np.asarray(share**3 - 0.5 * share**4)
 
 
+_FALLS = {
+    ticks: _fallen(np.minimum(np.arange(1, ceil(ticks) + 1) / ticks, 1.0)) for ticks in _DURATIONS
+}
+
+
 def _fall(before: float, place: float, ticks: float) -> FloatArray:
-    """Return the places at the ticks after ``place`` while the rate falls to 0 in ``ticks``."""
+    """Return the places at the ticks after ``place`` while the rate falls to 0 in ``ticks``.
+
+    They are one of ``_DURATIONS``.
+    """
     rate = place - before
-    k = np.arange(1, ceil(ticks) + 1)
-    return np.asarray(place + rate * ticks * _fallen(np.minimum(k / ticks, 1.0)))
+    return np.asarray(place + rate * ticks * _FALLS[ticks])
 
 
 def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -> FloatArray:

@@ -300,9 +300,8 @@ class Executor(AtRest):
             why = _STARVED if head["starved"] else ""
             if not isinstance(self._ahead, JogAhead | None):
                 why = self._ahead.hear(head) or why
-            self._keep_latest(message)
+            now = self._keep_latest(message)
             samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
-            inputs = {name: values[-1] for name, values in samples.items() if len(values)}
             if why and self.state in _SENDING:
                 self._fault(why)
             told = [one[3] for one in head["events"] if one[1] == "fault"]
@@ -317,7 +316,7 @@ class Executor(AtRest):
                 if why:
                     self._fault(why)
             try:
-                self._go_on(inputs, standing=not head["held"])
+                self._go_on(now, standing=not head["held"])
             except LimitError as error:
                 self._fault(error.message)
             self._owes_go = not self._real_time and not self.over

@@ -101,10 +101,9 @@ class FarEnd:
         """Return the samples of a report before the tick ``until`` of commands, and its events."""
         first = int(report.head["sample"])
         last = None if until is None else max(ceil(until * self._per_tick) - first, 0)
-        samples = {
-            name: np.asarray(values[:last], dtype=np.float64)
-            for name, values in report.arrays.items()
-        }
+        samples = {name: np.asarray(a, np.float64) for name, a in report.arrays.items()}
+        if last is not None:
+            samples = {name: values[:last] for name, values in samples.items()}
         return self._block(first, samples, *(event_of(told) for told in report.head["events"]))
 
     def lost(self, tick: int, why: str) -> RecordingBlock:

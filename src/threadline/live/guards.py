@@ -19,6 +19,8 @@ their radius."""
 _TRAVEL_M = 2e-3  # distance by which the loop may pass an end of travel
 _JUMP = 3.0  # an encoder that moves at more than this times the axis' speed limit has a fault
 _JUMP_COUNTS = 4.0
+_LOOKED_AT = ("commanded", "measured", "voltage")
+_NONE: FloatArray = np.empty(0)
 
 
 @dataclass(slots=True)
@@ -26,6 +28,7 @@ class _Axis:
     """An axis with its limits, and the state of its guards."""
 
     name: str
+    channels: tuple[str, ...]  # what is looked at of it, see ``_LOOKED_AT``
     lag_s: float  # of its loop, by the model
     room: float  # FOLLOWING_M in m or rad
     count: float  # size of a count, m or rad
@@ -34,7 +37,8 @@ class _Axis:
     high: float
     reverses_by_zero: bool
     speeds: FloatArray  # told at the last ticks that still act on the load, the oldest first
-    last: dict[str, float] = field(default_factory=dict)  # the last sample of each channel
+    last: FloatArray = field(default_factory=lambda: np.full(len(_LOOKED_AT), np.nan))
+    """The last sample of each channel that is looked at; not a number before the first."""
     still: tuple[float, float] = (0.0, 0.0)  # encoder and command when the encoder last moved
 
 
@@ -63,6 +67,7 @@ class Guards:
             self._axes.append(
                 _Axis(
                     name=name,
+                    channels=tuple(f"{name}.{what}" for what in _LOOKED_AT),
                     lag_s=answers[name].moments[0],
                     room=FOLLOWING_M
                     / (1.0 if axis.kind == "linear" else float(machine.radius_m[k])),
@@ -104,9 +109,24 @@ class Guards:
         if why := self._switch_hit(samples):
             return why
         for axis in self._axes:
-            if why := self._trip_of(axis, samples):
+            if not self._in_order(axis, samples) and (why := self._trip_of(axis, samples)):
                 return why
         return ""
+
+    def _in_order(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> bool:
+        """Return whether no guard of an axis trips; what the next report needs is kept then.
+
+        It is the same as ``_trip_of``, in one call for all ticks; that says which guard it is.
+        """
+        told, read, volts = (samples.get(name, _NONE) for name in axis.channels)
+        if not len(told) or len(told) != len(read):
+            return False
+        quiet, axis.still = _in_order(
+            told, read, volts, axis.last, axis.speeds, axis.still, axis.reverses_by_zero,
+            (_JUMP * axis.fastest + _JUMP_COUNTS * axis.count, axis.low, axis.high),
+            (self._tick_s, 2.0 * axis.lag_s, axis.room, 1.5 * axis.count),
+        )  # fmt: skip
+        return quiet
 
     def _switch_hit(self, samples: Mapping[str, FloatArray]) -> str:
         for name in self._switches:
@@ -115,10 +135,10 @@ class Guards:
         return ""
 
     def _trip_of(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> str:
-        told, read = (self._with_last(axis, what, samples) for what in ("commanded", "measured"))
+        told, read = (self._with_last(axis, which, samples) for which in (0, 1))
         if len(told) < 2 or len(read) < 2:
             return ""
-        volts = self._with_last(axis, "voltage", samples)
+        volts = self._with_last(axis, 2, samples)
         return (
             self._jumped(axis, read)
             or self._beyond(axis, read)
@@ -162,13 +182,13 @@ class Guards:
             f"speed is {limit * to_unit:.3g} {unit}"
         )
 
-    def _with_last(self, axis: _Axis, what: str, samples: Mapping[str, FloatArray]) -> FloatArray:
+    def _with_last(self, axis: _Axis, which: int, samples: Mapping[str, FloatArray]) -> FloatArray:
         """Return the samples of a channel after the last one of the report before."""
-        found = samples.get(f"{axis.name}.{what}", np.empty(0))
+        found = samples.get(axis.channels[which], _NONE)
         if not len(found):
             return found
-        before = axis.last.get(what, float(found[0]))
-        axis.last[what] = float(found[-1])
+        before = found[0] if np.isnan(axis.last[which]) else axis.last[which]
+        axis.last[which] = found[-1]
         return np.concatenate([[before], found])
 
 
@@ -212,3 +232,63 @@ def _too_far(
             if error > limit:
                 return k, limit, still
     return 0, room, still
+
+
+@njit()
+def _in_order(
+    told: FloatArray,
+    read: FloatArray,
+    volts: FloatArray,
+    last: FloatArray,
+    speeds: FloatArray,
+    still: tuple[float, float],
+    reverses_by_zero: bool,
+    places: tuple[float, float, float],
+    following: tuple[float, float, float, float],
+) -> tuple[bool, tuple[float, float]]:
+    """Return whether no tick trips a guard of an axis, and its ``still`` then.
+
+    Parameters
+    ----------
+    told, read, volts
+        (n,) samples of the axis; ``volts`` may be empty.
+    last, speeds
+        As ``_Axis`` has them. They go on behind the samples where no guard trips, and stay as
+        they are where one does.
+    still, reverses_by_zero
+        As ``_Axis`` has them.
+    places
+        Largest jump of the encoder in a tick, and the ends of the travel.
+    following
+        Period of the tick, and ``per_speed``, ``room`` and ``moves`` of ``_too_far``.
+    """
+    n, memory = len(read), len(speeds)
+    jump, low, high = places
+    before = read[0] if np.isnan(last[1]) else last[1]
+    for k in range(n):
+        if abs(read[k] - before) > jump or read[k] < low or read[k] > high:
+            return False, still
+        before = read[k]
+    if reverses_by_zero and len(volts):
+        before = volts[0] if np.isnan(last[2]) else last[2]
+        for k in range(len(volts)):
+            if volts[k] * before < 0.0:
+                return False, still
+            before = volts[k]
+    tick_s, per_speed, room, moves = following
+    whole_told, whole_read = np.empty(n + 1), np.empty(n + 1)
+    whole_told[0] = told[0] if np.isnan(last[0]) else last[0]
+    whole_read[0] = read[0] if np.isnan(last[1]) else last[1]
+    whole_told[1:], whole_read[1:] = told, read
+    acting = np.empty(memory + n)
+    acting[:memory] = speeds
+    for k in range(n):
+        acting[memory + k] = abs(whole_told[k + 1] - whole_told[k]) / tick_s
+    at, _, after = _too_far(whole_told, whole_read, acting, per_speed, room, moves, still)
+    if at:
+        return False, still
+    speeds[:] = acting[n:]
+    last[0], last[1] = told[n - 1], read[n - 1]
+    if len(volts):
+        last[2] = volts[len(volts) - 1]
+    return True, after

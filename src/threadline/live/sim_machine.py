@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from fractions import Fraction
+from functools import cached_property
 from math import ceil
 from typing import Any
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.live.greeting import greeting, samples_per_tick
 from threadline.live.sim_faults import SimFault
 from threadline.live.wire import Message, event_told
@@ -59,6 +61,11 @@ class SimMachine(ABC):
             "leave": self._leave, "stop-home": lambda _: None,  # it is home already
             "go": lambda _: None,  # it only lets time go on (see ``sim_process``)
         }  # fmt: skip
+
+    @cached_property
+    def _per_tick(self) -> Fraction:
+        """Samples of a recording in a tick of the commands."""
+        return samples_per_tick(self._machine, self.channels)
 
     # --- what each kind of work does in its own way ----------------------------------------
 
@@ -206,13 +213,9 @@ class SimMachine(ABC):
         self.left = True
 
     def _report(self, first: int, parts: list[RecordingBlock], late_by: float) -> None:
-        names = parts[0].samples if parts else ()
-        arrays = {
-            name: np.concatenate([part.samples[name] for part in parts]).astype(np.float64)
-            for name in names
-        }
+        arrays = _joined(parts)
         clock = self.channels[0].clock
-        per_tick = samples_per_tick(self._machine, self.channels)
+        per_tick = self._per_tick
         sample = parts[0].first_tick[clock.name] if parts else ceil(first * per_tick)
         if self._fault is not None:
             at = max(ceil(self._fault.tick * per_tick) - sample, 0)
@@ -235,3 +238,19 @@ class SimMachine(ABC):
             "events": events, "position": self.position.tolist(), **self._told_besides(),
         }  # fmt: skip
         self._tell(Message("report", head, arrays))
+
+
+def _joined(parts: list[RecordingBlock]) -> dict[str, FloatArray]:
+    """Return the samples of blocks that follow each other, in arrays that can be written to."""
+    if len(parts) == 1:
+        return {
+            name: values
+            if values.dtype == np.float64 and values.flags.writeable
+            else np.array(values, np.float64)
+            for name, values in parts[0].samples.items()
+        }
+    names = parts[0].samples if parts else ()
+    return {
+        name: np.concatenate([part.samples[name] for part in parts]).astype(np.float64)
+        for name in names
+    }

@@ -30,7 +30,8 @@ class SimRows(SimMachine):
     ) -> None:
         super().__init__(machine, start, tell, fault)
         self._session = self._new_session()
-        self._rows: deque[tuple[IntArray, int]] = deque()  # held, one for each tick from now on
+        self._rows = np.zeros((0, len(machine.axes)), np.int64)  # held, for the ticks from now on
+        self._operations = np.zeros(0, np.int64)  # of these rows
         self._events: deque[Event] = deque()
         self._wanted_until = 0  # tick from which on what is held is the spare tail
         self._position = np.zeros(len(machine.axes), dtype=np.int64)
@@ -66,8 +67,11 @@ class SimRows(SimMachine):
         return max(0, self._wanted_until - self.tick)
 
     def _drop(self) -> None:
-        self._rows.clear()
+        self._hold_nothing()
         self._events.clear()
+
+    def _hold_nothing(self) -> None:
+        self._rows, self._operations = self._rows[:0], self._operations[:0]
 
     def _start_anew(self) -> str:
         if self._session.tick:
@@ -84,12 +88,11 @@ class SimRows(SimMachine):
         if why := self._unfit(first, message.arrays["at"]):
             return why
         kept = first - self.tick
-        while len(self._rows) > kept:
-            self._rows.pop()
-        while len(self._rows) < kept:
-            self._rows.append((np.zeros_like(self._position), 0))
-        rows = np.asarray(counts, dtype=np.int64)
-        self._rows.extend(zip(rows, (int(value) for value in operation), strict=True))
+        rest = np.zeros((max(kept - len(self._rows), 0), len(self._position)), np.int64)
+        self._rows = np.concatenate([self._rows[:kept], rest, counts.astype(np.int64, copy=False)])
+        self._operations = np.concatenate(
+            [self._operations[:kept], rest[:, 0], operation.astype(np.int64, copy=False)]
+        )
         self._events = deque(event for event in self._events if event.tick < first)
         self._events.extend(event_of(told) for told in message.head["events"])
         self._wanted_until = first + wanted
@@ -99,8 +102,7 @@ class SimRows(SimMachine):
     def _unfit(self, first: int, at: FloatArray | IntArray) -> str:
         if first < self.tick:
             return "that tick is past"
-        held = list(self._rows)[: first - self.tick]
-        stands = self._position + sum((row for row, _ in held), np.zeros_like(self._position))
+        stands = self._position + self._rows[: first - self.tick].sum(axis=0)
         if not np.array_equal(stands, at):
             return "its rows do not go on from where those before them end"
         return ""
@@ -114,16 +116,16 @@ class SimRows(SimMachine):
         parts: list[RecordingBlock] = []
         while self.tick < until and not self._session.failed:
             room = until - self.tick
-            parts.append(self._row_block(room) if self._rows else self._stand(room))
+            parts.append(self._row_block(room) if len(self._rows) else self._stand(room))
         if self._session.failed:  # nothing is known of it any more
-            self._rows.clear()
+            self._hold_nothing()
         return parts
 
     def _row_block(self, room: int) -> RecordingBlock:
         """Play at most ``room`` of the rows that are held."""
         n = min(room, len(self._rows))
-        taken = [self._rows.popleft() for _ in range(n)]
-        counts = np.array([row for row, _ in taken], dtype=np.int64)
+        counts, self._rows = self._rows[:n], self._rows[n:]
+        operation, self._operations = self._operations[:n], self._operations[n:]
         session = self._session
         session.resume()
         due = []
@@ -133,7 +135,7 @@ class SimRows(SimMachine):
         rows = TickBlock(
             first_tick=session.row,
             counts=counts,
-            operation=np.array([operation for _, operation in taken]),
+            operation=operation,
             events=tuple(due),
         )
         self._position = self._position + counts.sum(axis=0)

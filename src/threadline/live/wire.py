@@ -2,6 +2,7 @@
 
 A message is four bytes of length, four bytes of the length of its head, the head (JSON, UTF-8),
 and the bytes of its arrays in the order in which the head names them; integers are little-endian.
+Arrays of one type and shape that follow each other are named together.
 Nothing in a message is code, and nothing is longer than ``MOST_BYTES``.
 """
 
@@ -24,7 +25,7 @@ from threadline.errors import LinkFaultError
 from threadline.signals import Event
 from threadline.signals.event import EventKind
 
-PROTOCOL = 1
+PROTOCOL = 2
 MOST_BYTES = 1 << 24
 _LENGTHS = struct.Struct("<II")
 _TYPES = {"<i8": np.int64, "<f8": np.float64}
@@ -52,14 +53,18 @@ class Message:
 
     def encoded(self) -> bytes:
         """Return the bytes of the message."""
-        parts = {
-            name: np.ascontiguousarray(a, "<i8" if a.dtype.kind == "i" else "<f8")
-            for name, a in self.arrays.items()
-        }
-        named = [[name, a.dtype.str, list(a.shape)] for name, a in parts.items()]
+        named: list[tuple[list[str], str, tuple[int, ...]]] = []  # those of one form together
+        parts: list[bytes] = []
+        for name, a in self.arrays.items():
+            form = "<i8" if a.dtype.kind == "i" else "<f8"
+            if named and named[-1][1] == form and named[-1][2] == a.shape:
+                named[-1][0].append(name)
+            else:
+                named.append(([name], form, a.shape))
+            parts.append((a if a.dtype == form else a.astype(form)).tobytes())
         content = {"kind": self.kind, "head": dict(self.head), "arrays": named}
         head = json.dumps(content, allow_nan=False, ensure_ascii=False).encode()
-        body = b"".join(a.tobytes() for a in parts.values())
+        body = b"".join(parts)
         return _LENGTHS.pack(len(head) + len(body) + 4, len(head)) + head + body
 
 
@@ -81,14 +86,21 @@ def decoded(content: bytes) -> Message:
         kind, head, named = str(told["kind"]), dict(told["head"]), list(told["arrays"])
         arrays: dict[str, IntArray | FloatArray] = {}
         at = 4 + size
-        for name, dtype, shape in named:
-            count = math.prod(int(n) for n in shape)
-            if count < 0 or min(shape, default=0) < 0:
+        for names, dtype, shape in named:
+            whole = [len(list(names)), *(int(n) for n in shape)]
+            if not shape or min(whole) < 0:
                 raise _refuse(f"an array of shape {shape}")
-            values: Any = np.frombuffer(content, _TYPES[dtype], count, at)
-            arrays[str(name)] = values.reshape(shape)
+            values: Any = np.frombuffer(content, _TYPES[dtype], math.prod(whole), at)
+            arrays.update(zip(map(str, names), values.reshape(whole), strict=True))
             at += values.nbytes
-    except (ValueError, KeyError, TypeError, struct.error, RecursionError) as error:
+    except (
+        ArithmeticError,
+        ValueError,
+        KeyError,
+        TypeError,
+        struct.error,
+        RecursionError,
+    ) as error:
         raise _refuse(str(error)[:80] or type(error).__name__) from error
     if at != len(content):
         raise _refuse(f"{len(content) - at} bytes are left over")

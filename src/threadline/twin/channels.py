@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,23 +62,68 @@ def readings_of(channels: Sequence[Channel]) -> dict[str, Reading]:
     return found
 
 
-def samples_of(
-    machine: Machine,
-    channels: Sequence[Channel],
-    start_counts: IntArray,
-    read: Mapping[Reading, FloatArray],
-    travelled: IntArray,
-) -> dict[str, FloatArray]:
-    """Return the samples of every channel but the operation.
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What a channel is made of.
+
+    Parameters
+    ----------
+    name, kind
+        Of the channel.
+    reading
+        What is read for it; None for the command.
+    axis
+        Column of its axis where it is a position of one, else 0.
+    scale, start
+        Counts per m or rad of that axis, and its position in counts before the first row.
+    """
+
+    name: str
+    kind: ChannelKind
+    reading: Reading | None
+    axis: int = 0
+    scale: float = 1.0
+    start: float = 0.0
+
+
+_PLACES = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD)
+
+
+def sources_of(
+    machine: Machine, channels: Sequence[Channel], start_counts: IntArray
+) -> tuple[Source, ...]:
+    """Return what every channel but the operation is made of.
 
     Parameters
     ----------
     start_counts
         (axes,) commanded position before the first row.
+    """
+    readings, names, found = readings_of(channels), machine.axis_names, []
+    for channel in channels:
+        reading = readings.get(channel.name)
+        if channel.kind in _PLACES:
+            at = names.index(channel.axis)
+            scale, start = machine.axes[channel.axis].counts.si, float(start_counts[at])
+            found.append(Source(channel.name, channel.kind, reading, at, scale, start))
+        elif reading is not None:
+            found.append(Source(channel.name, channel.kind, reading))
+    return tuple(found)
+
+
+def samples_of(
+    sources: Sequence[Source], read: Mapping[Reading, FloatArray], travelled: IntArray
+) -> dict[str, FloatArray]:
+    """Return the samples of every channel but the operation.
+
+    Parameters
+    ----------
+    sources
+        What they are made of.
     read
         (n, runs) of every reading.
     travelled
-        (n, axes) counts commanded since then, of all runs.
+        (n, axes) counts commanded since the first row, of all runs.
 
     Returns
     -------
@@ -85,27 +131,20 @@ def samples_of(
         (n,) of each channel; of several runs (n, runs) but for what they have in common.
     """
     samples: dict[str, FloatArray] = {}
-    readings, names = readings_of(channels), machine.axis_names
-    for channel in channels:
-        name = channel.name
-        if channel.kind is ChannelKind.COMMANDED:
-            at = names.index(channel.axis)
-            counts: FloatArray | IntArray = travelled[:, at]
-        elif name in readings:
-            values = read[readings[name]]
-            values = values[:, 0] if values.shape[1] == 1 else values
-            samples[name] = counts = values
-        if channel.kind in (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD):
-            at = names.index(channel.axis)
-            scale, start = machine.axes[channel.axis].counts.si, float(start_counts[at])
-            if channel.kind is ChannelKind.LOAD:
-                # What was read is in nobody else's hands, and stays beside the other axes.
-                samples[name] = np.add(start / scale, counts, out=counts)
-            else:
-                # Counts below 2^53 are exact as floats: one new array, divided in place.
-                whole = (counts + start).astype(np.float64, copy=False)
-                whole /= scale
-                samples[name] = whole
+    for source in sources:
+        if source.reading is None:
+            counts: FloatArray | IntArray = travelled[:, source.axis]
+        else:
+            values = read[source.reading]
+            samples[source.name] = counts = values[:, 0] if values.shape[1] == 1 else values
+        if source.kind is ChannelKind.LOAD:
+            # What was read is in nobody else's hands, and stays beside the other axes.
+            samples[source.name] = np.add(source.start / source.scale, counts, out=counts)
+        elif source.kind in _PLACES:
+            # Counts below 2^53 are exact as floats: one new array, divided in place.
+            whole = (counts + source.start).astype(np.float64, copy=False)
+            whole /= source.scale
+            samples[source.name] = whole
     return samples
 
 

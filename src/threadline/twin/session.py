@@ -15,12 +15,12 @@ from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.plant.values import Values
 from threadline.signals import Channel, ChannelKind, RecordingBlock
-from threadline.twin.channels import readings_of, run_phases, samples_of, tick_channels
+from threadline.twin.channels import run_phases, samples_of, sources_of, tick_channels
 from threadline.twin.kernel import Engine, Run
 from threadline.twin.row_session import RowSession
 from threadline.twin.session_part import Part, joined
 
-_REBUILT = frozenset(("channels", "_clock", "_readings", "_run"))
+_REBUILT = frozenset(("channels", "_clock", "_sources", "_readings", "_run"))
 
 
 class Session(RowSession):
@@ -111,7 +111,8 @@ class Session(RowSession):
             engine = Engine(machine, self._values, start_si)
         self.channels: tuple[Channel, ...] = tick_channels(machine, self._every, self._kinds)
         self._clock = machine.tick_clock.name
-        self._readings = tuple(readings_of(self.channels).values())
+        self._sources = sources_of(machine, self.channels, self._start)
+        self._readings = tuple(one.reading for one in self._sources if one.reading is not None)
         self._run: Run = engine.start(
             self._phases,
             watch_current=ChannelKind.CURRENT in self._kinds,
@@ -157,9 +158,7 @@ class Session(RowSession):
             else joined(parts, len(self._position), self._values.count, self._readings)
         )
         kept = slice(begin - first, None, self._every)
-        samples = samples_of(
-            self._machine, self.channels, self._start, whole.read, whole.travelled[kept]
-        )
+        samples = samples_of(self._sources, whole.read, whole.travelled[kept])
         samples["operation"] = whole.operation[kept].astype(np.float64)
         events, self._told = tuple(self._told), []
         return RecordingBlock(first_tick={self._clock: begin}, samples=samples, events=events)

@@ -173,6 +173,7 @@ class Run:
     ) -> None:
         self._engine, self._wired, self._threads = engine, wired, threads
         self._states = tuple(state for state, _ in wired)
+        self._lying: dict[tuple[Reading, ...], list[list[Reading]]] = {}
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def __enter__(self) -> Run:
@@ -221,36 +222,49 @@ class Run:
         """
         first = self.tick
         samples = -(-(first + len(travelled)) // every) - -(-first // every)
-        found = self._room(wanted, samples)
+        found, lying = self._room(tuple(wanted), samples)
         for state, wiring in self._wired:
             references = np.zeros((len(travelled), len(state.shape.controllers)))
             for axis, controller in wiring.references:
                 references[:, controller] = travelled[:, axis]
-            records = np.zeros((wiring.width, 2), dtype=np.int64)
+            places = [(0, 0)] * wiring.width
             for reading, at in wiring.columns.items():
-                if reading in found:
-                    lanes = found[reading]
-                    records[at] = lanes.ctypes.data, lanes.strides[0] // lanes.itemsize
+                places[at] = lying.get(reading, places[at])
+            records = np.array(places, dtype=np.int64)
             self._run(state, (references, every if records.any() else 0, window, records))
         return {reading: lanes[:, : self._engine.variants] for reading, lanes in found.items()}
 
-    def _room(self, wanted: Collection[Reading], samples: int) -> dict[Reading, FloatArray]:
+    def _room(
+        self, wanted: tuple[Reading, ...], samples: int
+    ) -> tuple[dict[Reading, FloatArray], dict[Reading, tuple[int, int]]]:
         """Return (samples, lanes) for each reading: those of one signal are rows of one array.
 
         What is read of all axes then lies together, (samples, axes, lanes), axes as in the file,
-        and nobody has to copy it there.
+        and nobody has to copy it there. Of each reading the address and the numbers from sample to
+        sample come with it.
         """
+        order = self._lying.get(wanted)
+        if order is None:
+            order = self._lying[wanted] = self._ordered(wanted)
+        lanes = max((len(state.clock) * state.shape.lanes for state in self._states), default=0)
+        found: dict[Reading, FloatArray] = {}
+        lying: dict[Reading, tuple[int, int]] = {}
+        for own in order:
+            room = np.empty((samples, len(own), lanes))
+            begins, apart = room.ctypes.data, len(own) * lanes
+            for at, reading in enumerate(own):
+                found[reading] = room[:, at]
+                lying[reading] = begins + room.itemsize * lanes * at, apart
+        return found, lying
+
+    def _ordered(self, wanted: tuple[Reading, ...]) -> list[list[Reading]]:
+        """Return the readings of each signal in the order in which they lie."""
         machine = self._engine.machine
         order = {name: at for at, name in enumerate((*machine.axis_names, *machine.inputs))}
-        lanes = max((len(state.clock) * state.shape.lanes for state in self._states), default=0)
-        names: dict[Signal, list[str]] = {}
-        for signal, name in sorted(wanted, key=lambda reading: order[reading.name]):
-            names.setdefault(signal, []).append(name)
-        found: dict[Reading, FloatArray] = {}
-        for signal, own in names.items():
-            room = np.empty((samples, len(own), lanes))
-            found |= {Reading(signal, name): room[:, at] for at, name in enumerate(own)}
-        return found
+        found: dict[Signal, list[Reading]] = {}
+        for reading in sorted(wanted, key=lambda reading: order[reading.name]):
+            found.setdefault(reading.signal, []).append(reading)
+        return list(found.values())
 
     def _run(self, state: State, given: tuple[FloatArray, int, int, IntArray]) -> None:
         blocks = len(state.clock)
