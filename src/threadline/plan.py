@@ -200,7 +200,7 @@ def _beyond(demand: Demand) -> str:
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Plan:
     """Everything that was decided before the machine moved, whatever kind of work it is.
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from functools import partial
 
@@ -12,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.errors import RecordingError
+from threadline.errors import OptionError, RecordingError
 from threadline.signals import (
     ChannelKind,
     Clock,
@@ -140,17 +142,61 @@ def test_a_short_stream_is_worked_out_once_and_a_long_one_anew() -> None:
     calls: list[int] = []
     blocks = [b"ab", b"", b"cde"]
     stream = KeptStream(noted_blocks, calls, blocks)
-    next(iter(stream))  # a reading that ends early keeps nothing
-    assert list(stream) == list(stream) == list(stream) == blocks
-    assert len(calls) == 2
+    next(iter(stream))  # what a reading that ends early worked out is there for the others
+    assert list(zip(stream, stream, strict=True)) == list(zip(blocks, blocks, strict=True))
+    assert list(stream) == list(stream) == blocks
+    assert len(calls) == 1
     travelled = pickle.loads(pickle.dumps(stream))
-    assert travelled._items is None and list(travelled) == blocks  # read anew there
+    assert not travelled._items and list(travelled) == blocks  # read anew there
 
     calls.clear()
     long = [b"x" * KeptStream.MOST_KEPT, b"y"]
     stream = KeptStream(noted_blocks, calls, long)
     assert list(stream) == list(stream) == long
-    assert len(calls) == 2 and stream._items is None
+    assert len(calls) == 2 and not stream._items
+
+
+def test_readings_side_by_side_of_a_long_stream_are_each_whole() -> None:
+    """One of them comes to the row that is too many, and goes on; the others read by themselves."""
+    calls: list[int] = []
+    blocks = [b"ab", b"cd", b"x" * KeptStream.MOST_KEPT, b"y"]
+    stream = KeptStream(noted_blocks, calls, blocks)
+    behind, ahead = iter(stream), iter(stream)
+    assert next(behind) == b"ab"
+    assert list(ahead) == blocks and len(calls) == 1
+    assert [b"ab", *behind] == blocks and len(calls) == 2
+    assert list(stream) == blocks and not stream._items
+
+
+def test_a_stream_that_fails_does_so_for_every_reading() -> None:
+    stream = KeptStream(failing_blocks)
+    first, second = iter(stream), iter(stream)
+    assert (next(first), next(second)) == (b"ab", b"ab")
+    for reading in (first, second, stream):
+        with pytest.raises(OptionError, match="no more"):
+            list(reading)
+
+
+def failing_blocks() -> Iterator[bytes]:
+    yield b"ab"
+    raise OptionError("no more")
+
+
+def test_threads_may_read_a_stream_at_once() -> None:
+    blocks = [bytes([k]) for k in range(200)]
+    for _ in range(20):
+        calls: list[int] = []
+        stream = KeptStream(slow_blocks, calls, blocks)
+        with ThreadPoolExecutor(4) as pool:
+            assert list(pool.map(list, [stream] * 4)) == [blocks] * 4
+        assert len(calls) == 1
+
+
+def slow_blocks(calls: list[int], blocks: list[bytes]) -> Iterator[bytes]:
+    calls.append(0)
+    for block in blocks:
+        time.sleep(0)  # another thread may go on
+        yield block
 
 
 def noted_blocks(calls: list[int], blocks: list[bytes]) -> Iterator[bytes]:

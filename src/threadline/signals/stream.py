@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sized
 from functools import partial
+from itertools import chain, islice
+from threading import Lock
 from types import FunctionType, MethodType
 from typing import Any, Generic, ParamSpec, TypeVar
 
@@ -64,9 +66,9 @@ class Stream(Generic[T]):
 class KeptStream(Stream[SizedT]):
     """A stream of blocks that will be read many times: a short one is worked out once and kept.
 
-    The first reading that comes to the end keeps its blocks, unless they have more than
-    ``MOST_KEPT`` rows in all. What is kept does not travel: another process reads anew. Whoever
-    reads gets the same blocks, so they must be locked.
+    What one reading worked out is there for every other, side by side or later, unless it has more
+    than ``MOST_KEPT`` rows in all. What is kept does not travel: another process reads anew.
+    Whoever reads gets the same blocks, so they must be locked.
 
     >>> lengths = KeptStream(iter, ("abc", "de"))
     >>> list(lengths) == list(lengths) == ["abc", "de"]
@@ -75,33 +77,64 @@ class KeptStream(Stream[SizedT]):
 
     MOST_KEPT = 2048
 
-    __slots__ = ("_items",)
+    __slots__ = ("_ended", "_items", "_lock", "_rows", "_source")
 
     def __init__(
         self, function: Callable[P, Iterator[SizedT]], *arguments: P.args, **keywords: P.kwargs
     ) -> None:
         super().__init__(function, *arguments, **keywords)
-        self._items: tuple[SizedT, ...] | None = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self._items: list[SizedT] = []  # what was worked out, from the beginning on
+        self._source: Iterator[SizedT] | None = None  # works out what follows
+        self._rows = 0  # more than ``MOST_KEPT`` where every reading is one of its own
+        self._ended = False
+        self._lock = Lock()
 
     def __iter__(self) -> Iterator[SizedT]:
-        return self._reading() if self._items is None else iter(self._items)
+        return iter(tuple(self._items)) if self._ended else self._reading()
 
-    def __getstate__(self) -> tuple[None, dict[str, Any]]:
-        names = Stream.__slots__
-        return None, {"_items": None} | {name: getattr(self, name) for name in names}
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in Stream.__slots__}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value)
+        self._begin()
 
     def _reading(self) -> Iterator[SizedT]:
-        items: list[SizedT] = []
-        rows = 0
-        for item in super().__iter__():
-            rows += len(item)
-            if rows <= self.MOST_KEPT:
-                items.append(item)
-            else:
-                items.clear()
-            yield item
-        if rows <= self.MOST_KEPT:
-            self._items = tuple(items)
+        items, taken = self._items, 0
+        rest: Iterator[SizedT] | None = None
+        while rest is None:
+            while taken < len(items):
+                yield items[taken]
+                taken += 1
+            with self._lock:
+                if taken < len(items):
+                    continue
+                if self._ended:
+                    return
+                rest = self._extend() if self._rows <= self.MOST_KEPT else self._behind(taken)
+        yield from rest
+
+    def _behind(self, taken: int) -> Iterator[SizedT]:
+        return islice(super().__iter__(), taken, None)
+
+    def _extend(self) -> Iterator[SizedT] | None:
+        """Work out the next item; return it, and what follows, where they are too many to keep."""
+        source = super().__iter__() if self._source is None else self._source
+        rows = self._rows
+        self._source, self._rows = None, self.MOST_KEPT + 1  # should it fail
+        item = next(source, None)
+        if item is not None and rows + len(item) > self.MOST_KEPT:
+            self._items = []  # whoever reads has those that it has yet to read
+            return chain((item,), source)
+        self._ended = item is None
+        if item is not None:
+            self._items.append(item)
+            self._source, self._rows = source, rows + len(item)
+        return None
 
 
 def _kept(items: tuple[T, ...]) -> Iterator[T]:

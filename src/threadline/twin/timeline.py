@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from itertools import groupby
 from math import gcd, lcm
+from operator import itemgetter
 
 from threadline.arrays import IntArray, Locked, read_only_int
 from threadline.errors import MachineError
@@ -84,6 +86,17 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
         exact = Fraction(0) if delay is None else delay.exact_s
         assert exact is not None
         delays.append(exact)
+    return _schedule(tick, tuple(periods), tuple(delays))
+
+
+@lru_cache(maxsize=8)
+def _schedule(
+    tick: Fraction, periods: tuple[Fraction, ...], delays: tuple[Fraction, ...]
+) -> Schedule:
+    """Return the schedule of these periods and dead times, s.
+
+    It is kept: a search makes the same machine, or one of the same clocks, thousands of times.
+    """
     hyper = _least_common([tick, *periods])
     count = sum(int(hyper / p) for p in (tick, *periods, *periods))
     if count > _MAX_ACTIONS:
@@ -92,17 +105,20 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
             f"limit {_MAX_ACTIONS}",
             remedy="Choose clock periods with a common multiple.",
         )
-    happenings: list[tuple[Fraction, int, int]] = []
-    happenings += [(tick * k, TICK, 0) for k in range(int(hyper / tick))]
+    # In whole numbers of the finest period that all of them are multiples of.
+    finest = common_period_s([tick, *periods, *(delay_s for delay_s in delays if delay_s)])
+    end = int(hyper / finest)
+    happenings = [(at, TICK, 0) for at in range(0, end, int(tick / finest))]
     for index, (period, delay_s) in enumerate(zip(periods, delays, strict=True)):
-        for k in range(int(hyper / period)):
-            happenings.append((period * k, CONTROL, index))
-            happenings.append(((period * k + delay_s) % hyper, ARRIVE, index))
+        late = int(delay_s / finest)
+        for at in range(0, end, int(period / finest)):
+            happenings.append((at, CONTROL, index))
+            happenings.append(((at + late) % end, ARRIVE, index))
     happenings.sort()
     instants = sorted({at for at, _, _ in happenings})
-    advances = [b - a for a, b in zip(instants, [*instants[1:], hyper], strict=True)]
-    grid = common_period_s(advances)
-    distinct = sorted({int(a / grid) for a in advances})
+    advances = [b - a for a, b in zip(instants, [*instants[1:], end], strict=True)]
+    grid = gcd(*advances)
+    distinct = sorted({a // grid for a in advances})
     if len(distinct) > _MAX_LENGTHS:
         raise MachineError(
             f"clocks and dead times cut time into {len(distinct)} different lengths, "
@@ -110,14 +126,15 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
             remedy="Choose clock periods and dead times with a coarser common grid.",
         )
     first, actions = [0], []
-    for _, same_instant in groupby(happenings, key=lambda happening: happening[0]):
+    for _, same_instant in groupby(happenings, key=itemgetter(0)):
         actions += [(what, index) for _, what, index in same_instant]
         first.append(len(actions))
+    number = {length: k for k, length in enumerate(distinct)}
     return Schedule(
-        grid_s=grid,
+        grid_s=grid * finest,
         first_action=first,  # type: ignore[arg-type]
         actions=actions,  # type: ignore[arg-type]
-        length=[distinct.index(int(a / grid)) for a in advances],  # type: ignore[arg-type]
+        length=[number[a // grid] for a in advances],  # type: ignore[arg-type]
         lengths=distinct,  # type: ignore[arg-type]
         delayed=any(delays),
         in_flight=[int(d / p) for p, d in zip(periods, delays, strict=True)],  # type: ignore[arg-type]

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from itertools import islice
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.jobs.operations import FeedMode, Job, Move, MoveRun, ToolEvent
-from threadline.plan import Plan
+from threadline.plan import Motion, Plan
+from threadline.signals import KeptStream
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 from threadline.verdict.passing import Passing
 
@@ -57,12 +59,20 @@ class Stitches:
     from_m: FloatArray
     to_m: FloatArray
 
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            getattr(self, field.name).flags.writeable = False
+
     def __len__(self) -> int:
         return len(self.operation)
 
     def rows(self, rows: slice) -> Stitches:
         """Return some of the stitches."""
         return Stitches(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+
+_FOUND: WeakKeyDictionary[Plan, KeptStream[Stitches]] = WeakKeyDictionary()
+"""Stitches of the plans that there are: what finds them does not hold the plan."""
 
 
 def has_stitches(job: Job) -> bool:
@@ -86,16 +96,21 @@ def planned_stitches(plan: Plan) -> Iterator[Stitches]:
 
     The needle is geared with the motion: it is down when the commanded head passes the end of the
     stitch's move, in the order of the job. Where the loads follow the motion by feed-forward the
-    needle keeps the times before smoothing, which are those of the job.
+    needle keeps the times before smoothing, which are those of the job. The stitches of a short
+    job are found once, however many measures and runs read them.
     """
-    motion = plan.motion.of_needle
-    axes = [plan.motion.programmed.axes.index(axis) for axis in plan.job.axes]
-    radius = plan.motion.programmed.radius_m[axes]
-    columns = [motion.axes.index(axis) for axis in plan.job.axes]
-    start = np.asarray(plan.job.start, dtype=np.float64) * radius
+    return iter(_FOUND.setdefault(plan, KeptStream(_found, plan.job, plan.motion)))
+
+
+def _found(job: Job, intended: Motion) -> Iterator[Stitches]:
+    motion = intended.of_needle
+    axes = [intended.programmed.axes.index(axis) for axis in job.axes]
+    radius = intended.programmed.radius_m[axes]
+    columns = [motion.axes.index(axis) for axis in job.axes]
+    start = np.asarray(job.start, dtype=np.float64) * radius
     passing = Passing(_moving(motion), columns, radius, start)
     before_s, contour = passing.time_s, -1.0
-    moves = ((i, o) for i, o in enumerate(plan.job) if isinstance(o, Move))
+    moves = ((i, o) for i, o in enumerate(job) if isinstance(o, Move))
     waiting: list[tuple[int, Move]] = []
     while True:
         waiting += islice(moves, _MOST_MOVES - len(waiting))
