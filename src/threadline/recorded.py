@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import file_digest
 from pathlib import Path
@@ -51,6 +51,7 @@ def judge_files(
     *,
     feed_forward: bool = False,
     smoothing: str | None = None,
+    read_one: Callable[[Path], Recording] = read_recording,
 ) -> Judged:
     """Judge recordings of one and the same job.
 
@@ -65,6 +66,8 @@ def judge_files(
         The file of the specification; None is the machine's own.
     feed_forward, smoothing
         Whether the plan was made with feed-forward, and the time over which it smoothed.
+    read_one
+        Reads a file.
 
     Raises
     ------
@@ -74,7 +77,7 @@ def judge_files(
         If a file cannot be read.
     """
     _refuse_copies(recordings)
-    read = [read_recording(path) for path in recordings]
+    read = [read_one(path) for path in recordings]
     given = {**given, "feed-forward": smoothing}
     if smoothing is not None and not feed_forward and "feed-forward" not in read[0].origin:
         raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")

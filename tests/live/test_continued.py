@@ -78,6 +78,16 @@ def broken_off(name: str) -> tuple[Recording, int]:
     return recording, int(operations.max())
 
 
+@cache
+def rest_of(name: str) -> tuple[Continued, Recording]:
+    """Return the rest of a run that was broken off, and the recording of that."""
+    plan = planned(name)
+    again = continued(plan, broken_off(name)[1], at_rest=False)
+    (ended, why), recording, _ = run(plan, again)
+    assert (ended, why) == (Ended.COMPLETED, "")
+    return again, recording
+
+
 @pytest.mark.parametrize("name", JOBS)
 def test_what_was_executed_is_read_from_the_trace(name: str, tmp_path: Path) -> None:
     recording, executed = broken_off(name)
@@ -129,9 +139,7 @@ def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
 @pytest.mark.parametrize("name", JOBS)
 def test_the_rest_alone_proves_nothing_of_the_whole(name: str) -> None:
     plan = planned(name)
-    again = continued(plan, broken_off(name)[1], at_rest=False)
-    (ended, why), recording, _ = run(plan, again)
-    assert (ended, why) == (Ended.COMPLETED, "")
+    again, recording = rest_of(name)
     spec = load_spec(None, plan.machine)
     if name == "letter-placer":  # of a cycle every switching has to be seen
         with pytest.raises(RecordingError, match=r"begins at .*, the motion before"):

@@ -20,6 +20,7 @@ from threadline.report import write_report
 from threadline.signals.files import write_recording
 from threadline.store.index import REFUSED
 from threadline.store.run_store import INPUTS, PROOF, TRACE, opened
+from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import verdict_json
 from threadline.writing import together
 
@@ -45,6 +46,8 @@ def report(
 ) -> None:
     """Judge the recording of a run again, and write its report.
 
+    A continued run is judged together with what the runs that it continues did before it.
+
     Job, machine and specification must be unchanged since the run, unless -s gives another
     specification.
 
@@ -67,14 +70,16 @@ def report(
     pages = out or folder / "report"
     check_outputs(file=csv, folder=pages)
     known = read_proof(folder / PROOF)
-    judged = judge_files([folder / TRACE], {}, known.spec_path if spec is None else spec)
+    judged = judge_files(
+        [folder / TRACE], {}, known.spec_path if spec is None else spec, read_one=whole_recording
+    )
     if spec is None and spec_sha256(judged.spec) != known.sha256("spec"):
         raise StoreError(
             f"the specification that run {folder.name} was proved by, {known.name('spec')!r}, "
             "has changed since",
             remedy=f"Give it with -s; {folder / INPUTS} has a copy if it was a file.",
         )
-    recording = judged.recordings[0]
+    recording, before = judged.recordings[0], joined_with(folder / TRACE)
     proof = Proof(
         plan=judged.plan,
         recording=recording,
@@ -88,9 +93,11 @@ def report(
         written = write_report(proof, pages)
     if json:
         content = verdict_json(judged.verdict, judged.plan)
-        print_json({**content, "run": folder.name, "report": str(written)})
+        print_json({**content, "run": folder.name, "judged_with": before, "report": str(written)})
     else:
         show_proof(proof)
+        if before:
+            say(as_one(before))
         say(f"Report: {written}")
     raise typer.Exit(0 if judged.verdict.passed else 1)
 

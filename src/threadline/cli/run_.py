@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import tempfile
+from collections.abc import Sequence
 from contextlib import closing as closed
 from pathlib import Path
 from typing import Annotated
@@ -72,8 +73,9 @@ from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, w
 from threadline.plan import Plan
 from threadline.proof_file import read_proof, write_proof
 from threadline.signals import Ended, Recording
-from threadline.signals.files import read_recording, write_recording
+from threadline.signals.files import write_recording
 from threadline.store.run_store import OpenRun, RunStore, check_folder
+from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import Spec, Verdict, closing, judge, load_spec, verdict_json, verdict_rows
 
 _MOST_SPEED = 1e6
@@ -233,7 +235,8 @@ def run(
                 plan, desk, kept, pass_stops=pass_stops, hold_at_rest=at_rest, watch=keys.step,
                 again=again, confirmed=(lambda: True) if confirmed else keys.confirmed,
             )  # fmt: skip
-    happened = read_recording(kept.trace)
+    before = () if again is None else joined_with(kept.trace)
+    happened = whole_recording(kept.trace)
     verdict = _verdict(happened, plan, asked, kept, (ended, text), over, whole=again is None)
     content = {
         **verdict_json(verdict, plan),
@@ -242,12 +245,13 @@ def run(
         "trace": str(kept.trace),
         "ended": ended.value,
         "hold_deviation_m": finite(leaves_m),
+        **({"judged_with": before} if before else {}),
     }
     kept.judged(content, ended.value, text)
     if recording is not None:
         write_recording(happened, recording, plot_every=plot_every(chosen))
     if ended is Ended.FAULT or not json:
-        _show(verdict, plan, link, over.label, quiet=json)
+        _show(verdict, plan, link, over.label, before, quiet=json)
     if ended is Ended.FAULT:
         raise _fault(kept, text, over)
     if json:
@@ -299,12 +303,16 @@ def _hold_at_rest(leaves_m: float, limit_m: float) -> bool:
     return at_rest
 
 
-def _show(verdict: Verdict, plan: Plan, link: str, label: str, *, quiet: bool) -> None:
+def _show(
+    verdict: Verdict, plan: Plan, link: str, label: str, before: Sequence[str], *, quiet: bool
+) -> None:
     if quiet:
         return
     header, rows = verdict_rows(verdict)
     print_table(f"{plan.job.name} run on {plan.machine.name}, link {link}", header, rows)
     say(closing(verdict) + (f"; {label}" if label else ""))
+    if before:
+        say(as_one(before))
 
 
 def register(app: typer.Typer) -> None:

@@ -30,9 +30,9 @@ from threadline.panel.project_programs import planned
 from threadline.pipeline import with_shaping
 from threadline.proof_file import ProofFile
 from threadline.signals import Channel, RecordingBlock
-from threadline.signals.files import read_recording
 from threadline.store.run_store import TRACE, OpenRun, RunStore
 from threadline.store.unfinished import refuse_other_rows, unfinished_run
+from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
 
 
@@ -266,7 +266,7 @@ class KeptRuns:
 
     def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
         try:
-            verdict = judge([read_recording(run.trace)], ready.load.plan, ready.spec)
+            verdict = judge([whole_recording(run.trace)], ready.load.plan, ready.spec)
         except RecordingError as error:
             if ready.again is None:
                 raise
@@ -282,9 +282,14 @@ class KeptRuns:
             "ended": ended,
             "hold_deviation_m": finite(ready.leaves_m),
         }
+        before = joined_with(run.trace)
+        content |= {"judged_with": before} if before else {}
         run.judged(content, ended, why)
-        alone = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
-        return _Finished(content, closing(verdict) + alone)
+        if before:
+            told = f"; {as_one(before)}"
+        else:
+            told = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
+        return _Finished(content, closing(verdict) + told)
 
     @staticmethod
     def _known_of(ready: Prepared) -> dict[str, str]:

@@ -1,0 +1,76 @@
+"""Runs that continue each other are judged as one: what each did up to where the next began."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.live.test_continued import JOBS, broken_off, planned, rest_of, run
+from threadline.live.continuing import continued
+from threadline.signals import Ended, Recording
+from threadline.signals.files import write_recording
+from threadline.store.whole_trace import joined_with, whole_recording
+from threadline.verdict import judge, load_spec
+
+
+def in_folder(folder: Path, recording: Recording, continues: str = "") -> Path:
+    """Write a trace as a run of that name would have it."""
+    folder.mkdir(parents=True)
+    origin = {**recording.origin, **({"continues": continues} if continues else {})}
+    write_recording(replace(recording, origin=origin), folder / "trace.mcap")
+    return folder / "trace.mcap"
+
+
+@pytest.mark.parametrize("name", [name for name in JOBS if name != "schiffli-frame"])
+def test_all_runs_of_a_job_are_judged_as_one(name: str, tmp_path: Path) -> None:
+    """Against a run that nothing broke off: the same verdict, line by line, and near its figures.
+
+    A frame comes to its place by the program itself, as cylinders do, and takes 20 s more.
+    Axes start from rest at the joint, so that they follow otherwise there: 20 % of a limit.
+    """
+    plan = planned(name)
+    first, (_, rest) = broken_off(name)[0], rest_of(name)
+    in_folder(tmp_path / "first", first)
+    trace = in_folder(tmp_path / "second", rest, "first")
+    assert joined_with(trace) == ("first",)
+    whole = whole_recording(trace)
+    clock, block = whole.channels[0].clock.name, next(iter(first))
+    tick = block.first_tick[clock]
+    for block in whole:  # without a gap
+        assert block.first_tick[clock] == tick
+        tick += len(block.samples["operation"]) * whole.channels[0].stride
+    operations = whole.samples("operation")[1]
+    assert (np.diff(operations) >= 0.0).all()
+    assert not whole.outcome().incomplete
+    spec = load_spec(None, plan.machine)
+    found = judge([whole], plan, spec)
+    assert found.passed
+    assert not found.incomplete
+    undisturbed = judge([run(plan)[1]], plan, spec)
+    for ours, other in zip(found.results, undisturbed.results, strict=True):
+        assert (ours.name, ours.axis, ours.status) == (other.name, other.axis, other.status)
+        if ours.limit and ours.measured is not None and other.measured is not None:
+            assert ours.measured == pytest.approx(other.measured, abs=0.2 * abs(ours.limit))
+
+
+def test_what_a_run_has_not_reached_is_of_the_run_before_it(tmp_path: Path) -> None:
+    """Broken off twice, and continued from a place that the second run had begun behind."""
+    plan = planned("lathe-winder")
+    first, executed = broken_off("lathe-winder")
+    (ended, _), second, _ = run(plan, continued(plan, executed, at_rest=False), "power-loss@2 s")
+    assert ended is Ended.FAULT
+    _, third, _ = run(plan, continued(plan, executed - 1, at_rest=False))
+    _, fourth, _ = run(plan, continued(plan, executed, at_rest=False))
+    in_folder(tmp_path / "a", first)
+    in_folder(tmp_path / "b", second, "a")
+    assert joined_with(in_folder(tmp_path / "c", third, "b")) == ("a",)
+    assert joined_with(in_folder(tmp_path / "d", fourth, "b")) == ("b", "a")
+    for name in ("c", "d"):
+        whole = whole_recording(tmp_path / name / "trace.mcap")
+        assert judge([whole], plan, load_spec(None, plan.machine)).passed
+    elsewhere = in_folder(tmp_path / "e", fourth, "../a")
+    assert joined_with(elsewhere) == ()
+    assert not judge([whole_recording(elsewhere)], plan, load_spec(None, plan.machine)).passed
