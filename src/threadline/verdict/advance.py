@@ -10,13 +10,48 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.trajectory import TrajectoryReader
+from threadline.verdict.blocks import judged_blocks
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure
 from threadline.verdict.nearest import chord_ways
 from threadline.verdict.samples import Block, Setting
+from threadline.verdict.window import PathWindow
 
 COMMAND_BY_TIME = "command from the plan by time"
 """Note of a result for which the command was taken from the plan."""
+
+_CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up
+
+
+def _given_up(values: FloatArray, ceiling: float, dropped: FloatArray) -> bool:
+    """Say whether all ``values`` are above the ceiling; if so lower ``dropped`` to them."""
+    near = 0
+    for r in range(len(values)):
+        near += values[r] <= ceiling
+    if near:
+        return False
+    for r in range(len(values)):
+        dropped[r] = values[r] if values[r] < dropped[r] else dropped[r]
+    return True
+
+
+_given_up_fast = njit(nogil=True)(_given_up)
+
+
+def _ahead(
+    point: FloatArray, start: FloatArray, way: FloatArray, per_length: float, heading: FloatArray
+) -> float:
+    """Return how far a point is from the nearest place of a way, along a heading."""
+    length, along = 0.0, 0.0
+    for a in range(len(point)):
+        length += (point[a] - start[a]) * way[a]
+    where = min(max(length * per_length, 0.0), 1.0)
+    for a in range(len(point)):
+        along += (point[a] - start[a] - where * way[a]) * heading[a]
+    return along
+
+
+_ahead_fast = njit(nogil=True)(_ahead)
 
 
 def _advance(
@@ -35,19 +70,28 @@ def _advance(
     worst: FloatArray,
     at: IntArray,
     side: FloatArray,
-) -> int:
-    """Advance ``value`` by the samples ``points``; return the first place that still counts.
+    high: int,
+    ceiling: float,
+    dropped: FloatArray,
+) -> tuple[int, int, float]:
+    """Advance ``value`` by the samples ``points``; return ``low``, ``high`` and ``ceiling`` anew.
 
-    Place k is the way of the command from its sample k - 1 to k. ``value[k]``, of each run, is the
+    Place k is the way of the command from its sample k - 1 to k. Its value, of each run, is the
     least of the largest squared errors with which the tool can have come to place k by now without
     going back. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
     its squared distance from the path, which is no error of progress. The least of all values only
     grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
     the tool was then, along the way of the command from the place that is nearest to being right.
 
+    Places before ``low`` and after ``high`` have no value. A place that is the first to have one,
+    and has more than ``ceiling`` in every run, is given up: ``dropped`` is the least that was given
+    up, of each run. As long as it is more than ``worst``, nothing was lost: the ceiling stays at
+    four times the largest ``worst`` or more.
+
     ``axes`` has one entry for each axis: its length is known when this is compiled.
     """
     samples, _, runs = points.shape
+    rows, origin = len(value), number - first
     carry, least = np.empty(runs), np.empty(runs)
     for i in range(samples):
         last = first + i
@@ -55,15 +99,19 @@ def _advance(
         for r in range(runs):
             carry[r] = 0.0 if number + i == 0 else np.inf
             least[r] = np.inf
+        value[(origin + last) % rows] = np.inf
         for k in range(low, begin):  # the lag excuses them no longer: the tool has moved on
+            row = value[(origin + k) % rows]
             for r in range(runs):
-                carry[r] = value[k, r] if value[k, r] < carry[r] else carry[r]
-        for k in range(begin, last + 1):
+                carry[r] = row[r] if row[r] < carry[r] else carry[r]
+        low = max(low, begin)
+        for k in range(low, last + 1):
             # Of the first place only its end is within the lag.
             start = k - 1 if k > begin else k
             per_length = inverse[k] if k > begin else 0.0
+            row = value[(origin + k) % rows]
             for r in range(runs):
-                carried = value[k, r] if value[k, r] < carry[r] else carry[r]
+                carried = row[r] if row[r] < carry[r] else carry[r]
                 along = 0.0
                 for a in range(len(axes)):
                     along += (points[i, a, r] - command[start, a]) * way[k, a]
@@ -77,34 +125,37 @@ def _advance(
                 error = away - off[i, r]
                 error = error if error > carried else carried
                 carry[r] = carried
-                value[k, r] = error
+                row[r] = error
                 least[r] = error if error < least[r] else least[r]
             farther = 0
             for r in range(runs):
                 farther += least[r] > worst[r]
-            if not farther:
-                # Here every run has been good enough: nothing is better on a later place.
-                value[k + 1 : last + 1] = np.inf
+            if not farther:  # here every run has been good enough: no later place is better
                 break
+        for later in range(k + 1, high + 1):
+            value[(origin + later) % rows] = np.inf
+        high = k
         if farther:
             for r in range(runs):
                 if least[r] > worst[r]:
                     worst[r], at[r] = least[r], number + i
-                    k = begin
-                    while value[k, r] > least[r]:
+                    ceiling = max(ceiling, _CEILING * worst[r])
+                    k = low
+                    while value[(origin + k) % rows, r] > least[r]:
                         k += 1
                     start = k - 1 if k > begin else k
-                    length, along = 0.0, 0.0
-                    for a in range(len(axes)):
-                        length += (points[i, a, r] - command[start, a]) * way[k, a]
-                    where = length * (inverse[k] if k > begin else 0.0)
-                    where = min(max(where, 0.0), 1.0)
-                    for a in range(len(axes)):
-                        foot = command[start, a] + where * way[k, a]
-                        along += (points[i, a, r] - foot) * heading[k, a]
-                    side[r] = along
-        low = begin
-    return low
+                    side[r] = _ahead_fast(
+                        points[i, :, r],
+                        command[start],
+                        way[k],
+                        inverse[k] if k > begin else 0.0,
+                        heading[k],
+                    )
+        while low < high:
+            if not _given_up_fast(value[(origin + low) % rows], ceiling, dropped):
+                break
+            low += 1
+    return low, high, ceiling
 
 
 _advance_fast = njit(nogil=True, error_model="numpy")(_advance)
@@ -123,18 +174,23 @@ class _Progress:
 
     Lengths at the tool, over all axes, rotary ones times their radius. Between two samples the
     tool can be ahead or behind by half its way in a sample interval more.
+
+    Of many runs, places far behind them all are given up while the recording is read. If in the
+    end one of them could have been the better one, the recording is read again with every place.
     """
 
-    def __init__(self, setting: Setting) -> None:
+    def __init__(self, setting: Setting, *, every_place: bool = False) -> None:
         axes, runs = len(setting.axes), setting.runs
-        self._radius_m = setting.radius_m
+        self._setting, self._radius_m = setting, setting.radius_m
         self._lag = setting.lag_samples
         self._number = 0  # samples so far
-        self._low = 0
+        self._low, self._high = 0, -1
+        self._ceiling = np.inf if every_place or runs == 1 else 0.0  # m^2
+        self._dropped: FloatArray = np.full(runs, np.inf)  # m^2
         # The command's places within the lag, and one before them.
         self._command: FloatArray = np.empty((0, axes))
         self._heading: FloatArray = np.empty((0, axes))
-        self._value: FloatArray = np.empty((0, runs))  # m^2
+        self._value: FloatArray = np.full((self._lag + 2, runs), np.inf)  # m^2
         self._squared: FloatArray = np.full(runs, -np.inf)
         self._at: IntArray = np.zeros(runs, dtype=np.int64)
         self._side: FloatArray = np.zeros(runs)
@@ -150,9 +206,8 @@ class _Progress:
         first, count = len(self._command), len(block)
         command = np.concatenate([self._command, fresh])
         heading = np.concatenate([self._heading, _headings(self._command, self._heading, fresh)])
-        value = np.concatenate([self._value, np.full((count, points.shape[2]), np.inf)])
         way, length = chord_ways(command)
-        low = _advance_fast(
+        low, high, self._ceiling = _advance_fast(
             points,
             off,
             command,
@@ -164,14 +219,17 @@ class _Progress:
             self._number,
             self._lag,
             self._low,
-            value,
+            self._value,
             self._squared,
             self._at,
             self._side,
+            self._high,
+            max(self._ceiling, float((way**2).sum(axis=1).max())),
+            self._dropped,
         )
         keep = max(low - 1, 0)
-        self._low = low - keep
-        self._command, self._heading, self._value = command[keep:], heading[keep:], value[keep:]
+        self._low, self._high = low - keep, high - keep
+        self._command, self._heading = command[keep:], heading[keep:]
         index = np.maximum(self._at - self._number, 0)
         sides = np.where(self._side > 0.0, "ahead", np.where(self._side < 0.0, "behind", ""))
         self._worst.offer(
@@ -185,10 +243,21 @@ class _Progress:
 
     def finish(self) -> Sequence[Found]:
         """Return the least error with which the tool can have come to any place by the end."""
+        if (self._dropped <= self._squared).any():
+            return self._again()
         found = self._worst.found()
         if self._planned is None:
             return [found]
         return [found.each(_by_time)]
+
+    def _again(self) -> Sequence[Found]:
+        """Read the recording once more, and give up no place."""
+        setting = self._setting
+        path = PathWindow(setting.plan.motion.programmed)
+        every = _Progress(setting, every_place=True)
+        for block in judged_blocks(setting.recording, setting.axes, setting.lag_samples, path):
+            every.feed(block)
+        return every.finish()
 
     def _commanded(self, block: Block) -> FloatArray:
         """Return (n, axes) the command of a block, from the plan where an axis has none."""

@@ -118,6 +118,15 @@ def _nearest_chords(
                 chord[i, r] = c if nearer else chord[i, r]
 
 
+def _most_between(first: float, second: float, way: FloatArray) -> float:
+    """Return what no squared distance is above on a way between ends with such squared ones."""
+    long = np.sqrt((way**2).sum())
+    return float((0.5 * (np.sqrt(first) + np.sqrt(second) + long)) ** 2)
+
+
+_most_between_fast = njit(nogil=True)(_most_between)
+
+
 def _between(
     points: FloatArray,
     before: FloatArray,
@@ -145,6 +154,8 @@ def _between(
     of = np.ones(axes)
     for i in range(len(points)):
         known = chord_before if i == 0 else chord[i - 1]
+        if (chord[i] == known).all():
+            continue
         low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
         for r in range(points.shape[2]):
             if chord[i, r] == known[r]:
@@ -160,13 +171,19 @@ def _between(
             second = weighed_to_segment(there, vertices[c - 1], vertices[c], of)
             if max(first, second) <= worst[r]:
                 continue
+            # Nor is any farther than half of the way and of the distances of both ends.
+            c = max(known[r], low)
+            first = weighed_to_segment(here, vertices[c - 1], vertices[c], of)
+            if _most_between_fast(first, second, of * (there - here)) <= worst[r]:
+                continue
             left = 1
             lows[0], highs[0] = 0.0, 1.0
             while left:
                 left -= 1
                 a, b = lows[left], highs[left]
-                start[:] = here + a * (there - here)
-                stop[:] = here + b * (there - here)
+                for n in range(axes):
+                    start[n] = here[n] + a * (there[n] - here[n])
+                    stop[n] = here[n] + b * (there[n] - here[n])
                 # No place of this part is farther than its ends from any one chord.
                 bound = np.inf
                 for c in range(low, high + 1):
@@ -176,7 +193,8 @@ def _between(
                 if bound <= worst[r] or b - a < _FINEST:
                     continue
                 middle = 0.5 * (a + b)
-                start[:] = 0.5 * (start + stop)
+                for n in range(axes):
+                    start[n] = 0.5 * (start[n] + stop[n])
                 best, nearest = np.inf, -1
                 for c in range(low, high + 1):
                     away = weighed_to_segment(start, vertices[c - 1], vertices[c], of)

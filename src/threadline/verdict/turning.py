@@ -18,7 +18,8 @@ OPTIONS = {"smallest": Option(unit="m", default=5e-5)}
 
 
 def _track(
-    x: FloatArray,
+    points: FloatArray,
+    column: int,
     time_s: FloatArray,
     chord: IntArray,
     first: int,
@@ -32,15 +33,16 @@ def _track(
 ) -> int:
     """Follow an axis of many runs through the turnings of a block; return how many of them closed.
 
-    ``x`` is (n, runs). ``whole`` is [direction, sample at which the command left the turning or
-    -1], the same for all runs; ``real``, (4, runs), is [best, its time, best of the opposite
-    direction since then, its time]. ``errors`` and ``times_s`` are (turnings, runs).
+    ``points`` is (n, axes, runs), of which the axis is ``column``. ``whole`` is [direction, sample
+    at which the command left the turning or -1], the same for all runs; ``real``, (4, runs), is
+    [best, its time, best of the opposite direction since then, its time]. ``errors`` and
+    ``times_s`` are (turnings, runs).
     """
-    closed = 0
-    for i in range(len(x)):
+    closed, runs = 0, points.shape[2]
+    for i in range(len(points)):
         side, now_s = whole[0], time_s[i]
-        for r in range(x.shape[1]):
-            y = side * x[i, r]
+        for r in range(runs):
+            y = side * points[i, column, r]
             farther = y > real[0, r]
             back = farther or -y > real[2, r]
             real[0, r] = y if farther else real[0, r]
@@ -55,11 +57,11 @@ def _track(
             continue
         overtaken = closed + 1 < len(values) and chord[i] >= leaves[closed + 1]
         if overtaken or first + i - whole[1] >= lag:
-            for r in range(x.shape[1]):
+            for r in range(runs):
                 errors[closed, r] = real[0, r] - whole[0] * values[closed]
                 times_s[closed, r] = real[1, r]
                 real[0, r], real[1, r] = real[2, r], real[3, r]
-                real[2, r], real[3, r] = whole[0] * x[i, r], now_s
+                real[2, r], real[3, r] = whole[0] * points[i, column, r], now_s
             closed += 1
             whole[0], whole[1] = -whole[0], -1
     return closed
@@ -93,11 +95,11 @@ class _Axis:
             self._whole[0] = self._open[0].direction if self._open else self._scan.direction
         if not self._whole[0]:
             return
-        x = np.ascontiguousarray(block.at_tool[:, self._column])
         shape = len(self._open), self._runs
         errors, times_s = np.empty(shape), np.empty(shape)
         closed = _track_fast(
-            x,
+            block.at_tool,
+            self._column,
             block.time_s,
             block.chord,
             block.first,

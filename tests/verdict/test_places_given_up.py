@@ -1,0 +1,109 @@
+"""Runs side by side give up places far behind them all; each has the progress error of it alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from threadline.signals import ChannelKind, Recording, Stream
+from threadline.verdict import Criterion, Judge, advance, judge
+
+from .builders import TICK_S, follow, plan_through, record, spec_of
+
+XY = ("X", "Y")
+POINTS = [[0.0, 0.0], [0.04, 0.0], [0.04, 0.03], [0.0, 0.03]]
+PER_MOVE, LAG = 20, 12  # 2 and 1.5 mm from sample to sample
+SPEC = spec_of(Criterion(name="progress_error", limit=5e-4), lag_s=LAG * TICK_S)
+PLAN = plan_through(POINTS, XY, move_s=PER_MOVE * TICK_S)
+COMMAND, OPERATION = follow(POINTS, PER_MOVE, standstill=30)
+
+
+def alone(actual: np.ndarray) -> Recording:
+    channels = {ChannelKind.LOAD: actual, ChannelKind.COMMANDED: COMMAND}
+    return record(XY, channels, OPERATION, per_block=17)
+
+
+def side_by_side(ways: list[np.ndarray]) -> Recording:
+    """One recording of several runs: what differs between them as (samples, runs)."""
+    each = [list(alone(actual)) for actual in ways]
+    blocks = [
+        replace(
+            rows[0],
+            samples={
+                name: np.stack([row.samples[name] for row in rows], axis=1)
+                if name.endswith(".load")
+                else samples
+                for name, samples in rows[0].samples.items()
+            },
+        )
+        for rows in zip(*each, strict=True)
+    ]
+    return replace(alone(ways[0]), blocks=Stream.of(blocks), runs=len(ways))
+
+
+def late(by: int) -> np.ndarray:
+    return np.vstack([np.repeat(COMMAND[:1], by, axis=0), COMMAND[:-by]])
+
+
+def again(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Note each second reading."""
+    seen: list[int] = []
+    read = advance._Progress._again
+
+    def counted(self):
+        seen.append(1)
+        return read(self)
+
+    monkeypatch.setattr(advance._Progress, "_again", counted)
+    return seen
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("scale_m", [1e-5, 5e-4, 5e-3])
+def test_each_run_has_the_error_that_it_has_alone(seed: int, scale_m: float) -> None:
+    """Random ways, some later than others, from far within the way of a sample to beyond it."""
+    rng = np.random.default_rng(seed)
+    ways = [late(int(by)) + rng.normal(scale=scale_m, size=COMMAND.shape) for by in (1, 3, 6, 9)]
+    found = Judge(PLAN, SPEC).each(side_by_side(ways)).row("progress_error")
+    together = judge([side_by_side(ways)], PLAN, SPEC).result("progress_error")
+    singles = [judge([alone(way)], PLAN, SPEC).result("progress_error") for way in ways]
+    np.testing.assert_allclose(found.values, [s.measured for s in singles], rtol=0, atol=1e-12)
+    worst = int(np.argmax(found.values))
+    told = (together.measured, together.time_s, together.note, together.run)
+    one = singles[worst]
+    assert told == (pytest.approx(one.measured, abs=1e-12), one.time_s, one.note, worst + 1)
+
+
+def test_a_place_that_was_given_up_and_could_be_better_is_looked_at_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Late by 2 samples, then back for a while to where 9 are: one run of two.
+
+    For the way back to be right a tool would have had to stay 14 mm behind, which was given up
+    long before: matched with what is left it would be an error of 14 mm, and 7 are the least.
+    """
+    seen = again(monkeypatch)
+    good, back = late(2), late(2)
+    np.testing.assert_array_less(judged_values([good, good + 1e-6]), 1e-4)
+    assert not seen
+    back[14:17] = late(9)[14:17]
+    values = judged_values([good, back])
+    assert seen
+    single = judge([alone(back)], PLAN, SPEC).result("progress_error").measured
+    assert values[1] == pytest.approx(single, abs=1e-12)
+    assert values[0] < 1e-9 and 5e-3 < single < 9e-3
+
+
+def judged_values(ways: list[np.ndarray]) -> np.ndarray:
+    return Judge(PLAN, SPEC).each(side_by_side(ways)).row("progress_error").values
+
+
+def test_of_one_run_every_place_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may be of a machine, whose samples come by once."""
+    seen = again(monkeypatch)
+    back = late(2)
+    back[14:17] = late(9)[14:17]
+    judge([alone(back)], PLAN, SPEC)
+    assert not seen
