@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import random
+import resource
 import signal
 import socket
 import sys
@@ -76,6 +77,12 @@ def resident_mib(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
+def processor_s() -> float:
+    """Return the time that processors spent on this process and the children that have ended, s."""
+    used = [resource.getrusage(of) for of in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in used)
+
+
 def children() -> list[int]:
     """Return the processes that this one has started and that still run."""
     task = Path(f"/proc/self/task/{os.getpid()}/children")
@@ -133,11 +140,11 @@ def run_a_day(hours: float, speed: float, folder: Path, *, inside: bool) -> Iter
     plan, known = proven(
         winding(folder, round(3600 * hours / parts / ROUND_S)), "lathe-winder", folder
     )
-    whole_s, began = 0.0, time.monotonic()
+    whole_s, began, used_s = 0.0, time.monotonic(), 0.0
     ours: list[float] = []
     for part in range(parts):
         memory, desk = Memory(), Desk()
-        kept = store.begin(plan, known, {"link": "sim"}, speed)
+        kept, before_s = store.begin(plan, known, {"link": "sim"}, speed), processor_s()
         with kept:
             ended, text, late = run_commands(
                 plan.commands, plan.machine, link_to(plan, speed, inside=inside), desk, kept,
@@ -145,6 +152,7 @@ def run_a_day(hours: float, speed: float, folder: Path, *, inside: bool) -> Iter
                 watch=lambda one, memory=memory: memory.look(one.time_s),
             )  # fmt: skip
         desk.close()
+        used_s += processor_s() - before_s
         store.index.end(kept.path.name, ended=ended.value, text=text, late_ticks=late, passed=None)
         if ended is not Ended.COMPLETED:
             yield f"run {part} ended in {ended.value}: {text}"
@@ -159,8 +167,9 @@ def run_a_day(hours: float, speed: float, folder: Path, *, inside: bool) -> Iter
         took_s = time.monotonic() - began
         print(
             f"{whole_s / 3600:.2f} h of machine in {took_s:.0f} s ({whole_s / took_s:.0f} times "
-            f"real time); grown within the run: executor {executor:.1f} MiB, machine "
-            f"{machine:.1f} MiB; executor {ours[-1]:.0f} MiB",
+            f"real time), {used_s:.0f} s of processor ({whole_s / used_s:.0f} times); grown "
+            f"within the run: executor {executor:.1f} MiB, machine {machine:.1f} MiB; executor "
+            f"{ours[-1]:.0f} MiB",
             flush=True,
         )
         if max(executor, machine) > MOST_MIB:

@@ -1,0 +1,158 @@
+"""Take a guard of links, cylinders, frames, grbl or HAL away, and the test named for it fails."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import warnings
+from collections.abc import Callable
+from contextlib import ExitStack
+
+import pytest
+
+from tests.live import test_grbl, test_hal, test_scans, test_turns, test_wire
+from tests.live.hal_bench import hal_alone, unhurried
+from tests.live.test_guards_removed import Take, attribute, nothing
+from threadline.live import grbl_run, grbl_words, lateness, scan_guards, wire
+from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_run import GrblRun
+from threadline.live.grbl_words import Status
+from threadline.live.hal_session import HalSession
+from threadline.live.lateness import Lateness
+from threadline.live.scan_guards import ScanGuards
+from threadline.live.scans_ahead import ScansAhead
+from threadline.live.turns_ahead import TurnsAhead
+from threadline.twin.stitching_session import StitchingSession
+from threadline.twin.switching_session import SwitchingSession
+
+_ask_status, _ask, _guards, _hal = (
+    Controller.ask_status, Controller.ask, ScanGuards.__init__, HalSession.__init__,
+)  # fmt: skip
+
+
+def always_idle(one: Controller) -> Status:
+    """Take a controller to stand, whatever it tells."""
+    return dataclasses.replace(_ask_status(one), state="Idle")
+
+
+def deaf(one: Controller, line: bytes, timeout_s: float, _stopped: object = None) -> list[str]:
+    """Ask without heeding a stop; what takes a minute ends after a second."""
+    return _ask(one, line, min(timeout_s, 1.0))
+
+
+def needing_nothing(one: ScanGuards, machine: object) -> None:
+    """Guard no interlock."""
+    _guards(one, machine)  # type: ignore[arg-type]
+    one._needs = {}
+
+
+def without_lead(one: HalSession, *arguments: object, **options: object) -> None:
+    """Take any row that waits in HAL for one that can be replaced."""
+    _hal(one, *arguments, **options)  # type: ignore[arg-type]
+    one._lead = -10
+
+
+def beside_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take any place for one on the lines; ten lines are enough then."""
+    monkeypatch.setattr(grbl_run, "_OFF_PATH_M", 1e9)
+    monkeypatch.setattr(test_grbl, "LINES", "".join(test_grbl.LINES.splitlines(keepends=True)[:10]))
+
+
+def of_scans(told: str, said: str) -> Callable[[], None]:
+    return lambda: test_scans.test_a_fault_switches_everything_off(told, said)
+
+
+def of_settings(number: int, factor: float, said: str) -> Callable[[], None]:
+    return lambda: test_grbl.test_a_controller_of_another_machine_is_refused(number, factor, said)
+
+
+GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
+    "a length out of range": (
+        attribute(wire, "MOST_BYTES", 1 << 40),
+        lambda: test_wire.test_a_length_out_of_range_is_refused((1 << 24) + 1),
+    ),
+    "kinds of events": (
+        attribute(wire, "_EVENT_KINDS", (*wire._EVENT_KINDS, "dance", "explode")),
+        test_wire.test_events_are_checked,
+    ),
+    "both ends of a cylinder": (
+        attribute(scan_guards, "combinations", lambda *_: ()),
+        of_scans("stuck-contact:z_is_up@0.5 s", "z_is_up and z_is_down are on together"),
+    ),
+    "the interlocks": (
+        attribute(ScanGuards, "__init__", needing_nothing),
+        of_scans("stuck-contact:z_is_down@0.5 s", "knife is on, and z_is_down, which it needs"),
+    ),
+    "late scans": (
+        attribute(lateness, "LATE_IN_A_ROW", 10**9),
+        of_scans("late-ticks@1 s", "3 ticks in a row came late"),
+    ),
+    "both valves of a cylinder": (
+        attribute(ScansAhead, "_check", nothing),
+        test_scans.test_a_row_for_both_sides_of_a_cylinder_is_never_sent,
+    ),
+    "the scan at which all is off": (
+        attribute(SwitchingSession, "switch_off_at", nothing),
+        lambda: test_scans.test_where_refills_stop_it_switches_off_by_itself(160),
+    ),
+    "the scan at which all is off, at a wait": (
+        attribute(SwitchingSession, "switch_off_at", nothing),
+        test_scans.test_a_wait_that_is_not_met_while_nobody_refills_switches_off_too,
+    ),
+    "late turns": (
+        attribute(Lateness, "trip", nothing),
+        lambda: test_turns.test_a_fault_ends_it("one-late-tick"),
+    ),
+    "turns that are taken back": (
+        attribute(StitchingSession, "drop_from", nothing),
+        lambda: test_turns.test_a_stop_lets_the_turn_under_way_end_and_no_more(2503),
+    ),
+    "turns beyond the travel": (
+        attribute(TurnsAhead, "_check", nothing),
+        test_turns.test_turns_beyond_the_travel_are_never_sent,
+    ),
+    "the steps of a controller": (
+        attribute(Controller, "_compare", nothing),
+        of_settings(100, 1.01, "the steps of X"),
+    ),
+    "a controller that moves": (
+        attribute(Controller, "ask_status", always_idle),
+        test_grbl.test_who_moves_already_is_not_sent_anything_that_moves,
+    ),
+    "start and travel of a program": (
+        attribute(GrblRun, "refuse_program", nothing),
+        test_grbl.test_a_run_begins_where_the_machine_stands_and_stays_in_its_travel,
+    ),
+    "bytes that act at once": (
+        attribute(grbl_words, "refuse_realtime", nothing),
+        lambda: test_grbl.test_realtime_bytes_and_commands_in_a_program_are_refused(b"G1 X1!"),
+    ),
+    "beside the lines": (
+        beside_is_well,
+        lambda: test_grbl.test_what_goes_wrong_stops_it_and_is_a_fault("beside", "beside the"),
+    ),
+    "a stop while grbl homes": (
+        attribute(Controller, "ask", deaf),
+        test_grbl.test_a_stop_while_it_homes_resets_it_at_once,
+    ),
+    "rows that HAL is about to play": (
+        attribute(HalSession, "__init__", without_lead),
+        test_hal.test_a_row_that_is_about_to_be_played_is_not_replaced,
+    ),
+}
+
+
+@pytest.mark.parametrize("guard", GUARDS)
+def test_without_the_guard_its_test_fails(guard: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    take_away, test = GUARDS[guard]
+    monkeypatch.setattr(grbl_run, "POLL_S", 0.03)
+    take_away(monkeypatch)
+    failed = (AssertionError, pytest.fail.Exception)
+    with warnings.catch_warnings(), ExitStack() as around:
+        warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
+        if getattr(test, "__module__", "") == "tests.live.test_hal":
+            around.enter_context(hal_alone(monkeypatch))
+            around.enter_context(unhurried(monkeypatch))
+        with pytest.raises(failed):
+            test()
+        gc.collect()
