@@ -82,6 +82,8 @@ class Motion:
     rests_s
         How long the loads rest in the table before their motion and after it, for the sake of
         the inverses.
+    needle_follows
+        Whether a needle turns with the way of the head, and keeps no times of its own.
     """
 
     programmed: ProgrammedPath
@@ -91,6 +93,7 @@ class Motion:
     timed: Trajectory | None = None
     demands: tuple[Demand, ...] = ()
     rests_s: tuple[float, float] = (0.0, 0.0)
+    needle_follows: bool = False
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -120,8 +123,11 @@ class Motion:
 
     @property
     def of_needle(self) -> Trajectory:
-        """The motion that a needle is geared with; with feed-forward, that before smoothing."""
-        if self.of_loads is not None and self.timed is not None:
+        """The motion that a needle is geared with.
+
+        With feed-forward one that keeps times of its own keeps those before smoothing.
+        """
+        if self.of_loads is not None and self.timed is not None and not self.needle_follows:
             return self.timed
         return self.trajectory
 

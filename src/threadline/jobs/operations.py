@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -42,12 +43,19 @@ class FeedMode(StrEnum):
 class Feed:
     """The wanted speed of a move: ``value`` in the SI unit of ``mode``.
 
-    ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``.
+    ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``. ``most`` is the
+    value up to which a timing by limits may go, where that is another than ``value``.
     """
 
     mode: FeedMode
     value: float
     base_axes: tuple[str, ...] = ()
+    most: float | None = None
+
+    @property
+    def at_limits(self) -> Feed:
+        """The feed of a timing by limits."""
+        return self if self.most is None else Feed(self.mode, self.most, self.base_axes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,6 +308,11 @@ class Job:
     paced_by
         What sets its speed: ``feed``, ``needle`` (stitches a second), ``switchings``, or ``shaft``
         (a stitch in each turn of the machine's main shaft).
+    needle_follows
+        Whether a needle turns with the way of the head, and is geared with its motion as that is
+        in the end, smoothing included.
+    along_m_s2
+        Most that the speed along the path may change by, m/s^2: of a needle that follows.
     home
         Cylinders in the order in which they return home; empty where the moves of the list decide
         it.
@@ -317,6 +330,8 @@ class Job:
     feed_rule: str = ""
     drawn: tuple[DrawnLine, ...] = ()
     home: tuple[str, ...] = ()
+    needle_follows: bool = False
+    along_m_s2: float = math.inf
 
     def __iter__(self) -> Iterator[Operation]:
         return iter(self.operations)

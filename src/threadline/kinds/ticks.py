@@ -31,6 +31,7 @@ from threadline.signals.files.common import Written
 from threadline.targets import followed_by_loads, followed_by_motors, robust_averages
 from threadline.targets.write import TABLES, TICK_TARGETS, TableWriter, Target, WrittenPlan
 from threadline.trajectory import (
+    Pace,
     check_budget,
     check_limits,
     even_averages,
@@ -103,13 +104,20 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     tick_s = float(machine.tick_clock.period_s)
     shaper = None if timing.shaper is None else parse_shaper(timing.shaper, tick_s)
     motion_law = None if timing.law is None else law_named(timing.law)
-    programmed = programmed_path(job, machine, feed=timing.feed)
+    at_limits = timing.pace is not Pace.PROGRAMMED
+    programmed = programmed_path(job, machine, feed=timing.feed, at_limits=at_limits)
     check_budget(job, machine, timing.feed)
     limited = derate(machine, timing.limit_share)
     path = _shape(programmed, limited, options.path)
     of_loads = timing.smoothing_s is not None
     timed = plan_trajectory(
-        path, limited, timing.pace, motion_law, timing.contour_m, of_loads=of_loads
+        path,
+        limited,
+        timing.pace,
+        motion_law,
+        timing.contour_m,
+        of_loads=of_loads,
+        along_m_s2=job.along_m_s2,
     )
     # A demand above its limit is no error: the verdict shows what comes of it.
     if timing.smoothing_s is None:
@@ -131,6 +139,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         timed=None if followed.timed is followed.trajectory else followed.timed,
         demands=followed.demands,
         rests_s=followed.rests_s,
+        needle_follows=job.needle_follows,
     )
     return Plan(
         job=job,

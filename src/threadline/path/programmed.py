@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,9 @@ _NONE_YET = Feed(FeedMode.RAPID, 0.0)
 _TRAVEL_SLACK = 1e-9  # m or rad: rounding of sums of incremental moves that end at a limit
 
 
-def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> ProgrammedPath:
+def programmed_path(
+    job: Job, machine: Machine, feed: Feed | None = None, *, at_limits: bool = False
+) -> ProgrammedPath:
     """Return the programmed path of ``job``, a stream of vertices on the axes of the job.
 
     The motion rests where something other than a move follows: a dwell, an output, a wait, a stop,
@@ -34,6 +36,9 @@ def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> Pro
         Feed of every move but the rapid ones. When None, each move has its programmed feed, but
         none faster than the operator's normal feed if the machine file has one;
         ``VertexBlock.slowed`` counts the moves that were slowed to it.
+    at_limits
+        Whether times are what a timing by limits may go down to (``Feed.most``): a needle that
+        follows the head then turns as fast as that.
 
     Raises
     ------
@@ -56,7 +61,7 @@ def programmed_path(job: Job, machine: Machine, feed: Feed | None = None) -> Pro
     return ProgrammedPath(
         axes=job.axes,
         radius_m=machine.radius_m[column],
-        blocks=KeptStream(_blocks, job, machine, feed),
+        blocks=KeptStream(_blocks, job, machine, feed, at_limits),
         local=machine.local_radii(job.axes),
     )
 
@@ -105,7 +110,9 @@ class _Pending:
         )
 
 
-def _blocks(job: Job, machine: Machine, feed: Feed | None) -> Iterator[VertexBlock]:
+def _blocks(
+    job: Job, machine: Machine, feed: Feed | None, at_limits: bool
+) -> Iterator[VertexBlock]:
     _check_start(job, machine)
     previous = np.array(job.start)
     zero = [np.zeros(1, dtype=np.int64)]
@@ -113,7 +120,8 @@ def _blocks(job: Job, machine: Machine, feed: Feed | None) -> Iterator[VertexBlo
     index = 0
     for item in move_runs(job):
         if isinstance(item, MoveRun):
-            pending.add(item, index)
+            run = replace(item, feeds=_at_limits(item.feeds)) if at_limits else item
+            pending.add(run, index)
             index += len(item)
             if pending.count > BLOCK:
                 size = pending.count - 1
@@ -126,6 +134,16 @@ def _blocks(job: Job, machine: Machine, feed: Feed | None) -> Iterator[VertexBlo
         index += 1
     pending.rest(0.0)
     yield _block(pending, pending.count, previous, job, machine, feed)
+
+
+def _at_limits(feeds: Sequence[tuple[int, Feed | None]]) -> tuple[tuple[int, Feed | None], ...]:
+    """Return feeds of a run of moves as those of a timing by limits, equal ones in one."""
+    found: list[tuple[int, Feed | None]] = []
+    for begin, feed in feeds:
+        own = None if feed is None else feed.at_limits
+        if not found or own != found[-1][1]:
+            found.append((begin, own))
+    return tuple(found)
 
 
 def _block(

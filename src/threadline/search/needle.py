@@ -27,20 +27,21 @@ _SLOWEST = 0.025  # of the highest needle speed: where a search begins
 def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
     """Return the needle speeds between which a search makes sense, stitches a second.
 
-    Up to where the slower axis moves its shortest wanted stitch at its velocity limit.
+    Up to where the slower axis moves its shortest wanted stitch at its velocity limit, and from the
+    lowest speed on of a needle that follows the head.
 
     Raises
     ------
     OptionError
         If the job has no stitches.
     """
-    lengths = {
-        float(o.tags["target_m"]) for o in job if isinstance(o, Move) and "target_m" in o.tags
-    }
+    sewn = [o.tags for o in job if isinstance(o, Move) and "target_m" in o.tags]
+    lengths = {float(tags["target_m"]) for tags in sewn}
     if not lengths:
         raise OptionError(f"{job.name} has no stitches", remedy="Search the feed instead.")
     high = min(machine.axes[axis].velocity.si for axis in job.axes) / min(lengths)
-    return _SLOWEST * high, high
+    slowest = max(float(tags.get("slowest_hz", 0.0)) for tags in sewn)
+    return max(_SLOWEST * high, slowest), high
 
 
 def fastest_needle(

@@ -40,6 +40,7 @@ def plan_trajectory(
     contour_m: float = np.inf,
     *,
     of_loads: bool = False,
+    along_m_s2: float = np.inf,
 ) -> Trajectory:
     """Return the axis positions over time.
 
@@ -64,6 +65,8 @@ def plan_trajectory(
         follow it; infinite where that is no limit.
     of_loads
         Whether loads are to follow a path that is timed as the fastest, and no motors.
+    along_m_s2
+        Most acceleration along a path that is timed as the fastest, at the tool.
 
     Raises
     ------
@@ -111,7 +114,9 @@ def plan_trajectory(
             blocks=KeptStream(firmware_blocks, path, machine, machine.planner),
         )
     if path.timing is Timing.FASTEST:
-        blocks = Stream(fastest_blocks, path, machine, contour_m, of_loads=of_loads)
+        blocks = Stream(
+            fastest_blocks, path, machine, contour_m, of_loads=of_loads, along_m_s2=along_m_s2
+        )
         # It will be read many times: a short motion is worked out once and kept.
         return Trajectory(
             axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks

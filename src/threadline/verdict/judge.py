@@ -18,6 +18,7 @@ from threadline.verdict.ended import heard, not_beyond, told_end
 from threadline.verdict.finding import Finding, Found, joined
 from threadline.verdict.intended_runs import open_run
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run
+from threadline.verdict.needle_use import with_needle
 from threadline.verdict.one_pass import Findings, Key, Pass, read_all
 from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES
@@ -50,8 +51,8 @@ class Judge:
     """
 
     def __init__(self, plan: Plan, spec: Spec) -> None:
-        self.plan, self.spec = plan, spec
-        self._keys = {_key(criterion): criterion for criterion in spec.criteria}
+        self.plan, self.spec = plan, with_needle(spec, plan.job)
+        self._keys = {_key(criterion): criterion for criterion in self.spec.criteria}
 
     @cached_property
     def _of_plan(self) -> Findings:

@@ -32,6 +32,8 @@ from threadline.verdict.measure import (
     whole,
     whole_runs,
 )
+from threadline.verdict.needle_use import NAME as NEEDLE_USE
+from threadline.verdict.needle_use import measure_needle_use
 from threadline.verdict.rise_to_speed import OPTIONS as RISE_OPTIONS
 from threadline.verdict.rise_to_speed import start_rise
 from threadline.verdict.samples import Setting
@@ -210,6 +212,13 @@ _KINDS = (
         per_axis=False,
         reads=(_moved(stitches.start_needle, _ACTUAL),),
         options=stitches.OPTIONS,
+    ),
+    MeasureKind(
+        name=NEEDLE_USE,
+        dimension="ratio",
+        per_axis=False,
+        slack=demands.SLACK,
+        reads=(OfPlan(intent=Motion, measure=measure_needle_use),),
     ),
     MeasureKind(
         name="residual_vibration",

@@ -17,6 +17,7 @@ from threadline.verdict.stitches import PART_OF_STITCH
 
 OPTIONS = {"over": Option(unit="s", default=0.002)}
 _HIGH, _STILL = 0.95, 0.01  # of the set speed
+_MOVES = 0.02  # of the highest speed of a needle that follows: less is a rest of the head
 
 
 @dataclass(slots=True)
@@ -34,6 +35,8 @@ class _Dip:
 
 class _Rise:
     """The longest of the times to the speed and from it, in turns of the needle.
+
+    The set speed of a needle that follows the head is what the head is told at that instant.
 
     A rise goes from the turn of a dip of the command until the head has 95 % of the set speed, a
     fall from the last time that it had so much until the command stops. Speeds are means over
@@ -72,7 +75,10 @@ class _Rise:
         meant, actual = (
             np.linalg.norm(p[self._span :] - p[: -self._span], axis=1) / self._over_s for p in whole
         )
-        wanted, period_s, sewn = self._set(block.time_s)
+        wanted, period_s, follows, sewn = self._set(block.time_s)
+        # A needle that follows asks for what the head is told, as long as that moves at all.
+        geared = np.maximum(meant[:, 0], _MOVES * wanted)
+        wanted = np.where(follows, geared, wanted)
         at = np.flatnonzero(sewn)
         if not len(at):
             return
@@ -85,9 +91,15 @@ class _Rise:
         none = Finding(value=None, note=note)
         return [Found.made([legs.worst or none for legs in self._legs])]
 
-    def _set(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Return (n,) set speed and turn of the needle, and where there are any."""
+    def _set(
+        self, time_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return (n,) set speed and turn of the needle, whether it follows, and where it sews.
+
+        The speed is the highest where the needle follows the head.
+        """
         wanted, period_s = np.ones(len(time_s)), np.ones(len(time_s))
+        follows = np.zeros(len(time_s), dtype=np.bool_)
         known = np.zeros(len(time_s), dtype=np.bool_)
         while self._run is not None:
             run = self._run
@@ -95,13 +107,15 @@ class _Rise:
             if not mine.any():
                 break
             stitch = np.searchsorted(run.down_s, time_s[mine], side="left")
-            wanted[mine] = (run.target_m / run.period_s)[stitch]
+            speed = np.where(run.follows, run.fastest_hz, 1.0 / run.period_s)
+            wanted[mine] = (run.target_m * speed)[stitch]
+            follows[mine] = run.follows[stitch]
             period_s[mine] = run.period_s[stitch]
             known |= mine
             if time_s[-1] <= run.down_s[-1]:
                 break
             self._run = next(self._source, None)
-        return wanted, period_s, known & np.isfinite(period_s)
+        return wanted, period_s, follows, known & np.isfinite(period_s)
 
 
 class _Legs:

@@ -10,6 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.plan import Plan
 from threadline.signals import ChannelKind, Recording
+from threadline.trajectory.at_times import TrajectoryReader
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, Option
@@ -26,6 +27,7 @@ SHORT = "the recording ends before this stitch"
 _BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
 _PARTS = 256  # of the time over which a speed is taken: finer samples say nothing more
 _FINE_S = 0.002  # or of so much, for a mean is taken over the part of a stitch at most
+_SLOWEST = 1e-3  # of the highest speed of a needle that follows
 PART_OF_STITCH = 0.25
 """Of a stitch, over which its speed is taken at most: a mean over all of it hides each swing."""
 
@@ -48,8 +50,9 @@ class SewnStitches:
         (n, runs) distance of ``actual`` from the seam: the nearest point of the stitches about it.
     speed_error
         (n, runs) relative error of the head's speed against the stitch's wanted length over its
-        planned time: speeds are means over ``over_s``, or ``PART_OF_STITCH`` of the stitch where
-        that is less; the error is the largest in the stitch, with its sign.
+        planned time, or times the needle's planned speed where that follows the head: speeds are
+        means over ``over_s``, or ``PART_OF_STITCH`` of the stitch where that is less; the error is
+        the largest in the stitch, with its sign.
     speed_s
         (n, runs) the instant at the end of that mean.
     """
@@ -85,6 +88,7 @@ class StitchFollower:
     def __init__(self, setting: Setting, delay_s: float, over_s: float = 0.002) -> None:
         self._source = planned_stitches(setting.plan)
         self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
+        self._geared = TrajectoryReader(setting.plan.motion.of_needle)
         self._radius_m = setting.radius_m
         self._delay_s = delay_s if setting.plan.motion.of_loads is None else 0.0
         self._over_s = over_s
@@ -197,7 +201,16 @@ class StitchFollower:
         way = self._at(at_s) - self._at(at_s - over_s)
         # Far slower than the grid of the timing a stitch may be given no time: it is sewn at none.
         with np.errstate(divide="ignore"):
-            wanted = (run.target_m / lasts_s)[stitch, None]
+            wanted = (run.target_m / lasts_s)[stitch]
+            if run.follows.any():
+                own = run.follows[stitch]
+                way_m = np.linalg.norm(run.point - run.from_point, axis=1)
+                share = (run.target_m / way_m)[stitch[own]]
+                geared = share * self._geared_m_s(at_s[own] - self._delay_s, over_s[own])
+                # Beside a rest, where stitches are exempt, no speed is next to nothing.
+                least = _SLOWEST * (run.target_m * run.fastest_hz)[stitch[own]]
+                wanted[own] = np.maximum(geared, least)
+            wanted = wanted[:, None]
         error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / wanted - 1.0
         starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
         sizes = np.abs(error)
@@ -209,6 +222,17 @@ class StitchFollower:
         first = np.minimum.reduceat(np.where(sizes == worst, rows, len(stitch)), starts)
         first = np.minimum(first, len(stitch) - 1)
         return np.take_along_axis(error, first, axis=0), at_s[first]
+
+    def _geared_m_s(self, time_s: FloatArray, over_s: FloatArray) -> FloatArray:
+        """Return (m,) mean speeds of the head as planned over ``over_s`` up to rising instants."""
+        if not len(time_s):
+            return np.zeros(0)
+        begin_s = time_s - over_s
+        both, back = np.unique(np.concatenate([begin_s, time_s]), return_inverse=True)
+        at_m = self._geared.ladder(both, 1)[back, 0][:, self._columns]
+        self._geared.drop(float(begin_s[-1]) - self._over_s)
+        way_m = (at_m[len(begin_s) :] - at_m[: len(begin_s)]) * self._radius_m[self._columns]
+        return np.asarray(np.linalg.norm(way_m, axis=1) / over_s)
 
 
 def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[SewnStitches]:
@@ -283,9 +307,10 @@ class _Stitching:
             elif self._figure == "speed":
                 error, at_s = sewn.speed_error, sewn.speed_s
             else:
-                turn = (run.down_s - run.from_s) / run.period_s - 1.0
+                turn = turn_error(run)
                 error = np.broadcast_to(turn[:, None], (len(turn), self._runs))
-            values = np.where(run.exempt[:, None] | np.isnan(error), -1.0, np.abs(error))
+            free = run.exempt & ~run.follows if self._figure == "time" else run.exempt
+            values = np.where(free[:, None] | np.isnan(error), -1.0, np.abs(error))
         at, columns = np.argmax(values, axis=0), np.arange(self._runs)
         worst = values[at, columns]
         judged = worst >= 0.0
@@ -301,6 +326,20 @@ class _Stitching:
             position=run.point[at] / self._radius_m,
             note="" if self._figure == "placement" else notes.astype(object),
         )
+
+
+def turn_error(run: Stitches) -> FloatArray:
+    """Return (n,) relative errors of the planned times of stitches.
+
+    They are against the programmed time, or against the nearest of the two bounds of a needle that
+    follows the head; beside a rest it may turn as slowly as it has to.
+    """
+    own = (run.down_s - run.from_s) / run.period_s - 1.0
+    slowest = np.where(run.departs | run.stops, 0.0, run.slowest_hz)
+    with np.errstate(divide="ignore"):
+        hz = 1.0 / run.period_s
+        fast, slow = run.fastest_hz / hz - 1.0, np.maximum(slowest / hz - 1.0, 0.0)
+    return np.asarray(np.where(run.follows, np.where(fast < 0.0, fast, slow), own))
 
 
 def too_short(left: Stitches, runs: int) -> Found:
@@ -327,5 +366,8 @@ def start_speed(setting: Setting, options: Mapping[str, float]) -> Measure:
 
 
 def start_needle(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring the relative error of the time of stitches, those exempt excepted."""
+    """Begin measuring the relative error of the time of stitches, those exempt excepted.
+
+    None is exempt where the needle follows the head.
+    """
     return _Stitching(setting, options["delay"], "time")

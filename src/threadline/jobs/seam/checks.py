@@ -98,6 +98,9 @@ class StitchCheck:
         self.off = 0
         self.worst = (0.0, "")
         self.short: list[tuple[float, str]] = []
+        self.along_m_s2 = (
+            math.inf
+        )  # what a needle that follows lets the speed of the head change by
 
     def add(self, block: StitchBlock) -> None:
         """Check one block.
@@ -111,6 +114,9 @@ class StitchCheck:
         """
         self._travel(block.points, np.append(block.line[:1], block.line))
         settings = self.sewn.settings
+        if settings.follows:
+            least_m = float(block.target_m.min())
+            self.along_m_s2 = min(self.along_m_s2, settings.needle_acceleration_hz_s * least_m)
         file = self.sewn.place.file
         relative = block.lengths_m / block.target_m - 1.0
         bad = ~block.exempt & (np.abs(relative) > settings.tolerance * (1.0 + 1e-9))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -103,12 +104,14 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
                     sewn[0] = replace(sewn[0], settings=still)
                 limit = min(machine.axes[axis].acceleration.si for axis in AXES)
                 warnings += corner_warnings(sewn[-1], limit)
+    along_m_s2 = math.inf
     for contour_sewn in sewn:
         check = StitchCheck(contour_sewn, AXES, machine)
         check.reach()
         for block in contour_sewn.blocks():
             check.add(block)
         warnings += check.warnings()
+        along_m_s2 = min(along_m_s2, check.along_m_s2)
     return Job(
         name=path.name,
         file=str(path),
@@ -118,6 +121,8 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
         operations=StitchStream(sewn),
         warnings=tuple(warnings),
         paced_by="needle",
+        needle_follows=any(contour.settings.follows for contour in sewn),
+        along_m_s2=along_m_s2,
         drawn=tuple(DrawnLine(contour.table, contour.closed) for contour in sewn),
     )
 

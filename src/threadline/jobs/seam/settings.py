@@ -48,7 +48,10 @@ class Stitching:
         ``interpolated``: the next leg begins while the last one ends, which rounds the corner;
         ``discrete``: the head rests in each corner.
     needle
-        ``constant`` speed, or ``slowed`` with the head, so that stitches keep their length.
+        ``constant`` speed; ``slowed`` with the head, so that stitches keep their length; or
+        ``follow``: it turns with the way of the head, whose timing is found afterwards.
+    needle_slowest_hz
+        Lowest speed of a needle that follows, stitch/s, but for turns beside a rest of the head.
     acceleration_m_s2
         Acceleration of the head along the seam; None for the two-stitch rule,
         ``v^2 / (2 stitch length)``.
@@ -85,6 +88,7 @@ class Stitching:
     needle: str = "constant"
     acceleration_m_s2: float | None = None
     deceleration_m_s2: float | None = None
+    needle_slowest_hz: float = 0.0
     needle_acceleration_hz_s: float = math.inf
     allowance_m: float = 0.0
     side: str = "inside"
@@ -98,6 +102,11 @@ class Stitching:
     travel_speed_m_s: float | None = None
     settle_s: float | None = None
     trim_s: float = 0.0
+
+    @property
+    def follows(self) -> bool:
+        """Whether the needle turns with the way of the head."""
+        return self.needle == "follow"
 
     @property
     def bow_limit_m(self) -> float:
@@ -152,9 +161,10 @@ _SETTINGS = {
         "corner_angle_rad", "rad", low=math.radians(2.0), high=math.radians(170.0)
     ),
     "motion": _Setting("motion", choices=("interpolated", "discrete")),
-    "needle": _Setting("needle", choices=("constant", "slowed")),
+    "needle": _Setting("needle", choices=("constant", "slowed", "follow")),
     "acceleration": _Setting("acceleration_m_s2", "m/s^2", low=1e-3, high=1e6),
     "deceleration": _Setting("deceleration_m_s2", "m/s^2", low=1e-3, high=1e6),
+    "needle_slowest": _Setting("needle_slowest_hz", "stitch/s", high=MOST_NEEDLE_HZ),
     "needle_acceleration": _Setting("needle_acceleration_hz_s", "stitch/s^2", low=0.1),
     "allowance": _Setting("allowance_m", "m"),
     "side": _Setting("side", choices=("inside", "outside", "left", "right")),
@@ -200,12 +210,34 @@ def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: P
         if _SETTINGS[key].field not in values:
             raise JobError(f"{key} is not given", place=place, remedy=EXAMPLE)
     result = Stitching(**values)
+    _check_needle(result, places, place)
     if result.end_m is not None and result.end_m <= (result.start_m or 0.0):
         raise JobError(
             f"the seam ends at {result.end_m * 1e3:.6g} mm, before it starts",
             place=places.get("end", place),
         )
     return result
+
+
+def _check_needle(found: Stitching, places: Mapping[str, Place], place: Place) -> None:
+    """Refuse a lowest speed of a needle that does not follow, or one above its highest."""
+    slowest = found.needle_slowest_hz
+    if not slowest:
+        return
+    here = places.get("needle_slowest", place)
+    if not found.follows:
+        raise JobError(
+            f"needle_slowest is {slowest:g} stitch/s, and needle is {found.needle!r}",
+            place=here,
+            remedy='It is of needle = "follow".',
+        )
+    if slowest > found.needle_speed_hz:
+        raise JobError(
+            f"needle_slowest is {slowest:g} stitch/s, above needle_speed, "
+            f"{found.needle_speed_hz:g} stitch/s",
+            place=here,
+            remedy="The needle turns between them: lower the one, or raise the other.",
+        )
 
 
 def _value(key: str, value: Any, setting: _Setting, place: Place) -> Any:

@@ -18,6 +18,7 @@ from threadline.jobs.seam.placement import exempt_mask, place_leg, stitch_count,
 from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.timing import end_speed_m_s, stitch_times_s
 
+_BACK_RAD = 2.5  # of a corner: a little less than at which ``along_path.reversals`` asks for a rest
 MAX_STITCHES = 5_000_000  # of one contour: a leg of them takes 0.5 GB
 
 
@@ -115,8 +116,8 @@ class SewnContour:
             discrete or leg.begin_turn_rad is None,
             discrete or leg.end_turn_rad is None,
         )
-        slowed = settings.needle == "slowed"
-        # A slowed needle waits for the head, so that no stitch is shortened by a ramp.
+        slowed = settings.needle != "constant"
+        # Such a needle waits for the head, so that no stitch is shortened by a ramp.
         ramps = (False, False) if slowed else halts
         count = stitch_count(leg.length_m, settings, self.accelerations, ramps)
         if count > MAX_STITCHES:
@@ -156,15 +157,23 @@ class SewnContour:
             at_m=at_m,
             bulge_m=bow_m(arcs, lengths),
             line=self.table.pieces.line[piece],
-            rests=halts[1],
+            rests=halts[1] or self._turns_back(leg),
         )
+
+    def _turns_back(self, leg: Leg) -> bool:
+        """Say whether a needle that can only change its speed so fast has to rest after a leg.
+
+        Where the line turns back the way of the head has a kink in its speed.
+        """
+        limited = self.settings.follows and np.isfinite(self.settings.needle_acceleration_hz_s)
+        return bool(limited and leg.end_turn_rad is not None and leg.end_turn_rad > _BACK_RAD)
 
     def _too_slow(self, leg: Leg, makes: str) -> JobError:
         return JobError(
             f"seam {self.seam!r}: at {min(self.accelerations):.3g} m/s^2 the head is so slow on a "
             f"leg of {leg.length_m * 1e3:.3g} mm that a needle of constant speed makes {makes}",
             place=self.place,
-            remedy='Raise acceleration, lower needle_speed, or give needle = "slowed".',
+            remedy='Raise acceleration, lower needle_speed, or give needle = "follow" or "slowed".',
         )
 
 

@@ -82,8 +82,9 @@ def _feeds(contour: SewnContour, times_s: FloatArray) -> Iterator[tuple[int, Fee
     if contour.settings.needle == "constant":
         yield 0, Feed(FeedMode.INVERSE_TIME, contour.settings.needle_speed_hz)
         return
+    most = contour.settings.needle_speed_hz if contour.settings.follows else None
     for k in np.flatnonzero(np.diff(times_s, prepend=-1.0)).tolist():
-        yield k, Feed(FeedMode.INVERSE_TIME, 1.0 / float(times_s[k]))
+        yield k, Feed(FeedMode.INVERSE_TIME, 1.0 / float(times_s[k]), most=most)
 
 
 class _Needle:
@@ -108,7 +109,13 @@ class _Needle:
         corner[-1] = block.leg.end_turn_rad is not None
         self.stitch += count
         self.time_s = float(ends_s[-1])
-        return {
+        follows: dict[str, Column] = {}
+        if settings.follows:
+            follows["slowest_hz"] = np.full(count, settings.needle_slowest_hz)
+            follows["fastest_hz"] = np.full(count, settings.needle_speed_hz)
+            if math.isfinite(settings.needle_acceleration_hz_s):
+                follows["most_hz_s"] = np.full(count, settings.needle_acceleration_hz_s)
+        return follows | {
             "kind": np.full(count, "lock" if block.leg.lock else "sew"),
             "seam": np.full(count, self.contour.seam),
             "contour": np.full(count, self.number),

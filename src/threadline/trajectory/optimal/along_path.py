@@ -45,6 +45,17 @@ class AlongPath:
     radius_m: FloatArray
 
 
+def only_acceleration(acceleration: float, radius_m: FloatArray) -> AlongPath:
+    """Return a limit of the acceleration along the path, m/s^2, and no other."""
+    return AlongPath(
+        velocity=np.inf,
+        acceleration=acceleration,
+        jerk=np.inf,
+        centripetal=np.inf,
+        radius_m=radius_m,
+    )
+
+
 def divided(run: PieceBlock) -> PieceBlock:
     """Return the pieces with each that is curved cut into even parts."""
     straight = ~run.coefficients[:, 2:].any(axis=(1, 2))

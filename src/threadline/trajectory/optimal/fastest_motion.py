@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -14,7 +15,7 @@ from threadline.path.runs import COINCIDENT_M
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.plant.closed_loop import answers_of
 from threadline.trajectory.optimal.alone import line_alone
-from threadline.trajectory.optimal.along_path import divided, with_length
+from threadline.trajectory.optimal.along_path import divided, only_acceleration, with_length
 from threadline.trajectory.optimal.drives import limits_of
 from threadline.trajectory.optimal.followers import Follower, Past
 from threadline.trajectory.optimal.following_error import followed
@@ -34,7 +35,12 @@ _AT_SPEED = 0.1  # of the time until the axes have their speed: a lead-in lasts 
 
 
 def fastest_blocks(
-    path: PlannedPath, machine: Machine, contour_m: float = np.inf, *, of_loads: bool = False
+    path: PlannedPath,
+    machine: Machine,
+    contour_m: float = np.inf,
+    *,
+    of_loads: bool = False,
+    along_m_s2: float = np.inf,
 ) -> Iterator[TrajectoryBlock]:
     """Yield the fastest trajectory of ``path`` within what the axes and their drives can do.
 
@@ -45,11 +51,16 @@ def fastest_blocks(
         infinite where that is no limit.
     of_loads
         Whether loads are to follow it, and no motors.
+    along_m_s2
+        Most acceleration along the path, at the tool; infinite for none.
     """
     follower = follower_of(path, machine, contour_m) if np.isfinite(contour_m) else None
     if follower is not None and all(answer is None for answer in follower.answers):
         follower = None  # no loop of which anything is known follows these axes
-    yield from limited_blocks(path, limits_of(machine, path.axes, of_loads=of_loads), follower)
+    limits = limits_of(machine, path.axes, of_loads=of_loads)
+    if np.isfinite(along_m_s2):
+        limits = replace(limits, along=only_acceleration(along_m_s2, path.radius_m))
+    yield from limited_blocks(path, limits, follower)
 
 
 def follower_of(path: PlannedPath, machine: Machine, contour_m: float) -> Follower:
@@ -87,7 +98,7 @@ def limited_blocks(
                 if follower is None:
                     block = in_time(fastest(elements, within, GAP), within, now)
                 else:
-                    block = followed(elements, limits, follower, past, now)
+                    block = followed(elements, within, follower, past, now)
             now = block.end_s
             past.add(block)
             yield block

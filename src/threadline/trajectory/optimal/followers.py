@@ -131,7 +131,7 @@ class Follower:
             (n,) largest square of the rate of the common parameter, where there is one.
         """
         speed, push = self.coefficients()
-        c = elements.c * self.radius_m
+        c = elements.c[:, :, : len(self.radius_m)] * self.radius_m
         tangent = tangents(elements, self.radius_m)
         room = (self.tolerance_m * ease)[:, None, None]
 
@@ -242,7 +242,10 @@ class Strays:
 
 
 def tangents(elements: Elements, radius_m: FloatArray) -> FloatArray:
-    """Return the (n, axes) directions from start to end of each element, at the tool."""
-    way = elements.c[:, 1:].sum(axis=1) * radius_m
+    """Return the (n, axes) directions from start to end of each element, at the tool.
+
+    The way gone is no axis of them, where it is the last of the elements.
+    """
+    way = elements.c[:, 1:, : len(radius_m)].sum(axis=1) * radius_m
     size = np.linalg.norm(way, axis=1, keepdims=True)
     return np.asarray(way / np.where(size > 0.0, size, 1.0))
