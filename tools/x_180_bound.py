@@ -1,13 +1,17 @@
 """How short x-180.prg can be on lathe-winder while its load keeps 0.5 mm, whoever plans it.
 
 X goes to 180 mm and back: one axis on a straight line, so that every limit is linear in what the
-motor is told tick by tick. A linear program asks for the farthest that the load comes at one tick,
-with what it is told at rest before and after the motion. What it is told keeps velocity,
-acceleration and jerk of the axis (a mean over ticks of a motion that keeps them does); the load is
-never 0.5 mm beyond either end; controller and motor keep a share of volts and current as a
-reserve, in the loop as it is, not in a rigid drive. A motion of fewer ticks exists only if that of
-one more does. So the fewest ticks with which the load comes within 0.5 mm of 180 mm bound every
-plan from below, up to the rounding to counts and to levels of the DAC.
+motor is told at instants ``STEPS`` to a tick. A linear program asks for the farthest that the load
+comes at one tick, with what is told at rest before and after the motion. What is told keeps
+velocity, acceleration and jerk of the axis (a mean over a few instants of a motion that keeps them
+does); the load is never 0.5 mm beyond either end. A reserve of volts and current is kept in one of
+two ways: of what controller and motor need in the loop as it is, tick by tick, or of what a drive
+with rigid links needs for the motion that is told, which is what ``optimal`` keeps. A motion of
+fewer instants exists only if that of one more does. So the fewest with which the load comes within
+0.5 mm of 180 mm bound every plan from below, up to the rounding to counts and to levels of the DAC.
+
+A third bound leaves what is told free and limits the load instead, tick by tick: what a plan of
+the load with a reference of any shape could reach, from its first tick to its last.
 
 Run: python -m tools.x_180_bound
 """
@@ -15,6 +19,7 @@ Run: python -m tools.x_180_bound
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
@@ -22,10 +27,14 @@ from scipy.optimize import linprog
 
 from threadline.machine import Machine, load_machine
 from threadline.plant.loop import axis_loops
+from threadline.trajectory.optimal.drives import RESERVE, demands_of
 
 WAY_M, WITHIN_M, TOLERANCE_M = 0.18, 5e-4, 1e-4
 REMEMBERED, AFTER = 100, 40  # ticks: of the loop's answers, and judged after the motion
 LATEST = 14  # ticks after the middle of what is told, until the load is at its farthest
+STEPS = 2  # instants to a tick at which a motion that is limited itself is told
+CASES = ((0.1, "rigid"), (0.1, "loop"), (0.05, "rigid"), (0.05, "loop"), (0.1, "free"))
+LOW, HIGH = 142, 162  # ticks between which the fewest are looked for
 MM = 1e3  # lengths in mm: the program is scaled so
 
 
@@ -49,17 +58,27 @@ def answers(machine: Machine) -> tuple[float, np.ndarray, np.ndarray, np.ndarray
 
 
 def farthest_m(
-    machine: Machine, ticks: int, at: int, reserve: float, within_m: float = WITHIN_M
+    machine: Machine, count: int, at: int, reserve: float, kept: str, within_m: float = WITHIN_M
 ) -> float:
-    """Return how far the load can be at tick ``at`` of ``ticks``, -inf if there is no motion."""
+    """Return how far the load can be at tick ``at``, -inf if there is no motion.
+
+    Parameters
+    ----------
+    count
+        Instants that the motion takes: ``STEPS`` to a tick, ticks where the reference is free.
+    reserve
+        Share of volts and current that is kept.
+    kept
+        ``"loop"``, ``"rigid"`` or ``"free"``: of which the reserve is, and what is limited.
+    within_m
+        How far beyond either end the load may be.
+    """
     period_s, load, volts, amperes = answers(machine)
-    last, free = ticks + AFTER, ticks - 1
+    steps = 1 if kept == "free" else STEPS
+    last, free, step_s = -(-count // steps) + AFTER, count - 1, period_s / steps
     told = sp.vstack(
-        [sp.csr_matrix((4, free)), sp.eye(free), sp.csr_matrix((last - ticks + 1, free))]
+        [sp.csr_matrix((4, free)), sp.eye(free), sp.csr_matrix((last * steps - free, free))]
     ).tocsr()
-    rates = [told]
-    for _ in range(3):
-        rates.append((rates[-1][1:] - rates[-1][:-1]) / period_s)
 
     def answered(taps: np.ndarray) -> sp.csr_matrix:
         memory = sp.diags_array(
@@ -67,57 +86,73 @@ def farthest_m(
             offsets=[-k for k in range(len(taps))],
             shape=(last + 1, last + 1),
         )
-        return sp.csr_matrix(memory @ told[3:])
+        return sp.csr_matrix(memory @ told[3::steps])
 
+    where = answered(load)
+    rates = [where if kept == "free" else told]
+    for _ in range(3):
+        rates.append((rates[-1][1:] - rates[-1][:-1]) / step_s)
     axis, drive = machine.axes["X"], machine.drives["x"]
     most = [q.si for q in (axis.velocity, axis.acceleration, axis.jerk)]
-    where = answered(load)
     rows = [rate / limit for rate, limit in zip(rates[1:], most, strict=True)]
-    clamp_v, clamp_a = machine.controllers["x"].dac.range.si, drive.amplifier.current_limit.si
-    rows += [answered(volts) / ((1.0 - reserve) * clamp_v)]
-    rows += [answered(amperes) / ((1.0 - reserve) * clamp_a)]
-    both = sp.vstack(rows)
-    matrix = sp.vstack([both, -both, where * MM, -where * MM])
-    ones, places = np.ones(2 * both.shape[0]), np.ones(where.shape[0])
+    if kept == "rigid":
+        # The mean velocity over two steps, and that beside the mean acceleration, differ by this.
+        apart_m_s = step_s**2 / 12.0 * most[2]
+        for speed, push in demands_of(machine, ("X",))[:, 0] * (1.0 - RESERVE) / (1.0 - reserve):
+            both = 0.5 * speed * (rates[1][1:] + rates[1][:-1]) + push * rates[2]
+            rows.append(both / (1.0 + speed * apart_m_s))
+    else:
+        clamp_v, clamp_a = machine.controllers["x"].dac.range.si, drive.amplifier.current_limit.si
+        rows += [answered(volts) / ((1.0 - reserve) * clamp_v)]
+        rows += [answered(amperes) / ((1.0 - reserve) * clamp_a)]
+    all_rows = sp.vstack(rows)
+    matrix = sp.vstack([all_rows, -all_rows, where * MM, -where * MM])
+    ones, places = np.ones(2 * all_rows.shape[0]), np.ones(where.shape[0])
     bound = [ones, (WAY_M + within_m) * MM * places, within_m * MM * places]
+    room_m = np.inf if kept == "free" else TOLERANCE_M
     found = linprog(
         -where[[at]].toarray().ravel() * MM,
         A_ub=matrix,
         b_ub=np.concatenate(bound),
-        bounds=(-TOLERANCE_M, WAY_M + TOLERANCE_M),
+        bounds=(-room_m, WAY_M + room_m),
         method="highs",
     )
     return -found.fun / MM if found.status == 0 else -np.inf
 
 
-def least_ticks(machine: Machine, reserve: float, within_m: float = WITHIN_M) -> int:
-    """Return the fewest ticks with which the load comes within ``within_m`` of 180 mm and back."""
-    period_s = answers(machine)[0]
-    # Between two ticks it may have been farther by this.
-    short_m = within_m + machine.axes["X"].acceleration.si * period_s**2 / 8.0
-
-    def comes(ticks: int) -> bool:
-        middle = ticks // 2
-        return any(
-            farthest_m(machine, ticks, at, reserve, within_m) >= WAY_M - short_m
-            for at in range(middle, middle + LATEST)
-        )
-
-    low, high = 120, 180
+def fewest(comes: Callable[[int], bool], low: int, high: int) -> int:
+    """Return the least number above ``low`` that ``comes``, which ``high`` does."""
     while high - low > 1:
-        ticks = (low + high) // 2
-        low, high = (low, ticks) if comes(ticks) else (ticks, high)
+        middle = (low + high) // 2
+        low, high = (low, middle) if comes(middle) else (middle, high)
     return high
 
 
-def main() -> int:
-    """Print the fewest ticks at several reserves."""
-    machine = load_machine("lathe-winder")
+def least_s(machine: Machine, reserve: float, kept: str, within_m: float = WITHIN_M) -> float:
+    """Return a time that every plan takes more than, s; ``kept`` as of ``farthest_m``."""
     period_s = answers(machine)[0]
-    sys.stdout.write("reserve  fewest ticks  every plan takes more than\n")
-    for reserve in (0.1, 0.05, 0.0):
-        ticks = least_ticks(machine, reserve)
-        sys.stdout.write(f"{reserve:7.0%}  {ticks:12d}  {(ticks - 1) * period_s:.3f} s\n")
+    steps = 1 if kept == "free" else STEPS
+    # Between two ticks it may have been farther by this.
+    short_m = within_m + machine.axes["X"].acceleration.si * period_s**2 / 8.0
+
+    def comes(count: int) -> bool:
+        middle = count // (2 * steps)
+        return any(
+            farthest_m(machine, count, at, reserve, kept, within_m) >= WAY_M - short_m
+            for at in range(middle, middle + LATEST)
+        )
+
+    return (fewest(comes, LOW * steps, HIGH * steps) - 1) * period_s / steps
+
+
+def main() -> int:
+    """Print the bounds at several reserves."""
+    machine = load_machine("lathe-winder")
+    sys.stdout.write("reserve  kept of  every plan takes more than\n")
+    for reserve, kept in CASES:
+        bound_s = least_s(machine, reserve, kept)
+        sys.stdout.write(f"{reserve:7.0%}  {kept:7}  {bound_s:.4f} s\n")
+        sys.stdout.flush()
     return 0
 
 

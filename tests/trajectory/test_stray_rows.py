@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tools.x_180_bound import least_ticks
+from tools.x_180_bound import least_s
 
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
@@ -78,9 +78,9 @@ def test_the_motion_is_near_the_least_that_any_plan_can_take(monkeypatch):
     alone are 5 % slower than with rows (0.845 s); the rest above the program is the acceleration
     that a rigid drive has at a tenth of reserve, and the ticks.
     """
-    least_s = (least_ticks(WINDER, 0.1, 4e-4) - 1) * float(WINDER.tick_clock.period_s)
+    bound_s = least_s(WINDER, 0.1, "loop", 4e-4)
     plan = planned(3e-4)
-    assert least_s <= plan.duration_s < 1.035 * least_s
+    assert bound_s <= plan.duration_s < 1.035 * bound_s
     found = {(r.name, r.axis): r for r in prove_plan(plan, load_spec(None, WINDER)).verdict.results}
     assert found["contour_error", ""].measured < 4.2e-4
     monkeypatch.setattr(polished, "_ROUNDS", 0)
