@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import random
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,10 +16,17 @@ import pytest
 from tests.live.bench import winder
 from tests.live.grbl_model import GrblModel
 from tests.live.hal_bench import hal_alone, unhurried
+from tests.live.kill_bench import child
 from tests.live.test_grbl import settings
 from tests.panel.bench import Operator, operator, proven, served
+from threadline.live.desk import Desk
 from threadline.live.grbl_by_hand import AHEAD_S
+from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_operated import GrblOperated
+from threadline.live.grbl_port import Port
+from threadline.live.kept import Kept
 from threadline.live.link_operated import at_link
+from threadline.live.states import State
 from threadline.machine import load_machine
 from threadline.store.run_store import opened
 
@@ -160,6 +171,49 @@ def test_a_link_that_is_lost_in_a_jog_leaves_a_controller_that_stands(project: P
         time.sleep(0.3)
         assert model.at[0] == at
         assert at <= MANUAL_MM_S * (0.25 + 0.35)
+
+
+def jog_on(address: str, moves: int) -> None:
+    """Jog X and renew it, as the panel's process does for a held key; say when it moves."""
+    desk = Desk()
+    one = GrblOperated(Controller(Port(address), STEPPER), desk, Kept())
+    one.connect()
+    one.enable()
+    one.home()
+    one.jog("X", MANUAL_MM_S / 1e3)
+    told = False
+    while True:
+        if one.state is State.JOGGING:
+            one.renew()
+        one.step()
+        if not told and one.latest["X.commanded"] > 0.0:
+            told = bool(os.write(moves, b"!"))
+
+
+def test_kill_the_process_that_jogs_on_grbl() -> None:
+    """At 10 random moments: the controller runs out no more than it was sent ahead, and stands."""
+    chance = random.Random(1989)
+    for _ in range(10):
+        model, (there, here) = GrblModel(settings()), os.pipe()
+        model.start()
+        pid = child(partial(jog_on, model.address, here))
+        os.close(here)
+        assert os.read(there, 1) == b"!"
+        time.sleep(chance.uniform(0.0, 0.3))
+        os.kill(pid, signal.SIGKILL)
+        os.waitpid(pid, 0)
+        os.close(there)
+        killed_mm = model.at[0]
+        end = time.monotonic() + 60.0
+        while model.state != "Idle" or model.blocks or model.rx:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        stood = model.at[0]
+        time.sleep(0.05)
+        assert model.at[0] == stood
+        assert 0.0 <= stood - killed_mm <= MANUAL_MM_S * 0.2 + 0.5  # a step of the model
+        assert 0.0 < model.ahead_s <= 0.2 + 1e-6
+        model.close()
 
 
 def test_an_alarm_at_rest_is_a_fault_and_a_reset_leaves_it(project: Path) -> None:
