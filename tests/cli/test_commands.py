@@ -265,15 +265,12 @@ def test_a_feed_that_is_not_in_force_is_no_doubt(
 
 
 def test_fastest_prints_the_command_that_proves_its_answer(
-    examples: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Typed as it stands, it gives the same verdict; the search ends at --high, and says so."""
     monkeypatch.chdir(tmp_path)
     job = tmp_path / "a job.prg"
-    job.write_bytes((examples / "x-180.prg").read_bytes())
+    job.write_text("G91\nG1 X10 F1200\nG1 X10\nG1 X-20\nM30\n")
     words = ["fastest", job.name, "-m", "lathe-winder", "--interpolation", "cubic"]
     words += ["--low", "20 mm/s", "--high", "21.1 mm/s"]
     code, out, _ = run(capsys, *words)

@@ -79,9 +79,13 @@ def test_a_yield_is_a_share_below_the_whole(text: str) -> None:
         trials_of(True, None, False, "99 %")
 
 
-def test_fastest_with_a_yield_can_be_typed_back(capsys: pytest.CaptureFixture[str]) -> None:
+def test_fastest_with_a_yield_can_be_typed_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """What 95 % of the machines keep is slower than what the machine as typed keeps (39.5 mm/s)."""
-    words = [str(JOB), "-m", "lathe-winder", "--interpolation", "linear", "--yield", "95 %"]
+    job = tmp_path / "turn.prg"  # the one corner of the reversal test, with a move either side
+    job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n", encoding="utf-8")
+    words = [str(job), "-m", "lathe-winder", "--interpolation", "linear", "--yield", "95 %"]
     with pytest.raises(SystemExit) as ended:
         main(["fastest", *words, "--low", "32 mm/s", "--high", "33 mm/s", "--json"])
     found = json.loads(capsys.readouterr().out)
