@@ -72,9 +72,53 @@ def test_looks_fills_and_leaders_are_entities_of_a_dxf() -> None:
     assert np.array(leader.vertices)[0][:2] == pytest.approx((50.0, 60.0))
     assert space.query("MTEXT").first.plain_text() == "glass {2}"
     again = opened("a.dxf", made)
-    assert [one["kind"] for one in again["shapes"]] == ["line", "circle", "arc", "line"]
-    assert len(again["left_out"]) == 5
-    assert "a HATCH cannot be sewn" in again["left_out"][0]
+    kinds = [one["kind"] for one in again["shapes"]]
+    assert kinds == ["line", "circle", "arc", "line", "leader"]
+    assert [one.get("fill") for one in again["shapes"]] == [
+        None,
+        "hatched",
+        "solid",
+        "crossed",
+        None,
+    ]
+    assert again["shapes"][-1]["label"] == "glass {2}"
+    assert np.array(again["shapes"][-1]["points"]) == pytest.approx(
+        np.array([(50.0, 60.0), (70.0, 80.0), (80.0, 80.0)])
+    )
+    assert again["left_out"] == []
+
+
+def test_the_hole_of_a_letter_is_not_filled() -> None:
+    """One hatch with two rings; both are filled again when it is opened."""
+    rings = outlines(Lettering(text="O", height_mm=10.0))
+    made = dxf([Shape(**ring, fill="solid") for ring in rings])
+    (hatch,) = ezdxf.read(io.StringIO(made.decode())).modelspace().query("HATCH")
+    assert (len(hatch.paths), hatch.dxf.hatch_style) == (2, 0)
+    again = opened("a.dxf", made)
+    assert [one["fill"] for one in again["shapes"]] == ["solid", "solid"]
+    alone = dxf([Shape(**{**ring, "group": 0}, fill="solid") for ring in rings])
+    assert len(ezdxf.read(io.StringIO(alone.decode())).modelspace().query("HATCH")) == 2
+
+
+def test_fills_and_leaders_of_another_program_are_kept_where_they_fit() -> None:
+    """In inches; a label that its leader names; a fill of nothing that was drawn is left out."""
+    document = ezdxf.new(units=ezdxf.units.IN)
+    space = document.modelspace()
+    space.add_lwpolyline([(0, 0), (2, 0), (2, 1), (0, 1)], close=True)
+    for ring in ([(0, 0), (2, 0), (2, 1), (0, 1)], [(5, 5), (7, 5), (7, 6)]):
+        space.add_hatch(color=1).paths.add_polyline_path(ring, is_closed=True)
+    text = space.add_mtext("front", dxfattribs={"insert": (9, 9), "char_height": 0.1})
+    space.add_leader([(1, 1), (3, 3)], dxfattribs={"annotation_handle": text.dxf.handle})
+    space.add_mtext("alone", dxfattribs={"insert": (3.1, 3), "char_height": 0.1})
+    out = io.StringIO()
+    document.write(out)
+    found = opened("a.dxf", out.getvalue().encode())
+    polygon, leader = found["shapes"]
+    assert (polygon["kind"], polygon["fill"]) == ("polygon", "solid")
+    assert (leader["label"], leader["points"]) == ("front", [[25.4, 25.4], [76.2, 76.2]])
+    assert [line.partition(": ")[2] for line in found["left_out"]] == [
+        "a HATCH cannot be sewn", "the text 'alone' cannot be sewn",
+    ]  # fmt: skip
 
 
 def test_capital_letters_are_as_high_as_asked() -> None:

@@ -90,9 +90,26 @@ def test_looks_fills_leaders_and_what_changes_them(
     expect(page.locator("#drawn")).to_contain_text("11 shapes")
     assert [data(page, k) for k in range(11)] == drawn
     expect(page.locator("#paper text")).to_have_text("cone <30°>")
+    press(page, "Clear")
+    expect(page.locator("#drawn")).to_contain_text("0 shapes")
     page.locator("#open-drawing").set_input_files(dxf)
-    expect(page.locator("#log")).to_contain_text("left out: again.dxf")
-    expect(page.locator("#drawn")).to_contain_text("10 shapes")
+    expect(page.locator("#drawn")).to_contain_text("11 shapes")
+    expect(page.locator("#paper text")).to_have_text("cone <30°>")
+    expect(page.locator("#log")).not_to_contain_text("left out: again.dxf")
+
+    page.locator("#text").fill("O")
+    press(page, "Add text")
+    expect(page.locator("#drawn")).to_contain_text("13 shapes")
+    page.locator("#fill").select_option("crossed")
+    rings = page.locator("#paper path[data-at='11']")
+    expect(rings).to_have_attribute("fill", "url(#crossed)")  # at once: its hole is none of it
+    assert (rings.get_attribute("fill-rule"), data(page, 11).count("M")) == ("evenodd", 2)
+    expect(page.locator("#paper path[data-at='12']")).to_have_count(0)
+    press(page, "Save SVG")
+    expect(page.locator("#log li", has_text="drawing.svg is in the project")).to_have_count(2)
+    page.locator("#open-drawing").set_input_files(written)
+    expect(page.locator("#drawn")).to_contain_text("13 shapes")
+    assert data(page, 11).count("M") == 2
     page.close()
 
 

@@ -5,7 +5,7 @@ import { FILLS, foreignShapes, ownShapes, patterns, radiusText, seamText, svgTex
 import type { Program } from "./program";
 import type { Session } from "./session";
 import { say } from "./session";
-import { LABEL_MM, NEEDS, bounds, middle, moved, pathData, scaled, turned } from "./shapes";
+import { LABEL_MM, NEEDS, bounds, filledTogether, middle, moved, pathData, scaled, turned } from "./shapes";
 import type { Fill, Kind, Point, Shape, Style } from "./shapes";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -267,7 +267,7 @@ export class Draw {
   }
 
   private async saveDxf(): Promise<void> {
-    const answer = await this.answered("/api/drawing/dxf", JSON.stringify(this.shapes.map(({ kind, points, style, fill, label }) => ({ kind, points, style, fill, label }))));
+    const answer = await this.answered("/api/drawing/dxf", JSON.stringify(this.shapes.map(({ kind, points, style, fill, label, group }) => ({ kind, points, style, fill, label, group }))));
     if (!answer) return;
     const to = made("a");
     to.href = URL.createObjectURL(await answer.blob());
@@ -299,7 +299,7 @@ export class Draw {
     const box = this.svg.viewBox.baseVal, cell = 10, lines: Element[] = [];
     for (let x = Math.ceil(box.x / cell) * cell; x < box.x + box.width; x += cell) lines.push(part("line", { x1: `${x}`, x2: `${x}`, y1: `${box.y}`, y2: `${box.y + box.height}`, class: x === 0 ? "zero" : "" }));
     for (let y = Math.ceil(box.y / cell) * cell; y < box.y + box.height; y += cell) lines.push(part("line", { y1: `${y}`, y2: `${y}`, x1: `${box.x}`, x2: `${box.x + box.width}`, class: y === 0 ? "zero" : "" }));
-    const shapes = this.shapes.map((one, k) => part("path", { d: pathData(one), "data-at": String(k), class: this.chosen.has(one.group) ? "chosen" : "", fill: one.kind === "leader" ? "none" : FILLS[one.fill], "stroke-dasharray": DASH[one.style] }));
+    const shapes = filledTogether(this.shapes).map(({ at, of: [one, ...others] }) => part("path", { d: [one!, ...others].map(pathData).join(" "), "data-at": String(at), "fill-rule": "evenodd", class: this.chosen.has(one!.group) ? "chosen" : "", fill: one!.kind === "leader" ? "none" : FILLS[one!.fill], "stroke-dasharray": DASH[one!.style] }));
     const points = [...this.pending, ...(this.pending.length && this.pointer ? [this.pointer] : [])];
     if (points.length > 1) {
       const kind = this.tool === "arc" && points.length < 3 ? "line" : this.tool as Kind;

@@ -1,6 +1,6 @@
 /** Drawings as files: SVG of our own, DXF and foreign SVG by the server, seams and mandrels made of a drawing. */
 
-import { LABEL_MM, bounds, pathData } from "./shapes";
+import { LABEL_MM, bounds, filledTogether, pathData } from "./shapes";
 import type { Fill, Kind, Point, Shape, Style } from "./shapes";
 
 const DASHES: Record<Style, string> = { solid: "", dashed: "4 2", dotted: "0.5 1.5", dashdot: "6 2 0.5 2" };
@@ -14,7 +14,8 @@ const MARGIN = 5;
 export function svgText(shapes: Shape[]): string {
   const [low, high] = shapes.length ? bounds(shapes) : [[0, 0], [100, 100]] as [Point, Point];
   const x = low[0] - MARGIN, y = -high[1] - MARGIN, width = high[0] - low[0] + 2 * MARGIN, height = high[1] - low[1] + 2 * MARGIN;
-  const paths = shapes.map((shape) => `  <path d="${pathData(shape)}" fill="${shape.kind === "leader" ? "none" : FILLS[shape.fill]}" stroke="#000000" stroke-width="0.3"${DASHES[shape.style] ? ` stroke-dasharray="${DASHES[shape.style]}"` : ""} data-kind="${shape.kind}" data-style="${shape.style}" data-fill="${shape.fill}" data-label="${escaped(shape.label)}" data-group="${shape.group}" data-points="${shape.points.map((p) => p.map((v) => Number(v.toFixed(6))).join(",")).join(" ")}"/>`);
+  const points = (shape: Shape): string => shape.points.map((p) => p.map((v) => Number(v.toFixed(6))).join(",")).join(" ");
+  const paths = filledTogether(shapes).map(({ of }) => ({ of, shape: of[0]! })).map(({ of, shape }) => `  <path d="${of.map(pathData).join(" ")}" fill-rule="evenodd" fill="${shape.kind === "leader" ? "none" : FILLS[shape.fill]}" stroke="#000000" stroke-width="0.3"${DASHES[shape.style] ? ` stroke-dasharray="${DASHES[shape.style]}"` : ""} data-kind="${shape.kind}" data-style="${shape.style}" data-fill="${shape.fill}" data-label="${escaped(shape.label)}" data-group="${shape.group}" data-points="${of.map(points).join(";")}"/>`);
   const labels = shapes.filter((shape) => shape.label).map((shape) => { const [x, y] = shape.points[shape.points.length - 1]!; return `  <text x="${x + 1}" y="${-y}" font-family="sans-serif" font-size="${LABEL_MM}">${escaped(shape.label)}</text>`; });
   return [`<svg xmlns="http://www.w3.org/2000/svg" width="${width}mm" height="${height}mm" viewBox="${x} ${y} ${width} ${height}">`, patterns(0.3), ...paths, ...labels, "</svg>", ""].join("\n");
 }
@@ -23,15 +24,15 @@ export function svgText(shapes: Shape[]): string {
 export function ownShapes(text: string): Shape[] | null {
   const paths = [...new DOMParser().parseFromString(text, "image/svg+xml").querySelectorAll("svg > path")] as SVGPathElement[];
   if (paths.length === 0 || paths.some((path) => !path.dataset.points)) return null;
-  return paths.map((path) => ({
+  return paths.flatMap((path) => path.dataset.points!.split(";").map((points) => ({
     kind: path.dataset.kind as Kind, style: (path.dataset.style ?? "solid") as Style, fill: (path.dataset.fill ?? (path.getAttribute("fill") === "none" ? "none" : "solid")) as Fill, label: path.dataset.label ?? "", group: Number(path.dataset.group ?? 0),
-    points: path.dataset.points!.split(" ").map((one) => one.split(",").map(Number) as Point),
-  }));
+    points: points.split(" ").map((one) => one.split(",").map(Number) as Point),
+  })));
 }
 
 /** Shapes that the server has read or made. */
-export function foreignShapes(found: { kind: Kind; points: Point[]; group: number }[], after: number): Shape[] {
-  return found.map((one) => ({ ...one, style: "solid", fill: "none", label: "", group: one.group + after }));
+export function foreignShapes(found: { kind: Kind; points: Point[]; group: number; fill?: Fill; label?: string }[], after: number): Shape[] {
+  return found.map((one) => ({ ...one, style: "solid", fill: one.fill ?? "none", label: one.label ?? "", group: one.group + after }));
 }
 
 /** A seam that sews what was drawn where it was drawn: its SVG begins a margin beside the lowest point. */

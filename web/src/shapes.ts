@@ -30,6 +30,17 @@ export function middle(shapes: Shape[]): Point {
   return [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
 }
 
+/** Shapes by what is filled at once, and the number of the first: within a group, what lies in another is a hole, as in letters. */
+export function filledTogether(shapes: Shape[]): { at: number; of: Shape[] }[] {
+  const found: { at: number; of: Shape[] }[] = [];
+  shapes.forEach((shape, at) => {
+    const last = found[found.length - 1], like = last?.of[0];
+    const alike = like && shape.fill !== "none" && shape.kind !== "leader" && like.kind === shape.kind && like.group === shape.group && like.fill === shape.fill && like.style === shape.style;
+    if (alike) last!.of.push(shape); else found.push({ at, of: [shape] });
+  });
+  return found;
+}
+
 /** Corners of what the shapes cover; curves may reach a little beyond their points. */
 export function bounds(shapes: Shape[]): [Point, Point] {
   const all = shapes.flatMap((shape) => shape.kind === "circle" ? reach(shape) : shape.points);

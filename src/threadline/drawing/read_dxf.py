@@ -52,10 +52,10 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
     place = Place(file)
     if re.match(rb"AC10\d\d", content):
         raise JobError("this is a DWG file", place=place, remedy="Save the drawing as DXF.")
-    said = _Said()
+    said = Said()
     with said.listening():
-        document = _load(file)
-    factor = _metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
+        document = load_dxf(file)
+    factor = metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
     walk = _Walk(file, document, entity_lines(content))
     root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
     try:
@@ -121,7 +121,7 @@ def _refuse_explosion(document: Any, walk: _Walk) -> None:
     count(document.modelspace(), ())
 
 
-class _Said(logging.Handler):
+class Said(logging.Handler):
     """Collects ezdxf's log, the only place where it reports what it leaves out or repairs."""
 
     def __init__(self) -> None:
@@ -147,7 +147,8 @@ class _Said(logging.Handler):
             log.propagate = before
 
 
-def _load(file: str) -> Any:
+def load_dxf(file: str) -> Any:
+    """Return the document of ezdxf; a JobError if the file is no DXF."""
     from ezdxf.filemanagement import readfile
 
     try:
@@ -161,7 +162,8 @@ def _load(file: str) -> Any:
         ) from error
 
 
-def _metres_per_unit(code: int, unit: str | None, place: Place) -> float:
+def metres_per_unit(code: int, unit: str | None, place: Place) -> float:
+    """Return the metres in a unit of $INSUNITS, or in the one given; a JobError without either."""
     given = None if unit is None else unit_factor(unit, "m")
     stated = _METRES.get(code)
     if stated is None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,8 @@ Fill = Literal["none", "solid", "hatched", "crossed"]
 _LINETYPES = {
     "solid": "CONTINUOUS", "dashed": "DASHED", "dotted": "DOTTED", "dashdot": "DASHDOT",
 }  # fmt: skip
-_PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
+PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
+"""Names of patterns of AutoCAD by those of fills."""
 FILL_LAYER, LEADER_LAYER = "FILL", "LEADER"
 """Layers of what is not sewn."""
 _LABEL_MM = 4.0
@@ -43,6 +45,9 @@ class DrawnShape:
         Fill of what it bounds; an open one is closed by a straight line for that.
     label
         Text at the last point of a leader.
+    group
+        Number of what belongs together, 0 for nothing: shapes of a group that follow each other
+        with one fill are filled at once, and what lies in another of them is a hole.
     """
 
     kind: ShapeKind
@@ -50,6 +55,7 @@ class DrawnShape:
     style: str = "solid"
     fill: Fill = "none"
     label: str = ""
+    group: int = 0
 
 
 def centre_of(points: FloatArray) -> FloatArray | None:
@@ -84,12 +90,28 @@ def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
 
     document = new(setup=["linetypes"], units=units.MM)
     space = document.modelspace()
+    for _, one_fill in groupby(enumerate(shapes), _filled_as):
+        _add_shapes(space, [shape for _, shape in one_fill])
+    text = io.StringIO()
+    document.write(text)
+    return text.getvalue().encode("utf-8")
+
+
+def _filled_as(numbered: tuple[int, DrawnShape]) -> tuple[int, int, str]:
+    """Return what shapes have in common that are filled at once: others have their number."""
+    at, shape = numbered
+    alone = not shape.group or shape.fill == "none" or shape.kind == "leader"
+    return (at if alone else -1, shape.group, shape.fill)
+
+
+def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:
+    """Add shapes that are filled at once, and their fill before them."""
+    if shapes[0].fill != "none" and shapes[0].kind != "leader":
+        _add_fill(space, shapes)
     for shape in shapes:
         if shape.kind == "leader":
             _add_leader(space, shape)
             continue
-        if shape.fill != "none":
-            _add_fill(space, shape)
         points, look = 1e3 * shape.points, {"linetype": _LINETYPES[shape.style]}
         if shape.kind == "circle":
             radius = float(np.hypot(*(points[1] - points[0])))
@@ -110,9 +132,6 @@ def dxf_of(shapes: Iterable[DrawnShape]) -> bytes:
         else:
             closed = shape.kind == "polygon"
             space.add_lwpolyline(points.tolist(), close=closed, dxfattribs=look)
-    text = io.StringIO()
-    document.write(text)
-    return text.getvalue().encode("utf-8")
 
 
 def _add_leader(space: Any, shape: DrawnShape) -> None:
@@ -126,12 +145,14 @@ def _add_leader(space: Any, shape: DrawnShape) -> None:
         space.add_mtext(plain, dxfattribs=where)
 
 
-def _add_fill(space: Any, shape: DrawnShape) -> None:
-    """Add what fills a shape."""
-    hatch = space.add_hatch(color=_GREY, dxfattribs={"layer": FILL_LAYER})
-    if shape.fill in _PATTERNS:
-        hatch.set_pattern_fill(_PATTERNS[shape.fill], color=_GREY)
-    hatch.paths.add_polyline_path(ring_of(shape).tolist(), is_closed=True)
+def _add_fill(space: Any, shapes: Sequence[DrawnShape]) -> None:
+    """Add what fills shapes; what lies in another of them is a hole (style 0)."""
+    fill = shapes[0].fill
+    hatch = space.add_hatch(color=_GREY, dxfattribs={"layer": FILL_LAYER, "hatch_style": 0})
+    if fill in PATTERNS:
+        hatch.set_pattern_fill(PATTERNS[fill], color=_GREY, style=0)
+    for shape in shapes:
+        hatch.paths.add_polyline_path(ring_of(shape).tolist(), is_closed=True)
 
 
 def ring_of(shape: DrawnShape) -> FloatArray:

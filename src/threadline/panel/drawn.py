@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,10 +14,11 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from threadline.arrays import FloatArray
 from threadline.drawing.contours import drop_zero_lengths
 from threadline.drawing.curves import Pieces
+from threadline.drawing.dxf_remarks import filled_by, measured_rings, read_remarks
 from threadline.drawing.read_dxf import read_dxf
 from threadline.drawing.strokes import Drawing
 from threadline.drawing.svg.read_svg import read_svg
-from threadline.drawing.write_dxf import DrawnShape, Fill, ShapeKind, dxf_of
+from threadline.drawing.write_dxf import DrawnShape, Fill, ShapeKind, dxf_of, ring_of
 from threadline.errors import JobError, Place
 
 MOST_SHAPES = 5000
@@ -39,6 +41,7 @@ class Shape(BaseModel):
     style: Literal["solid", "dashed", "dotted", "dashdot"] = "solid"
     fill: Fill = "none"
     label: Annotated[str, Field(max_length=100)] = ""
+    group: Annotated[int, Field(ge=0, le=10**9)] = 0
 
 
 class Lettering(BaseModel):
@@ -79,6 +82,7 @@ def dxf(shapes: Sequence[Shape]) -> bytes:
             style=one.style,
             fill=one.fill,
             label=one.label,
+            group=one.group,
         )
         for one in shapes
     )
@@ -94,8 +98,8 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
     """Return the shapes of a DXF or SVG, and what was left out of it, line by line.
 
     Points are in mm; shapes of one entity have one group. Lines, circles and their arcs stay what
-    they are; other curves become 64 chords a piece. Texts, fills and what else is no line are left
-    out.
+    they are; other curves become 64 chords a piece. Leaders of a DXF with their texts, and fills of
+    what is drawn, are kept; other texts, fills and what else is no line are left out.
 
     Raises
     ------
@@ -115,8 +119,49 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
             place=Place(name),
             remedy="Sew it as it is: a seam file reads it.",
         )
-    left = [f"{name}:{refusal.line}: {refusal.message}" for refusal in drawing.refusals]
+    known = _add_remarks(found, name, content) if name.lower().endswith(".dxf") else set()
+    refusals = [refusal for refusal in drawing.refusals if refusal.line not in known]
+    left = [f"{name}:{refusal.line}: {refusal.message}" for refusal in refusals]
     return {"shapes": found, "left_out": left[:_MOST_TOLD]}
+
+
+def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set[int]:
+    """Add leaders to the shapes of a DXF, and fills to those that they are of.
+
+    Returns
+    -------
+    set
+        Lines of the file at which what was taken up begins.
+    """
+    with _as_file(name, content) as file:
+        leaders, fills = read_remarks(content, str(file), MOST_SHAPES - len(shapes))
+    known: set[int] = set()
+    rings = measured_rings(
+        [
+            1e-3 * ring_of(DrawnShape(kind=one["kind"], points=1e-3 * np.array(one["points"])))
+            for one in shapes
+        ]
+    )
+    for filling in fills:
+        of = filled_by(filling.ring, rings)
+        if of is not None and filling.line:
+            shapes[of]["fill"] = filling.fill
+            known.add(filling.line)
+    group = max((one["group"] for one in shapes), default=0)
+    for number, leader in enumerate(leaders, group + 1):
+        points = np.round(1e3 * leader.points, 6).tolist()
+        shapes.append({"kind": "leader", "points": points, "group": number, "label": leader.label})
+        known.update(leader.lines)
+    return known - {0}
+
+
+@contextmanager
+def _as_file(name: str, content: bytes) -> Iterator[Path]:
+    """Have a drawing as a file, for readers that want one."""
+    with tempfile.TemporaryDirectory(prefix="threadline-drawing-") as folder:
+        file = Path(folder) / f"drawing{name.lower()[-4:]}"
+        file.write_bytes(content)
+        yield file
 
 
 def _read(name: str, content: bytes) -> Drawing:
@@ -125,9 +170,7 @@ def _read(name: str, content: bytes) -> Drawing:
         raise JobError(
             f"{name[:60]!r} is no drawing that is known", remedy="Open a .dxf or a .svg."
         )
-    with tempfile.TemporaryDirectory(prefix="threadline-drawing-") as folder:
-        file = Path(folder) / f"drawing{name.lower()[-4:]}"
-        file.write_bytes(content)
+    with _as_file(name, content) as file:
         try:
             return reader(content, str(file))
         except JobError as error:  # it is the client's name that is known to people
