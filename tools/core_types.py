@@ -29,6 +29,7 @@ NUMERICS = (
     "targets",
     "trajectory",
     "twin",
+    "verdict",
 )
 """Folders of tests whose outcome could hang on rounding in linear algebra."""
 WHOLE = "Prescott"
