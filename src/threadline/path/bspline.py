@@ -9,8 +9,10 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
+from threadline.durations.chord_times import chord_time_s
+from threadline.durations.knot_times import longest_demand_s
 from threadline.machine import Machine
-from threadline.path.straight import chord_time_s, velocity_limit_of, with_previous
+from threadline.path.straight import velocity_limit_of, with_previous
 from threadline.path.types import PieceBlock, ProgrammedPath
 
 MULTIPLICITY = 3  # the curve meets a point that is repeated three times, and rests there
@@ -203,12 +205,7 @@ def interval_time_s(programmed: ProgrammedPath, machine: Machine, refine: Refine
         span = points.span[1:]
         differences = bezier_differences(points.chord_s[1:, None], span)
         first, middle, last = (3.0 * t[rows, 0] / span[rows] for t in differences)
-        bend = first - 2.0 * middle + last
-        with np.errstate(divide="ignore", invalid="ignore"):
-            u = np.where(bend < 0, np.clip((first - middle) / bend, 0.0, 1.0), 0.0)
-        for at in (np.zeros_like(u), u, np.ones_like(u)):
-            demand = (1 - at) ** 2 * first + 2.0 * at * (1 - at) * middle + at * at * last
-            longest = max(longest, float(demand.max(initial=0.0)))
+        longest = max(longest, longest_demand_s(first, middle, last))
     return longest
 
 

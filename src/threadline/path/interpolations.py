@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-
+from threadline.durations.polynomial_times import polynomial_limits
+from threadline.durations.smoothing import smoothing_for, smoothing_share
 from threadline.errors import OptionError
 from threadline.foreign_messages import nearest
 from threadline.machine import Machine
@@ -15,7 +15,6 @@ from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
 from threadline.path.polynomial import polynomial_pieces
 from threadline.path.pulled import PULLS, Pull
-from threadline.path.smoothing import smoothing_for, smoothing_share
 from threadline.path.summary import LazySummary, auto_summary, deviation_summary
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import KeptStream
@@ -258,18 +257,9 @@ def _polynomial(name: str) -> Planner:
     quintic = name == "quintic"
 
     def planner(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
-        column = [machine.axis_names.index(axis) for axis in programmed.axes]
-        limits = [
-            getattr(machine, f"{limit}_limit")[column]
-            for limit in ("velocity", "acceleration", "jerk")
-        ]
-        if not quintic:
-            # The acceleration of a cubic jumps at the points; there the smoothing misses them by
-            # half its variance times the acceleration.
-            variance = smoothing_for(machine, programmed.axes).variance_s2
-            room = 2.0 * options.tolerance_m / (variance * programmed.radius_m)
-            limits = [limits[0], np.minimum(limits[1], room)]
-        bounds = tuple(limits)
+        bounds = polynomial_limits(
+            machine, programmed.axes, programmed.radius_m, options.tolerance_m, quintic=quintic
+        )
         path = PlannedPath(
             axes=programmed.axes,
             radius_m=programmed.radius_m,

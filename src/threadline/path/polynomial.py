@@ -2,10 +2,8 @@
 
 Each axis passes a point at the smaller of the mean velocities before and after it, and at 0 where
 it turns back. So each piece is monotone and its end velocities are 0 to 1 times its mean velocity.
-The peaks of its derivatives are convex functions of the end velocities and hence largest in one of
-the four extreme cases: the k-th derivative of an axis that moves by d in a time T is at most
-``peaks[k] * d / T**k``. The time T of every piece is the shortest that keeps these bounds within
-the limits and the velocity within the feed. A quintic passes the points without acceleration.
+The time of every piece, on which the mean velocities depend, is that of ``polynomial_time_s``. A
+quintic passes the points without acceleration.
 """
 
 from __future__ import annotations
@@ -15,12 +13,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.durations.polynomial_times import polynomial_time_s
 from threadline.path.runs import Chunk, Vertices, join_vertices, runs
 from threadline.path.types import PieceBlock, ProgrammedPath
-
-# Largest |p'|, |p''|, |p'''| over the four pairs of end velocities 0 and 1.
-CUBIC_PEAKS = (1.5, 6.0, 12.0)
-QUINTIC_PEAKS = (1.875, 10.0 / 3.0**0.5, 60.0)
 
 
 def polynomial_pieces(
@@ -37,7 +32,6 @@ def polynomial_pieces(
     quintic
         Whether the pieces have continuous acceleration.
     """
-    peaks = QUINTIC_PEAKS if quintic else CUBIC_PEAKS
     held: Vertices | None = None
     before: FloatArray | None = None  # mean velocities of the chord before ``held``
     for chunk in runs(programmed):
@@ -46,7 +40,7 @@ def polynomial_pieces(
         stop = count - 1 if chunk.ends else count - 2
         if stop > 0:
             leg = np.diff(held.positions, axis=0)
-            time_s = _time_s(leg, held.nominal_s[1:], limits, peaks)
+            time_s = polynomial_time_s(leg, held.nominal_s[1:], limits, quintic=quintic)
             mean = leg / time_s[:, None]
             via = np.zeros_like(held.positions)
             first = mean[:1] * 0.0 if before is None else before
@@ -59,16 +53,6 @@ def polynomial_pieces(
             held, before = held.take(slice(count - 1, None)), None
         elif stop > 0:
             held = held.take(slice(stop, None))
-
-
-def _time_s(
-    leg: FloatArray, nominal_s: FloatArray, limits: tuple[FloatArray, ...], peaks: tuple[float, ...]
-) -> FloatArray:
-    time_s = peaks[0] * nominal_s
-    for order, (limit, peak) in enumerate(zip(limits, peaks, strict=False), start=1):
-        needed = (peak * np.abs(leg) / limit).max(axis=1) ** (1.0 / order)
-        time_s = np.maximum(time_s, needed)
-    return np.asarray(time_s)
 
 
 def _between(before: FloatArray, after: FloatArray) -> FloatArray:

@@ -7,18 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.durations.chord_times import chord_time_s, rest_to_rest_s, whole_ticks_s
 from threadline.machine import Machine
 from threadline.path.types import PieceBlock, ProgrammedPath, VertexBlock
-
-CUBIC_PEAK_VELOCITY = 1.5  # Cv of the law 3u^2 - 2u^3
-
-
-def chord_time_s(
-    displacement: FloatArray, nominal_s: FloatArray, velocity_limit: FloatArray
-) -> FloatArray:
-    """Return the (n,) times of chords at their feeds, or at the velocity limits where rapid."""
-    fastest = (np.abs(displacement) / velocity_limit).max(axis=1)
-    return np.where(nominal_s > 0, nominal_s, fastest)
 
 
 def velocity_limit_of(programmed: ProgrammedPath, machine: Machine) -> FloatArray:
@@ -37,31 +28,27 @@ def chords(programmed: ProgrammedPath) -> Iterator[PieceBlock]:
 def linear_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
     """Yield one straight piece per move, at constant velocity, all axes arriving together.
 
-    The travel time is rounded up to whole ticks, as the 1994 controller stored it (filament winding
-    thesis, section 9.5), so that no axis is faster than the feed.
+    The travel time is of whole ticks (``whole_ticks_s``).
     """
     tick_s = float(machine.tick_clock.period_s)
     limit = velocity_limit_of(programmed, machine)
     for block, start in with_previous(programmed):
         displacement = np.diff(block.positions, axis=0, prepend=start)
-        exact = chord_time_s(displacement, block.nominal_s, limit) / tick_s
-        # A travel time of whole ticks must not become a tick longer by rounding.
-        ticks = np.ceil(exact * (1 - 1e-9))
+        time_s = whole_ticks_s(chord_time_s(displacement, block.nominal_s, limit), tick_s)
         begin = block.positions - displacement
         coefficients = np.stack([begin, displacement], axis=1)
-        yield _pieces(block, coefficients, ticks * tick_s, rest_after=block.rest)
+        yield _pieces(block, coefficients, time_s, rest_after=block.rest)
 
 
 def point_to_point_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
     """Yield one straight piece per move that starts and ends at rest.
 
-    The velocity is a parabola over time, the profile with the least heat in the motor (filament
-    winding thesis, sections 5 and 8.6); its peak is the feed.
+    The velocity is a parabola over time whose peak is the feed (``rest_to_rest_s``).
     """
     limit = velocity_limit_of(programmed, machine)
     for block, start in with_previous(programmed):
         displacement = np.diff(block.positions, axis=0, prepend=start)
-        time_s = CUBIC_PEAK_VELOCITY * chord_time_s(displacement, block.nominal_s, limit)
+        time_s = rest_to_rest_s(chord_time_s(displacement, block.nominal_s, limit))
         begin = block.positions - displacement
         zero = np.zeros_like(begin)
         coefficients = np.stack([begin, zero, 3.0 * displacement, -2.0 * displacement], axis=1)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.durations.smoothing import smoothing_for
 from threadline.machine import Machine
-from threadline.path.smoothing import smoothing_for
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.trajectory import profile
 from threadline.trajectory.pieces import (

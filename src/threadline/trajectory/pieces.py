@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
-from threadline.path.smoothing import Smoothing
+from threadline.durations.smoothing import Smoothing
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 

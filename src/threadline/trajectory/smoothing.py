@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.durations.smoothing import Smoothing
 from threadline.path.bspline import bspline_coefficients
-from threadline.path.smoothing import Smoothing
 
 
 class Smoother:

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.durations.smoothing import smoothing_for
 from threadline.machine import Machine
-from threadline.path.smoothing import smoothing_for
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.trajectory.smoothing import Smoother
 from threadline.trajectory.types import TrajectoryBlock
