@@ -67,6 +67,12 @@ def jogged(page: Page, label: str, hold_ms: float) -> None:
     state(page, "idle")
 
 
+def moved_on(page: Page, from_mm: float) -> None:
+    """Wait until X is shown elsewhere: farther away than a loop that settles goes."""
+    shown = "Number.parseFloat(document.getElementById('at-X').textContent)"
+    page.wait_for_function(f"from => Math.abs({shown} - from) > 1.0", arg=from_mm)
+
+
 def seen_by_others(page: Page, name: str) -> None:
     """Take pictures of the page as those see it who tell fewer colours apart."""
     session = page.context.new_cdp_session(page)
@@ -113,14 +119,11 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         state(page, "running")
         expect(page.locator("#progress-text")).to_contain_text("s left")
         expect(page.locator("#seen")).to_have_text("the machine, now")
-        page.wait_for_timeout(6000)
-        watched = x_mm(page)
-        page.wait_for_timeout(1000)
-        assert x_mm(page) != watched
+        moved_on(page, x_mm(page))
         shot(page, "21-day-running")
         press(page, "Hold")
         state(page, "holding")
-        page.wait_for_timeout(1500)
+        page.wait_for_timeout(500)
         held = x_mm(page)
         page.wait_for_timeout(1000)
         assert abs(x_mm(page) - held) < 0.1  # the loop settles
@@ -128,8 +131,7 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         seen_by_others(page, "22-day-held")
         press(page, "Resume")
         state(page, "running")
-        page.wait_for_timeout(1500)
-        assert x_mm(page) != held
+        moved_on(page, held)
         press(page, "STOP")
         state(page, "idle")
         expect(page.locator("#progress-text")).to_contain_text("stopped")
