@@ -32,6 +32,25 @@ from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switchi
 from threadline.verdict import load_spec
 
 UNEQUAL = "letter-placer+unequal-valves"
+DOWN_AND_UP = """
+[[operation]]
+step = "start"
+valve = "main_air"
+
+[[operation]]
+step = "descend"
+move = { Z = "100 mm" }
+
+[[operation]]
+wait = "z_is_down"
+
+[[operation]]
+step = "lift"
+move = { Z = "0 mm" }
+
+[[operation]]
+wait = "z_is_up"
+"""
 
 
 def with_times(machine: Machine, opens: str, closes: str) -> Machine:
@@ -109,9 +128,9 @@ def test_commands_are_shorter_by_what_the_flow_lasts_longer(shaper: str, example
         )
     recording = simulate_switching(made.scheduled.commands, machine)
     _, stroke = recording.samples("X.load")
-    across = next(m for m in made.scheduled.moves if m.axis == "X")
+    down = next(m for m in made.scheduled.moves if m.axis == "X")
     # Told past its end a piston runs into its stop; a fiftieth of speed times lag is left of it.
-    assert stroke.max() == pytest.approx(min(across.levels.commanded_m, 0.2), abs=1.1e-3)
+    assert stroke.max() == pytest.approx(min(down.levels.commanded_m, 0.2), abs=1.1e-3)
 
 
 def test_what_a_command_leaves_is_known_in_closed_form(tmp_path: Path) -> None:
@@ -209,12 +228,14 @@ def test_a_command_for_a_band_knows_when_its_flows_come(scans: int) -> None:
 
 
 def test_the_robust_cycle_of_such_a_machine_is_in_spec_all_over_the_band(
-    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The twin lets each flow come in its own time there, too; compile takes what is found."""
     machine = load_machine(UNEQUAL)
     spec = load_spec(None, machine)
-    job = read_job(examples / "letter-cycle.toml", machine)
+    down = tmp_path / "down.toml"
+    down.write_text(DOWN_AND_UP, encoding="utf-8")
+    job = read_job(down, machine)
     found = robust_cycle(job, machine, spec, 0.2)
     assert found.job is not None
     assert all(run.verdict.passed for run in found.over)
