@@ -221,6 +221,18 @@ def by_retime(random: np.random.Generator, tally: Tally, number: int) -> None:
         tally.fail(number, f"{worst:.6g} of a limit")
 
 
+def run_case(number: int, machine: Machine, tally: Tally) -> None:
+    """Draw a case from its number, plan it, and take what became of it into ``tally``."""
+    random = np.random.default_rng([12, number])
+    try:
+        if random.random() < 0.5:
+            on_machine(random, machine, tally, number)
+        else:
+            by_retime(random, tally, number)
+    except Exception as error:  # whatever else it is, it is a failure of this case
+        tally.fail(number, f"{type(error).__name__}: {error}")
+
+
 def main() -> int:
     """Run the cases; print what became of them."""
     parser = argparse.ArgumentParser(prog="python -m tools.random_paths", description=__doc__)
@@ -232,14 +244,7 @@ def main() -> int:
     machine = without_drives(machine)
     began = perf_counter()
     for number in range(asked.first, asked.first + asked.count):
-        random = np.random.default_rng([12, number])
-        try:
-            if random.random() < 0.5:
-                on_machine(random, machine, tally, number)
-            else:
-                by_retime(random, tally, number)
-        except Exception as error:  # whatever else it is, it is a failure of this case
-            tally.fail(number, f"{type(error).__name__}: {error}")
+        run_case(number, machine, tally)
         done = number + 1 - asked.first
         if done % 1000 == 0:
             print(

@@ -34,11 +34,11 @@ def enter(page: Page, name: str) -> None:
 def jog_until(page: Page, key: str, enough: Callable[[float], bool]) -> None:
     """Hold a key until X is where it is enough; let it go, and stay until the machine is idle.
 
-    On a busy computer a jog ends because it was renewed too late; the key is pressed again then.
+    On a busy computer a jog ends because it was renewed too late, perhaps before anyone looked; the
+    key is pressed again then.
     """
     for _ in range(20):
         page.keyboard.down(key)
-        state(page, "jogging")
         page.wait_for_timeout(500)
         page.keyboard.up(key)
         state(page, "idle")

@@ -11,7 +11,10 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.path.types import ProgrammedPath
 
-COINCIDENT_M = 1e-12  # a vertex nearer than this at the tool to the one before is left out
+COINCIDENT_M = 1e-10
+"""A vertex nearer than this at the tool to the one before is left out: atoms are as far apart."""
+ROUNDING = 1e-14
+"""Or nearer than this share of where it is: of so short a way hardly a digit is left."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,14 +60,16 @@ def _away(places, stops, near_m):  # type: ignore[no-untyped-def]
     """Return (n,) whether each of (n + 1, axes) places after the first one is kept.
 
     A place is kept if it is farther than ``near_m`` from the last place that was kept. One of the
-    ``stops`` (n,) is kept unless it is that place: the motion rests where the program says.
+    ``stops`` (n,) is kept unless it is that place: the motion rests where the program says. What
+    is less than the rounding of a place is no way.
     """
     away = np.zeros(len(places) - 1, dtype=np.bool_)
     last = 0
     for k in range(1, len(places)):
         least_m = COINCIDENT_M if stops[k - 1] else near_m
         for axis in range(places.shape[1]):  # a difference of rows would be a new array for each
-            if abs(places[k, axis] - places[last, axis]) > least_m:
+            away_m = abs(places[k, axis] - places[last, axis])
+            if away_m > max(least_m, ROUNDING * abs(places[k, axis])):
                 away[k - 1] = True
                 last = k
                 break

@@ -21,6 +21,7 @@ _ORDER: tuple[Quantity, ...] = ("travel", "velocity", "acceleration", "jerk")
 _UNIT = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
 # Joints: a larger step of the velocity or acceleration, in parts of the limit, is a jump.
 _STEP = 1e-6
+_ROUNDING = 8 * float(np.finfo(np.float64).eps)  # of a place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,13 +161,17 @@ def _joints(
     begin = [np.stack([poly[order][0] for poly in polys], axis=1) for order in (1, 2)]
     end = [np.stack([poly[order].sum(axis=0) for poly in polys], axis=1) for order in (1, 2)]
     rest = np.zeros((1, len(axes)))
+    places = np.stack([poly[0][0] for poly in polys], axis=1)
     for k, (name, broken) in enumerate(
         (("velocity", ("acceleration", "jerk")), ("acceleration", ("jerk",)))
     ):
         first = rest if before is None else before[k][None]
         step = np.abs(begin[k] - np.concatenate([first, end[k][:-1]]))
-        # Where the values themselves are huge, so are their roundings.
+        # Where the values themselves are huge, so are their roundings; and of a piece that lasts
+        # microseconds the rounding of a place is a step.
         coarse = _STEP * np.maximum(limits[name], np.abs(begin[k]).max(axis=0))
+        shortest_s = np.minimum(block.duration_s, np.roll(block.duration_s, 1))[:, None]
+        coarse = np.maximum(coarse, _ROUNDING * np.abs(places) / shortest_s ** (k + 1))
         for i, j in _first_steps(step > coarse):
             where = (float(block.start_s[i]), int(block.operation[i]))
             _jump(found, j, axes[j], broken, limits, where)

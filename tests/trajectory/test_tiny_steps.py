@@ -1,0 +1,39 @@
+"""Steps of which hardly a digit is left where they are: no motion, no step of an acceleration."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from tools.random_paths import Tally, run_case, without_drives
+
+from threadline.machine import load_machine
+from threadline.trajectory import retime
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        317877,  # the last digit of half a million metres: the timing was no number
+        325595,  # 1.7e-12 m back: steps of the acceleration by rounding, an infinite jerk
+        340078,  # the same in two axes, 1.6e-11 m
+        311512,  # 2 um after 0.6 m: the corner has pieces of picometres that take 0.6 us
+    ],
+)
+def test_random_paths_that_failed_keep_every_limit(number: int) -> None:
+    tally = Tally(Counter(), [])
+    run_case(number, without_drives(load_machine("lathe-winder")), tally)
+    assert tally.failed == []
+    assert 0.99 < tally.worst <= 1.001
+
+
+def test_the_last_digit_of_a_place_is_no_way_and_a_nanometre_is_one() -> None:
+    given = {"velocity": [0.07], "acceleration": [3.135], "jerk": [2.793], "tolerance": 9.1e-7}
+    far = 484458.8216178251
+    there = retime([[0.0], [far]], **given)
+    beside = retime([[0.0], [far], [np.nextafter(far, np.inf)]], **given)
+    assert beside.duration_s == there.duration_s
+    near = retime([[0.0], [1e-9]], **given)
+    assert near(near.duration_s)[0, 0] == pytest.approx(1e-9, rel=1e-12)
+    assert near.duration_s == pytest.approx((32.0 * 1e-9 / 2.793) ** (1.0 / 3.0), rel=1e-9)
