@@ -231,15 +231,24 @@ def variant(machine: Machine, parts: FloatArray) -> Machine:
     scales = {name: numbers.pop(name) for name in list(numbers) if matches(name, (_COUNTS,))}
     made = with_numbers(machine, {**numbers, **scales})
     axes = dict(machine.axes)
-    for name, counts in scales.items():
+    for name in scales:
         axis = name.split(".")[1]
-        unit = {"count/m": "m", "count/rad": "rad"}[machine.axes[axis].counts.unit]
-        load = {
-            body: replace(q, si=q.si / counts, unit=_per(unit, q.unit), tolerance_si=0.0)
-            for body, q in _counted(made, axis).items()
-        }
-        axes[axis] = replace(machine.axes[axis], load=load)
+        axes[axis] = replace(machine.axes[axis], load=load_by_counts(made, axis))
     return replace(made, axes=axes)
+
+
+def load_by_counts(machine: Machine, axis: str) -> dict[str, Quantity]:
+    """Return the load of an axis whose commands count as another machine's, by its own counts.
+
+    The weight of each body is that of the axis' encoder over the counts per unit of ``machine``:
+    given to a machine of other counts, its load goes where this machine's goes.
+    """
+    counts = machine.axes[axis].counts
+    unit = {"count/m": "m", "count/rad": "rad"}[counts.unit]
+    return {
+        body: replace(q, si=q.si / counts.si, unit=_per(unit, q.unit), tolerance_si=0.0)
+        for body, q in _counted(machine, axis).items()
+    }
 
 
 def variant_of(machine: Machine, changed: Mapping[str, float]) -> Machine:

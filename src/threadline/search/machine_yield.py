@@ -14,14 +14,16 @@ from threadline.escaping import toml_string
 from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.machine.dynamics import check_dynamics
-from threadline.machine.numbers import number_at, number_tables
+from threadline.machine.numbers import number_at, number_tables, with_numbers
 from threadline.machine.variants import (
     MOST_CORNERS,
     Uncertain,
     check_uncertain,
     drawn,
+    load_by_counts,
     numbers_at,
     one_at_a_time,
+    uncertain,
 )
 from threadline.plan import Plan
 from threadline.plant.values import Values
@@ -200,8 +202,7 @@ class MachineYield:
 
         With up to 12 numbers every corner is tried. With more a search starts from the worst
         machines in ``known``: each number is tried at its other end, those ends that are worse are
-        tried together, the worst of these machines is taken, and so on until none is worse. Counts
-        per unit keep their value, because commands are written in counts.
+        tried together, the worst of these machines is taken, and so on until none is worse.
 
         Either way one search starts from the worst machine as it was drawn, for the worst may lie
         inside, as where a mode passes a zero of a law; with more than 12 numbers the others start
@@ -212,46 +213,32 @@ class MachineYield:
         done
             Called with the number of machines that were tried.
         """
-        free = [k for k, number in enumerate(self.numbers) if not _counted(number)]
-        if len(free) <= MOST_CORNERS:
-            ends = np.array(np.meshgrid(*[[-1.0, 1.0]] * len(free), indexing="ij"))
-            parts = np.zeros((2 ** len(free), len(self.numbers)))
-            parts[:, free] = ends.reshape(len(free), -1).T
-            parts *= self._ends
+        count = len(self.numbers)
+        if count <= MOST_CORNERS:
+            ends = np.array(np.meshgrid(*[[-1.0, 1.0]] * count, indexing="ij"))
+            parts = ends.reshape(count, -1).T * self._ends
             shares, binding = shares_of(self.judged(parts, done))
             at = int(np.argmax(shares))
             corner = parts[at], float(shares[at]), binding[at]
-            inner = [self._climbed(one, free, done) for one in self._worst_drawn(known, 1, free)]
+            inner = [self._climbed(one, done) for one in _worst_drawn(self.plan, known, 1)]
             if all(one[1] <= corner[1] for one in inner):
                 return self._worst(*corner, of_corners=True)
             return self._worst(*inner[0], of_corners=False)
         starts = np.zeros((1, len(self.numbers)))
         if known is not None:
             most = _STARTS if self._many is not None else _STARTS_ALONE
-            near = self._worst_drawn(known, most, free)
+            near = _worst_drawn(self.plan, known, most)
             corners = np.where(near < 0.0, -1.0, 1.0) * self._ends
-            corners[:, _others(free, corners)] = 0.0
             starts = np.concatenate([near[:1], corners])
-        climbed = [self._climbed(start, free, done) for start in np.unique(starts, axis=0)]
+        climbed = [self._climbed(start, done) for start in np.unique(starts, axis=0)]
         return self._worst(*max(climbed, key=lambda one: one[1]), of_corners=False)
 
-    def _worst_drawn(self, known: Yield | None, most: int, free: list[int]) -> FloatArray:
-        """Return (k, n) parts of the worst machines that were drawn, counts per unit as typed."""
-        if known is None:
-            return np.empty((0, len(self.numbers)))
-        order = np.argsort(-shares_of(known.found)[0], kind="stable")[:most]
-        parts = drawn(self.plan.machine, known.seed, order)
-        parts[:, _others(free, parts)] = 0.0
-        return parts
-
-    def _climbed(
-        self, start: FloatArray, free: list[int], done: Done | None
-    ) -> tuple[FloatArray, float, str]:
+    def _climbed(self, start: FloatArray, done: Done | None) -> tuple[FloatArray, float, str]:
         """Step from a machine to worse ones; return the last, its share and its criterion."""
         shares, binding = shares_of(self.judged(start[None], done))
         best, share, bound = start, float(shares[0]), binding[0]
         for _ in range(_ROUNDS if np.isfinite(share) else 0):
-            ends = [(k, end) for k in free for end in (-self._ends[k], self._ends[k])]
+            ends = [(k, end) for k, far in enumerate(self._ends.tolist()) for end in (-far, far)]
             moves = [(k, end) for k, end in ends if best[k] != end]
             tried = np.repeat(best[None], len(moves), axis=0)
             for row, (k, end) in zip(tried, moves, strict=True):
@@ -303,9 +290,12 @@ class MachineYield:
         return found
 
 
-def _others(free: list[int], parts: FloatArray) -> list[int]:
-    """Return the columns of parts that are not free."""
-    return [k for k in range(parts.shape[1]) if k not in free]
+def _worst_drawn(plan: Plan, known: Yield | None, most: int) -> FloatArray:
+    """Return (k, n) parts of the worst machines that were drawn."""
+    if known is None:
+        return np.empty((0, len(uncertain(plan.machine))))
+    order = np.argsort(-shares_of(known.found)[0], kind="stable")[:most]
+    return drawn(plan.machine, known.seed, order)
 
 
 def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
@@ -330,16 +320,23 @@ def _share(row: CriterionRow) -> FloatArray:
     return np.asarray(known / row.limit)
 
 
-def _counted(number: Uncertain) -> bool:
-    return any(fnmatchcase(path, _COUNTS) for path in number.numbers)
-
-
 def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
-    """Return the machine file of the worst machine: the numbers that differ, over its base."""
+    """Return the machine file of the worst machine: the numbers that differ, over its base.
+
+    Commands count as in the base; other counts per unit of an axis stand as weights of its load.
+    """
+    made = with_numbers(machine, worst.numbers)
+    told: dict[str, tuple[float, str]] = {}
+    for path, value in worst.numbers.items():
+        if fnmatchcase(path, _COUNTS):
+            axis = path.split(".")[1]
+            weights = load_by_counts(made, axis)
+            told |= {f"axes.{axis}.load.{body}": (q.si, q.unit) for body, q in weights.items()}
+        else:
+            told[path] = value, number_at(machine, path).unit
     texts = {
-        path: f"{value!r} {number_at(machine, path).unit}".strip()
-        + " exact, assumed: worst of the tolerances"
-        for path, value in worst.numbers.items()
+        path: f"{value!r} {unit}".strip() + " exact, assumed: worst of the tolerances"
+        for path, (value, unit) in told.items()
     }
     lines = [
         f"# The worst machine found within the tolerances: {percent_used(worst.share, 1)} of",
