@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("fixed")
+
+from threadline.cli import told  # noqa: E402 - behind what is read when numpy is imported
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED_SAMPLES = ROOT.parent / "shared" / "samples"
@@ -42,6 +45,14 @@ def pytest_runtest_makereport(
             report.outcome = "failed"
             report.longrepr = f"skipped, which CI does not allow: {reason}"
     return report
+
+
+@pytest.fixture(autouse=True, scope="session")
+def nothing_said_of_compiling() -> Iterator[None]:
+    """Tests count lines: which of them has machine code compiled hangs on their order."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(told, "_COMPILING_S", math.inf)
+        yield
 
 
 @pytest.fixture

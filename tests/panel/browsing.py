@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -63,3 +64,32 @@ def ready(page: Page) -> None:
 
 def x_mm(page: Page) -> float:
     return float(page.locator("#at-X").inner_text().split()[0])
+
+
+def jog_until(page: Page, key: str, enough: Callable[[], bool]) -> None:
+    """Hold a key until it is enough; let it go, and stay until the machine is idle.
+
+    On a busy computer a jog ends because it was renewed too late, perhaps before anyone looked; the
+    key is pressed again then.
+    """
+    for _ in range(20):
+        page.keyboard.down(key)
+        page.wait_for_timeout(600)
+        page.keyboard.up(key)
+        state(page, "idle")
+        if enough():
+            return
+    raise AssertionError(f"20 jogs by {key} were not enough")
+
+
+def begin_jog(page: Page, key: str) -> None:
+    """Hold a key that is seen to jog; it is pressed again as ``jog_until`` does."""
+    for _ in range(20):
+        page.keyboard.down(key)
+        try:
+            expect(page.locator("#state")).to_have_text("jogging", timeout=2_000)
+        except AssertionError:
+            page.keyboard.up(key)
+        else:
+            return
+    raise AssertionError(f"20 times {key} began no jog")

@@ -9,7 +9,19 @@ import urllib.request
 
 import pytest
 
-from tests.panel.browsing import Browser, expect, opened, part, press, ready, shot, state, x_mm
+from tests.panel.browsing import (
+    Browser,
+    begin_jog,
+    expect,
+    jog_until,
+    opened,
+    part,
+    press,
+    ready,
+    shot,
+    state,
+    x_mm,
+)
 from tests.panel.test_panel_killed import Plant
 
 
@@ -82,18 +94,12 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     page.keyboard.up("ArrowRight")
     assert x_mm(page) == 0.0
     page.get_by_label("Jog by keys").check()
-    page.keyboard.down("ArrowRight")
-    state(page, "jogging")
-    page.wait_for_timeout(600)
-    page.keyboard.up("ArrowRight")
-    state(page, "idle")
+    jog_until(page, "ArrowRight", lambda: told_mm(plant) > 2.0)
     there = told_mm(plant)
-    assert there > 2.0
     page.keyboard.press("+")
     expect(page.locator("#share-shown")).to_have_text("75 %")
 
-    page.keyboard.down("PageUp")
-    state(page, "jogging")
+    begin_jog(page, "PageUp")
     page.keyboard.down("q")  # any key
     state(page, "idle")
     turned = page.locator("#at-A").inner_text()

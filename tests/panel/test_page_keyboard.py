@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
-from tests.panel.browsing import Browser, Page, expect, opened, part, state, x_mm
+from tests.panel.browsing import (
+    Browser,
+    Page,
+    expect,
+    jog_until,
+    opened,
+    part,
+    state,
+    x_mm,
+)
 from tests.panel.test_panel_killed import Plant
 
 MOST_TABS = 60
@@ -31,22 +38,6 @@ def enter(page: Page, name: str) -> None:
     page.keyboard.press("Enter")
 
 
-def jog_until(page: Page, key: str, enough: Callable[[float], bool]) -> None:
-    """Hold a key until X is where it is enough; let it go, and stay until the machine is idle.
-
-    On a busy computer a jog ends because it was renewed too late, perhaps before anyone looked; the
-    key is pressed again then.
-    """
-    for _ in range(20):
-        page.keyboard.down(key)
-        page.wait_for_timeout(500)
-        page.keyboard.up(key)
-        state(page, "idle")
-        if enough(x_mm(page)):
-            return
-    raise AssertionError(f"20 jogs by {key} went to {x_mm(page)} mm")
-
-
 def test_keys_stop_in_every_view(browser: Browser, plant: Plant) -> None:
     """Whoever looks, with control or without."""
     page = opened(browser, plant)
@@ -67,7 +58,7 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
     state(page, "idle")
 
     tab_to(page, "Jog X plus while held")
-    jog_until(page, "Enter", lambda at: at > 1.0)
+    jog_until(page, "Enter", lambda: x_mm(page) > 1.0)
     page.keyboard.down("Enter")
     state(page, "jogging")
     page.keyboard.press("Tab")  # to leave the button ends it, though Enter is still down
@@ -80,7 +71,7 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
     tab_to(page, "Jog by keys")
     page.keyboard.press("Enter")
     expect(page.get_by_label("Jog by keys")).to_be_checked()
-    jog_until(page, "ArrowLeft", lambda at: at < there)
+    jog_until(page, "ArrowLeft", lambda: x_mm(page) < there)
     enter(page, "Zero all")
     expect(page.locator("#at-X")).to_have_text("0.00 mm", timeout=60_000)
     state(page, "idle")

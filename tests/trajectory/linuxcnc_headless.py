@@ -153,7 +153,7 @@ def times_on_linuxcnc(programs: dict[str, str], machine: Machine, folder: Path) 
             cwd=folder,
             capture_output=True,
             text=True,
-            timeout=240,
+            timeout=600,
             check=False,
         )
     sys.stdout.write(ran.stdout + ran.stderr)
