@@ -256,11 +256,11 @@ def test_a_feed_that_is_not_in_force_is_no_doubt(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("inches.prg").write_text("G91 G1 X 2 F 2400\nG4 P 1000\nX -2\nM30\n")
+    Path("inches.prg").write_text("G91 G64 G1 X 2 F 2400\nX -2\nM30\n")
     verb, *options = command
     _, _, err = run(capsys, verb, "inches.prg", "-m", "lathe-winder", "--nominal", *options)
 
-    assert "P of G4 is in seconds" in err  # its other warnings stay
+    assert "G64 is for other controllers" in err  # its other warnings stay
     assert "normal feed" not in err
 
 
@@ -312,10 +312,12 @@ def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
 
 
 def test_a_margin_is_kept_free_of_every_limit_of_the_specification(
-    examples: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The whole window is in spec; with a fifth kept free it ends where the error is 4/5 of it."""
-    words = ["fastest", examples / "x-180.prg", "-m", "lathe-winder", "--interpolation", "linear"]
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n")
+    words = ["fastest", job, "-m", "lathe-winder", "--interpolation", "linear"]
     words += ["--low", "29 mm/s", "--high", "33 mm/s", "--json"]
     _, out, _ = run(capsys, *words)
     assert json.loads(out)["limited_by"] == "range"

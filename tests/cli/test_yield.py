@@ -20,7 +20,7 @@ JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
 
 
 def test_every_stage_of_a_yield_tells_how_far_it_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A share where the number of machines is known, else how many were tried."""
     told: list[tuple[str, float]] = []
@@ -33,7 +33,9 @@ def test_every_stage_of_a_yield_tells_how_far_it_is(
     monkeypatch.setattr(why, "_MACHINES", 8)
     monkeypatch.setattr(why, "_SAMPLES", 4)
     monkeypatch.setattr(yield_, "cheapest_set", partial(cheapest_set, machines=20))
-    words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "20", "--why"]
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n", encoding="utf-8")
+    words = ["yield", str(job), "-m", "lathe-winder", "--variants", "20", "--why"]
     with pytest.raises(SystemExit):
         main([*words, "--at-least", "80 %"])
     assert "error" not in capsys.readouterr().err

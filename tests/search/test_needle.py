@@ -25,7 +25,7 @@ motion = "discrete"
 
 [[contour]]
 unit = "mm"
-points = [[0, 0], [40, 0], [40, 20]]
+points = [[0, 0], [20, 0], [20, 10]]
 """
 
 

@@ -26,10 +26,10 @@ SPEC = load_spec(None, MACHINE)
 
 @pytest.fixture
 def design(tmp_path: Path) -> Path:
-    """Twenty stitches of 0.5 to 8 mm as an EXP: two signed bytes each."""
+    """Ten stitches of 0.5 to 8 mm as an EXP: two signed bytes each."""
     random = np.random.default_rng(4)
-    ways = random.integers(5, 81, (20, 2)) * random.choice([-1, 1], (20, 2))
-    file = tmp_path / "twenty.exp"
+    ways = random.integers(5, 81, (10, 2)) * random.choice([-1, 1], (10, 2))
+    file = tmp_path / "ten.exp"
     # 0x80 alone would be a command: it is -128, and no way here.
     file.write_bytes(ways.astype(np.int8).tobytes())
     return file
