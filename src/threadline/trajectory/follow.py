@@ -66,7 +66,7 @@ class _Run:
         """Take in pieces ``first`` to ``stop`` and yield what they settle."""
         rows = slice(first, stop)
         here = block.coefficients[rows]
-        moves = np.abs(here[:, 1:]).max(axis=(1, 2)) > 0
+        moves = np.any(here[:, 1:], axis=(1, 2))
         pieces = prepare(
             here[moves], block.nominal_s[rows][moves], block.operation[rows][moves], self.allowed
         )

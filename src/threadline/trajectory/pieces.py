@@ -133,7 +133,7 @@ def prepare(
     """Return pieces with their caps, each as if it were alone."""
     if c.shape[1] < 4:
         c = np.concatenate([c, np.zeros((len(c), 4 - c.shape[1], c.shape[2]))], axis=1)
-    straight = np.all(c[:, 2:] == 0.0, axis=(1, 2))
+    straight = ~np.any(c[:, 2:], axis=(1, 2))
     first, last = _cutting(c, allowed.radius)
     largest = np.where(straight, 0.0, np.maximum(first, last))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -220,7 +220,18 @@ def bend(c: FloatArray) -> FloatArray:
 
 def size(vectors: FloatArray, radius: FloatArray) -> FloatArray:
     """Return the lengths at the tool of (..., axes) vectors."""
-    return np.asarray(np.sqrt(((vectors * radius) ** 2).sum(axis=-1)))
+    return np.asarray(np.sqrt(_sum((vectors * radius) ** 2)))
+
+
+def _sum(values: FloatArray) -> FloatArray:
+    """Return the (...) sums over the axes of (..., axes) values.
+
+    The axes are added one after another: numpy adds along a short inner dimension slowly.
+    """
+    total: FloatArray = values[..., 0].copy()
+    for axis in range(1, values.shape[-1]):
+        total += values[..., axis]
+    return total
 
 
 def factors(c: FloatArray, radius: FloatArray) -> FloatArray:
@@ -244,16 +255,15 @@ def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]
     What the smoothing shifts along the path is no deviation, unless the path turns back there.
     """
     first, last = c[:, 1] * radius, slope(c) * radius
-    large = np.sqrt((first**2).sum(axis=1)), np.sqrt((last**2).sum(axis=1))
+    large = np.sqrt(_sum(first**2)), np.sqrt(_sum(last**2))
     sound = np.minimum(*large) > _CUSP * np.maximum(*large)
-    along = (first * last).sum(axis=1) / np.where(sound, large[0] * large[1], 1.0)
+    along = _sum(first * last) / np.where(sound, large[0] * large[1], 1.0)
     share = (1.0 - np.where(sound, np.clip(along, 0.0, 1.0), 0.0)) ** 2 + _ALONG
     ends = []
     for q_u, q_uu in ((first, 2.0 * c[:, 2] * radius), (last, bend(c) * radius)):
-        square = (q_u**2).sum(axis=1, keepdims=True)
-        part = (q_u * q_uu).sum(axis=1, keepdims=True) / np.where(square > 0, square, 1.0)
-        across = ((q_uu - part * q_u) ** 2).sum(axis=1)
-        ends.append(np.sqrt(across + share * ((part * q_u) ** 2).sum(axis=1)))
+        square = _sum(q_u**2)
+        part = (_sum(q_u * q_uu) / np.where(square > 0, square, 1.0))[:, None] * q_u
+        ends.append(np.sqrt(_sum((q_uu - part) ** 2) + share * _sum(part**2)))
     return ends[0], ends[1]
 
 
