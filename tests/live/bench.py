@@ -20,6 +20,7 @@ from threadline.machine import Machine, load_machine
 from threadline.signals import Event, Stream, TickBlock, TickTable
 
 GROUP = 5
+LONGEST_TICKS = 20_000  # no run of a test is that long
 NEVER_READY = socket.socketpair()
 for _end in NEVER_READY:
     atexit.register(_end.close)
@@ -134,6 +135,7 @@ class Bench:
         """Step until the machine's tick, or the end of the run."""
         executor = self.executor
         while not executor.over and (until is None or executor.tick < until):
+            assert executor.tick < LONGEST_TICKS, "the run does not end"
             executor.step()
 
     def channel(self, name: str) -> np.ndarray:

@@ -32,6 +32,7 @@ from threadline.signals import Ended
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MACHINE: Machine = load_machine("stepper-winder")
 UNITS = units_of(MACHINE)
+PATIENCE_S = 60.0
 START = np.zeros(2)
 # A square spiral that never retraces itself: 60 lines, more than any buffer holds.
 LINES = "".join(f"G1 A{10 * k} X{5 * k} F6000\n" for k in range(1, 61))
@@ -77,7 +78,7 @@ def ready(one: GrblRun, what: Program) -> None:
 
 
 def go_on(one: GrblRun, until: Callable[[], bool] = lambda: False) -> None:
-    ends = time.monotonic() + 60.0
+    ends = time.monotonic() + PATIENCE_S
     while not one.over and not until():
         assert time.monotonic() < ends, (one.state, one.executed, one.acknowledged)
         one.step()

@@ -155,6 +155,13 @@ def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:
     return x, a
 
 
+def ends_at_rest(box: Path) -> bool:
+    """Return whether the rows themselves come to rest, and not HAL that holds the last of them."""
+    told = told_in(box, 3)
+    fresh = told[np.diff(told[:, 0], prepend=-1.0) > 0, 1:]
+    return bool((fresh[-3:] == fresh[-1]).all())
+
+
 def test_a_stop_brakes_along_the_path(tmp_path: Path) -> None:
     """At 36 mm/s within 2 mm of command, as docs/safety.md states."""
     at = list[int]()
@@ -242,7 +249,7 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
     os.close(there)
     x, _ = on_path(box)
     assert len(x) > seen
-    assert (x[-10:] == x[-1]).all()  # it stands
+    assert ends_at_rest(box)
     return x[max(seen - 1, 0) :]
 
 
@@ -282,8 +289,8 @@ def test_an_underrun_is_seen(tmp_path: Path) -> None:
         Ended.FAULT,
         "refills came too late: the machine has braked by itself",
     )
-    x, _ = on_path(tmp_path / "box")
-    assert (x[-10:] == x[-1]).all()
+    on_path(tmp_path / "box")
+    assert ends_at_rest(tmp_path / "box")
 
 
 def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -299,9 +306,9 @@ def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> No
         rows.go_on(0.4)
     finally:
         hal.close()
-    (event,) = told[-1].head["events"]
-    assert event[1] == "fault"
-    assert "samples of HAL were lost" in event[3]
+    events = told[-1].head.get("events", [])
+    assert [event[1] for event in events] == ["fault"]
+    assert "samples of HAL were lost" in events[0][3]
 
 
 def test_a_row_that_is_about_to_be_played_is_not_replaced() -> None:

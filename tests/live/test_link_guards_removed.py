@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import tempfile
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 
 from tests.live import test_grbl, test_hal, test_scans, test_turns, test_wire
 from tests.live.hal_bench import hal_alone, unhurried
 from tests.live.test_guards_removed import Take, attribute, nothing
-from threadline.live import grbl_run, grbl_words, lateness, scan_guards, wire
+from threadline.live import executor, grbl_run, grbl_words, lateness, scan_guards, wire
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
-from threadline.live.grbl_words import Status
+from threadline.live.grbl_words import CharacterCount, Status
 from threadline.live.hal_session import HalSession
 from threadline.live.lateness import Lateness
 from threadline.live.scan_guards import ScanGuards
@@ -58,12 +60,40 @@ def beside_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(test_grbl, "LINES", "".join(test_grbl.LINES.splitlines(keepends=True)[:10]))
 
 
+def silence_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait for a silent controller for ever; a test does not."""
+    monkeypatch.setattr(grbl_run, "SILENCE_S", 1e9)
+    monkeypatch.setattr(test_grbl, "PATIENCE_S", 2.5)
+
+
 def of_scans(told: str, said: str) -> Callable[[], None]:
     return lambda: test_scans.test_a_fault_switches_everything_off(told, said)
 
 
 def of_settings(number: int, factor: float, said: str) -> Callable[[], None]:
     return lambda: test_grbl.test_a_controller_of_another_machine_is_refused(number, factor, said)
+
+
+def with_patch(test: Callable[[pytest.MonkeyPatch], None]) -> Callable[[], None]:
+    """Return a call of a test that patches something itself."""
+
+    def call() -> None:
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            test(monkeypatch)
+
+    call.__module__ = test.__module__
+    return call
+
+
+def with_folder(test: Callable[[Path], None]) -> Callable[[], None]:
+    """Return a call of a test with a folder of its own."""
+
+    def call() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            test(Path(folder))
+
+    call.__module__ = test.__module__
+    return call
 
 
 GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
@@ -82,6 +112,10 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     "the interlocks": (
         attribute(ScanGuards, "__init__", needing_nothing),
         of_scans("stuck-contact:z_is_down@0.5 s", "knife is on, and z_is_down, which it needs"),
+    ),
+    "the light grid": (
+        attribute(scan_guards, "_FREE", frozenset()),
+        of_scans("light-grid@3.7 s", "light_grid is off: a broken beam"),
     ),
     "late scans": (
         attribute(lateness, "LATE_IN_A_ROW", 10**9),
@@ -102,6 +136,10 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     "late turns": (
         attribute(Lateness, "trip", nothing),
         lambda: test_turns.test_a_fault_ends_it("one-late-tick"),
+    ),
+    "turns that are sent ahead": (
+        attribute(executor, "DEPTH_S", 5.0),
+        lambda: test_turns.test_where_refills_stop_it_rests_after_the_turn_under_way(900),
     ),
     "turns that are taken back": (
         attribute(StitchingSession, "drop_from", nothing),
@@ -131,9 +169,25 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
         beside_is_well,
         lambda: test_grbl.test_what_goes_wrong_stops_it_and_is_a_fault("beside", "beside the"),
     ),
+    "characters that are counted": (
+        attribute(CharacterCount, "fits", lambda *_: True),
+        test_grbl.test_a_program_is_run_whole_and_its_reports_are_a_recording,
+    ),
+    "a silent controller": (
+        silence_is_well,
+        lambda: test_grbl.test_a_lost_link_is_a_fault_and_what_runs_out_is_bounded("silent"),
+    ),
     "a stop while grbl homes": (
         attribute(Controller, "ask", deaf),
         test_grbl.test_a_stop_while_it_homes_resets_it_at_once,
+    ),
+    "samples that HAL lost": (
+        attribute(HalSession, "lost", property(lambda _: 0)),
+        with_patch(test_hal.test_a_sampler_that_runs_over_is_seen),
+    ),
+    "a fifo of HAL that ran empty": (
+        attribute(executor, "_STARVED", ""),
+        with_folder(test_hal.test_an_underrun_is_seen),
     ),
     "rows that HAL is about to play": (
         attribute(HalSession, "__init__", without_lead),
