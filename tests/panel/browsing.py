@@ -19,6 +19,7 @@ if not (PAGE / "index.html").exists():
     pytest.skip("the page was not built: make panel", allow_module_level=True)
 
 from playwright.sync_api import Browser, Page, expect  # noqa: E402
+from playwright.sync_api import TimeoutError as WaitedTooLong  # noqa: E402
 
 SHOTS = Path(__file__).parents[2] / "reports" / "panel"
 SIZE = {"width": 1280, "height": 800}
@@ -80,6 +81,33 @@ def jog_until(page: Page, key: str, enough: Callable[[], bool]) -> None:
         if enough():
             return
     raise AssertionError(f"20 jogs by {key} were not enough")
+
+
+def held_and_let_go(page: Page, label: str, far_mm: float) -> None:
+    """Hold a button by the mouse until X is shown that far from where it was, then let it go.
+
+    On a busy computer a jog ends because it was renewed too late; it is held again then, so what
+    ends the jog that counts is the hand.
+    """
+    shown = "Number.parseFloat(document.getElementById('at-X').textContent)"
+    page.get_by_label(f"{label} while held").hover()
+    for _ in range(20):
+        before = x_mm(page)
+        page.mouse.down()
+        try:
+            page.wait_for_function(
+                f"([from, far]) => Math.abs({shown} - from) > far",
+                arg=[before, far_mm],
+                timeout=5_000,
+            )
+        except WaitedTooLong:
+            page.mouse.up()
+            continue
+        page.mouse.up()
+        state(page, "idle")
+        if "nobody has renewed" not in page.locator("#state").inner_text():
+            return
+    raise AssertionError(f"20 times {label} was not ended by the hand")
 
 
 def begin_jog(page: Page, key: str) -> None:

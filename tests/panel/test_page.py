@@ -13,6 +13,7 @@ from tests.panel.browsing import (
     Browser,
     begin_jog,
     expect,
+    held_and_let_go,
     jog_until,
     opened,
     part,
@@ -35,16 +36,8 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     page = opened(browser, plant)
     shot(page, "1-opened")
     ready(page)
-    plus = page.get_by_label("Jog X plus while held")
-    plus.hover()
-    page.mouse.down()
-    page.wait_for_timeout(500)
-    state(page, "jogging")
-    page.mouse.up()
-    state(page, "idle")
-    expect(page.locator("#state")).not_to_contain_text("nobody has renewed")
+    held_and_let_go(page, "Jog X plus", 2.0)
     let_go = x_mm(page)
-    assert let_go > 2.0
     page.wait_for_timeout(400)
     assert x_mm(page) == pytest.approx(let_go, abs=3.0)  # the loop settles; nothing is commanded
     press(page, "Zero all")
