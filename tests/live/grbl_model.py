@@ -34,6 +34,8 @@ class GrblModel(threading.Thread):
         Positions at every step, until now.
     moves_since_lost
         Time in s that it moved on after the link was lost.
+    beside_mm
+        How far beside the place where X is it is reported.
     ahead_s
         The most time in s, at the feeds, that it has held in jogs.
     """
@@ -49,7 +51,7 @@ class GrblModel(threading.Thread):
         self.state, self.at = "Idle", np.zeros(4)
         self.overflowed = self.stuck = False
         self.alarm_at_s: float | None = None
-        self.moves_since_lost = 0.0
+        self.moves_since_lost = self.beside_mm = 0.0
         self.heard = bytearray()
         self.moved_to: list[np.ndarray] = []
         self.rx = bytearray()
@@ -118,7 +120,8 @@ class GrblModel(threading.Thread):
     def _at_once(self, byte: int) -> None:
         if byte == ord("?"):
             state = {"Hold": "Hold:0"}.get(self.state, self.state)
-            place = ",".join(f"{value:.3f}" for value in self.at)
+            shown = self.at + np.array([self.beside_mm, 0.0, 0.0, 0.0])
+            place = ",".join(f"{value:.3f}" for value in shown)
             if not self.stuck:
                 self._say(f"<{state}|MPos:{place}|Bf:{self.room - len(self.blocks)},{ROOM}|FS:0,0>")
         elif byte in (0x85, ord("!")) and self.state == "Jog":  # lines in the buffer stay there

@@ -15,6 +15,7 @@ from tests.live.bench import Wire
 from threadline.cli.continued import check_continued, continued_run
 from threadline.errors import LimitError, OptionError, RecordingError, StoreError
 from threadline.live.continuing import Continued, continued, last_executed, operation_at
+from threadline.live.derived import Rest
 from threadline.live.desk import Desk
 from threadline.live.kept import Kept
 from threadline.live.sim_faults import parse_fault
@@ -310,7 +311,12 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     write_recording(broken_off("lathe-winder")[0], kept.trace)
 
     def ask(of: Plan) -> Continued | None:
-        return continued_run(store.folder, "last", None, of, at_rest=False, asks=True)[0]
+        way = way_of(of.machine)
+
+        def rest(operation: int) -> Rest:
+            return way.rest(of.commands, of.machine, operation, at_rest=False)
+
+        return continued_run(store.folder, "last", None, of, rest, asks=True)[0]
 
     found = ask(plan)
     assert found is not None
@@ -331,20 +337,18 @@ def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_p
     write_proof(prove_plan(plan, load_spec(None, plan.machine)), tmp_path / "a.proof.json")
     folder = tmp_path / "runs"
     with pytest.raises(OptionError, match="--at is of --continue"):
-        check_continued(folder, None, "block", confirmed=False, link_can=True)
-    with pytest.raises(OptionError, match="a controller with grbl runs whole programs"):
-        check_continued(folder, "last", None, confirmed=True, link_can=False)
+        check_continued(folder, None, "block", confirmed=False)
     with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
-        check_continued(folder, "nosuch", None, confirmed=False, link_can=True)
+        check_continued(folder, "nosuch", None, confirmed=False)
     assert not folder.exists()
     store = RunStore(folder)
     with store.begin(plan, read_proof(tmp_path / "a.proof.json"), {"link": "sim"}, 0.0) as kept:
         pass
     with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
-        check_continued(folder, "nosuch", None, confirmed=False, link_can=True)
+        check_continued(folder, "nosuch", None, confirmed=False)
     with pytest.raises(OptionError, match="nobody is at the keys"):
-        check_continued(folder, "last", None, confirmed=False, link_can=True)
+        check_continued(folder, "last", None, confirmed=False)
     store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
     store.index.close()
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
-        check_continued(folder, "last", None, confirmed=False, link_can=True)
+        check_continued(folder, "last", None, confirmed=False)

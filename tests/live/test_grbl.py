@@ -56,6 +56,7 @@ def program(text: str = LINES) -> Program:
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy computer does not get the model its processor: what is tested is not how fast."""
     monkeypatch.setattr(grbl_run, "POLL_S", 0.03)
+    monkeypatch.setattr(grbl_run, "SILENCE_S", 3.0)
 
 
 @contextmanager
@@ -154,7 +155,7 @@ def test_a_hold_of_the_controller_itself_is_one_of_the_run() -> None:
 
 
 def test_a_stop_is_ahead_of_what_was_sent_and_drops_it() -> None:
-    model = GrblModel(settings())
+    model = GrblModel(settings(), faster=0.2)
     with meeting(model) as (one, desk, _):
         ready(one, program())
         go_on(one, lambda: one.executed >= 3)
@@ -183,7 +184,7 @@ def test_what_goes_wrong_stops_it_and_is_a_fault(text: str, said: str) -> None:
             model.alarm_at_s = 0.0
         elif text == "beside":
             go_on(one, lambda: one.executed >= 2)
-            model.at[0] += 20.0
+            model.beside_mm = 20.0
         go_on(one)
         assert one.state is State.FAULT
         assert said.replace("\\", "") in (one.ended or ("", ""))[1]
@@ -203,7 +204,7 @@ def test_a_lost_link_is_a_fault_and_what_runs_out_is_bounded(how: str) -> None:
         if how == "silent":
             model.stuck = True
             go_on(one)
-            assert "silent for 1 s" in (one.ended or ("", ""))[1]
+            assert f"silent for {grbl_run.SILENCE_S:g} s" in (one.ended or ("", ""))[1]
         else:
             assert model.client is not None
             model.client.shutdown(2)

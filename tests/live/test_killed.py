@@ -10,6 +10,7 @@ import os
 import random
 import signal
 import socket
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -66,6 +67,8 @@ class Watched(SimRows):
             for name, channel in (("a", "A.commanded"), ("x", "X.commanded"), ("load", "X.load")):
                 self.box[name].extend(message.arrays[channel].tolist())
         self.box["held"] = [float(not self.standing)]
+        self.box.setdefault("clock", []).append(time.monotonic())
+        self.box.setdefault("played", []).append(float(len(self.box["x"])))
 
 
 def machine_with_black_box(end: socket.socket, box: Path) -> None:
@@ -119,11 +122,11 @@ def test_kill_the_executor(tick: int, tmp_path: Path) -> None:
     machine, executor = child(machine_only), child(executor_only)
     ours.close()
     theirs.close()
+    os.close(here)  # ours: where the run ends before, nothing is read
     assert os.read(there, 1) == b"!"
     os.kill(executor, signal.SIGKILL)
     os.waitpid(executor, 0)
     os.close(there)
-    os.close(here)
     assert os.waitpid(machine, 0)[1] == 0  # it has come to rest, and ended by itself
     kept = json.loads(box.read_text("utf-8"))
     assert kept["held"] == [0.0]

@@ -21,8 +21,10 @@ if not (PAGE / "index.html").exists():
 from playwright.sync_api import Browser, Page, expect  # noqa: E402
 from playwright.sync_api import TimeoutError as WaitedTooLong  # noqa: E402
 
+expect.set_options(timeout=60_000)  # a busy computer is slow, and what never comes is a failure
 SHOTS = Path(__file__).parents[2] / "reports" / "panel"
 SIZE = {"width": 1280, "height": 800}
+SHOWN_X = "Number.parseFloat(document.getElementById('at-X').textContent)"
 TABLET = {"width": 820, "height": 1180}
 
 
@@ -67,6 +69,48 @@ def x_mm(page: Page) -> float:
     return float(page.locator("#at-X").inner_text().split()[0])
 
 
+def moved_on(page: Page, from_mm: float) -> None:
+    """Wait until X is shown elsewhere: farther away than a loop that settles goes."""
+    page.wait_for_function(f"from => Math.abs({SHOWN_X} - from) > 1.0", arg=from_mm)
+
+
+def reached(page: Page, where: str) -> bool:
+    """Wait a while until X is shown in a place, told as a comparison; return whether it is."""
+    try:
+        page.wait_for_function(f"() => {SHOWN_X} {where}", timeout=5_000)
+    except WaitedTooLong:
+        return False
+    return True
+
+
+def to_zero(page: Page, ask: Callable[[], None]) -> None:
+    """Ask for X at zero, again where a busy computer has renewed the move too late."""
+    for _ in range(20):
+        ask()
+        if reached(page, "== 0"):
+            state(page, "idle")
+            return
+        state(page, "idle")
+    raise AssertionError("20 moves did not bring X to zero")
+
+
+def stands(page: Page) -> float:
+    """Wait until X is shown where it was in ten looks at what is fresh; return where, in mm."""
+    return float(page.evaluate(
+        f"""async () => {{
+          const seen = [];
+          while (seen.length < 10 || seen.some((x) => Math.abs(x - seen[0]) > 0.02)) {{
+            await new Promise((come) => setTimeout(come, 60));
+            const age = /^data ([0-9]+) ms/.exec(document.getElementById("age").textContent);
+            if (!age || Number(age[1]) > 200) {{ seen.length = 0; continue; }}
+            seen.push({SHOWN_X});
+            if (seen.length > 10) seen.shift();
+          }}
+          return seen[9];
+        }}"""
+    ))  # fmt: skip
+
+
 def jog_until(page: Page, key: str, enough: Callable[[], bool]) -> None:
     """Hold a key until it is enough; let it go, and stay until the machine is idle.
 
@@ -83,21 +127,21 @@ def jog_until(page: Page, key: str, enough: Callable[[], bool]) -> None:
     raise AssertionError(f"20 jogs by {key} were not enough")
 
 
-def held_and_let_go(page: Page, label: str, far_mm: float) -> None:
-    """Hold a button by the mouse until X is shown that far from where it was, then let it go.
+def held_and_let_go(page: Page, label: str, far: float, axis: str = "X") -> None:
+    """Hold a button by the mouse until an axis is shown that far (mm or degrees) away; let it go.
 
     On a busy computer a jog ends because it was renewed too late; it is held again then, so what
     ends the jog that counts is the hand.
     """
-    shown = "Number.parseFloat(document.getElementById('at-X').textContent)"
     page.get_by_label(f"{label} while held").hover()
     for _ in range(20):
-        before = x_mm(page)
+        shown = SHOWN_X.replace("at-X", f"at-{axis}")
+        before = page.evaluate(shown)
         page.mouse.down()
         try:
             page.wait_for_function(
                 f"([from, far]) => Math.abs({shown} - from) > far",
-                arg=[before, far_mm],
+                arg=[before, far],
                 timeout=5_000,
             )
         except WaitedTooLong:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+import re
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -15,10 +16,11 @@ import pytest
 
 from tests.live.bench import winder
 from tests.live.grbl_model import GrblModel
-from tests.live.hal_bench import hal_alone, unhurried
+from tests.live.hal_bench import awake, hal_alone, unhurried
 from tests.live.kill_bench import child
 from tests.live.test_grbl import settings
 from tests.panel.bench import Operator, operator, proven, served
+from threadline.live import grbl_run
 from threadline.live.desk import Desk
 from threadline.live.grbl_by_hand import AHEAD_S
 from threadline.live.grbl_controller import Controller
@@ -33,6 +35,12 @@ from threadline.store.run_store import opened
 STEPPER = load_machine("stepper-winder")
 MANUAL_MM_S = 40.0
 """A tenth of the limit of X, for the machine has no manual feed of its own."""
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that a busy computer keeps from the processor is not a link that is lost."""
+    monkeypatch.setattr(grbl_run, "SILENCE_S", 3.0)
 
 
 @pytest.fixture(scope="module")
@@ -70,6 +78,17 @@ def started(anna: Operator) -> None:
     anna.see("running")
 
 
+def moved_by(anna: Operator, there: Callable[[], bool], what: str, **words: str) -> None:
+    """Ask for a move until it is there: again where a busy computer has renewed it too late."""
+    end = time.monotonic() + 60.0
+    while anna.until("state")["state"] != "idle" or not there():
+        assert time.monotonic() < end, anna.state
+        if what in anna.state["allowed"] and not there():
+            anna.ask(what, **words)
+        else:
+            anna.ask("renew")
+
+
 def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
     """Held and resumed where it stands; what is kept says what was sent, and proves no more."""
     model = GrblModel(settings(), faster=0.5)
@@ -77,7 +96,7 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
         welcome = next(one for one in anna.heard if one["type"] == "welcome")
         assert not welcome["simulated"]
         assert welcome["link"].startswith("grbl:")
-        assert set(welcome["lacks"]) == {"disable", "continue"}
+        assert set(welcome["lacks"]) == {"disable"}
         for _ in range(2):
             started(anna)
             wait(anna, lambda: anna.x_mm() > 5.0)
@@ -94,56 +113,81 @@ def test_a_program_is_run_on_grbl_twice_with_a_hold(project: Path) -> None:
             assert told["time_s"] == pytest.approx(told["duration_s"])
             assert told["verdict"].startswith("NOT PROVEN")
             assert anna.x_mm() == pytest.approx(0.0, abs=0.02)
-            assert anna.act("zero-axis", axis="A") == ""
-            wait(anna, lambda: anna.state["state"] == "jogging")
-            while anna.state["state"] != "idle":
-                anna.ask("renew")
-                anna.until("state")
-            assert model.at == pytest.approx([0.0] * 4, abs=2e-3)
+            moved_by(
+                anna, lambda: model.at == pytest.approx([0.0] * 4, abs=2e-3), "zero-axis", axis="A"
+            )
     kept = opened(project / "runs")
     assert kept is not None
     assert {record.link for record in kept.index.runs()} == {welcome["link"]}
     assert list((project / "runs").glob("*/sent/program.nc"))
 
 
-def test_a_run_on_grbl_is_stopped_by_who_watches(project: Path) -> None:
-    model = GrblModel(settings(), faster=0.2)
+def test_a_run_on_grbl_is_stopped_and_its_rest_done(project: Path) -> None:
+    """After homing and a confirmation, from the line on that was under way."""
+    model = GrblModel(settings(), faster=0.5)
     with grbl(project, model) as anna:
         started(anna)
-        wait(anna, lambda: anna.x_mm() > 2.0)
+        wait(anna, lambda: anna.x_mm() > 30.0)  # on the second line, from 20 to 60 mm
         anna.say(type="stop")
         anna.see("idle")
-        assert model.state == "Idle"
+        wait(anna, lambda: model.state == "Idle" and not model.blocks)
         at = model.at.copy()
         time.sleep(0.3)
         assert (model.at == at).all()
         assert anna.state["progress"]["ended"] == "stopped"
+        wait(anna, lambda: bool(anna.state["progress"]["verdict"]))
+        run, proof = anna.state["progress"]["run"], anna.state["proven"]["proof"]
+        sent = len(model.heard)
+        assert anna.act("continue", run=run, proof=proof) == ""
+        wait(anna, lambda: anna.state["rest"] is not None)
+        assert "the work begins again at line 4 of the job" in anna.state["rest"]["told"][0]
+        assert "the run begins at" in anna.act("start-rest")  # it stands elsewhere
+        begins = [float(at) for at in re.findall(r"to (-?[0-9.]+)", anna.state["rest"]["told"][0])]
+        assert begins == pytest.approx([40.0, 20.0], abs=0.5)  # where the second line begins
+        there = pytest.approx(begins, abs=0.01)
+        moved_by(anna, lambda: model.at[[3, 0]] == there, "approach-rest")
+        assert b"G1" not in bytes(model.heard)[sent:].replace(b"$J=G21G90G53", b"")
+        assert anna.act("start-rest") == ""
+        wait(anna, lambda: (anna.state["progress"] or {}).get("run") != run)
+        wait(anna, lambda: bool((anna.state["progress"] or {}).get("verdict")))
+        told = anna.state["progress"]
+        assert (told["ended"], told["why"]) == ("completed", "")
+        assert told["time_s"] == pytest.approx(told["duration_s"])
+        assert told["verdict"].endswith(
+            f"Judged as one with what {run} did before the work began again"
+        )
+        assert model.at[[3, 0]] == pytest.approx([80.0, 0.0], abs=0.02)
 
 
 def test_a_jog_on_grbl_ends_where_nobody_renews_it(project: Path) -> None:
     """What the controller is sent ahead is so little that it stands by itself soon enough."""
     model = GrblModel(settings())
     with grbl(project, model) as anna:
-        assert anna.act("jog", axis="X", share=1.0) == ""
-        anna.see("jogging")
-        while anna.state["state"] == "jogging":
-            anna.hear()
-        assert anna.state["state"] == "idle"
-        assert "nobody has renewed its lease" in anna.state["why"]
-        # 250 ms of lease, and what was on its way: a report, and the steps of the model.
-        assert 2.0 < model.at[0] <= MANUAL_MM_S * (0.25 + 0.35)
-        assert b"\x85" in model.heard
-        assert 0.0 < model.ahead_s <= AHEAD_S + 1e-6
-        there = model.at[0]
-        assert anna.act("jog", axis="X", share=0.5) == ""
-        anna.see("jogging")
-        for _ in range(8):
-            anna.ask("renew")
-            anna.until("state")
-        assert anna.act("let-go") == ""
-        anna.see("idle")
-        assert model.at[0] > there
+        for _ in range(20):  # a busy computer may cancel it before the model has a processor
+            there = model.at[0]
+            assert anna.act("jog", axis="X", share=1.0) == ""
+            anna.see("idle")
+            assert "nobody has renewed its lease" in anna.state["why"]
+            # 250 ms of lease, and what was on its way: a report, and the steps of the model.
+            assert model.at[0] - there <= MANUAL_MM_S * (0.25 + 0.35)
+            assert b"\x85" in model.heard
+            assert model.ahead_s <= AHEAD_S + 1e-6
+            if model.at[0] - there > 2.0:
+                break
+        else:
+            pytest.fail("20 jogs did not move it")
+        for _ in range(20):  # one that was renewed too late has ended by itself
+            there = model.at[0]
+            assert anna.act("jog", axis="X", share=0.5) == ""
+            for _ in range(8):
+                anna.ask("renew")
+                anna.until("state")
+            anna.act("let-go")
+            anna.see("idle")
+            if anna.state["why"] == "":
+                break
         assert anna.state["why"] == ""
+        assert model.at[0] > there
 
 
 def test_a_step_on_grbl_is_as_long_as_asked_and_stays_in_the_travel(project: Path) -> None:
@@ -166,7 +210,8 @@ def test_a_link_that_is_lost_in_a_jog_leaves_a_controller_that_stands(project: P
         assert model.client is not None
         model.stuck = True  # no report comes any more
         wait(anna, lambda: anna.state["state"] in {"fault", "idle"})
-        time.sleep(0.3)
+        wait(anna, lambda: not (model.blocks or model.rx))  # run out
+        time.sleep(0.05)  # the step under way
         at = model.at[0]
         time.sleep(0.3)
         assert model.at[0] == at
@@ -256,6 +301,7 @@ def test_a_controller_that_does_not_answer_is_said(project: Path) -> None:
         assert anna.state["allowed"] == ["reconnect"]
 
 
+@awake
 def test_hal_is_homed_jogged_run_held_and_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,7 +12,7 @@ import pytest
 from tests.panel.bench import Operator, operator, proven, served
 from threadline.machine import Machine, load_machine
 
-SPEED = 4.0
+SPEED = 2.0
 SEWING = 40.0
 
 

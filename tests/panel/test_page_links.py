@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.live.grbl_model import GrblModel
 from tests.live.test_grbl import settings
-from tests.panel.browsing import SIZE, Browser, expect, ready, shot, state, x_mm
+from tests.panel.browsing import SIZE, Browser, expect, held_and_let_go, ready, shot, state
 from tests.panel.test_page_operator import panel
 
 
@@ -27,13 +27,7 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
             disable = page.get_by_role("button", name="Disable")
             expect(disable).to_be_disabled()
             assert "not had on this link" in str(disable.get_attribute("title"))
-            page.get_by_label("Jog X plus while held").hover()
-            page.mouse.down()
-            state(page, "jogging")
-            page.wait_for_timeout(500)
-            page.mouse.up()
-            state(page, "idle")
-            assert x_mm(page) > 1.0
+            held_and_let_go(page, "Jog X plus", 1.0)
             model.state = "Alarm"
             state(page, "fault")
             expect(page.locator("#state")).to_contain_text("Alarm")

@@ -20,10 +20,13 @@ from tests.panel.browsing import (
     Browser,
     Page,
     expect,
+    held_and_let_go,
+    moved_on,
     part,
     press,
     ready,
     shot,
+    stands,
     state,
     x_mm,
 )
@@ -57,20 +60,6 @@ def panel(folder: Path, *chosen: str) -> Iterator[str]:
     finally:
         process.send_signal(signal.SIGTERM)
         process.wait(60)
-
-
-def jogged(page: Page, label: str, hold_ms: float) -> None:
-    page.get_by_label(f"{label} while held").hover()
-    page.mouse.down()
-    page.wait_for_timeout(hold_ms)
-    page.mouse.up()
-    state(page, "idle")
-
-
-def moved_on(page: Page, from_mm: float) -> None:
-    """Wait until X is shown elsewhere: farther away than a loop that settles goes."""
-    shown = "Number.parseFloat(document.getElementById('at-X').textContent)"
-    page.wait_for_function(f"from => Math.abs({shown} - from) > 1.0", arg=from_mm)
 
 
 def seen_by_others(page: Page, name: str) -> None:
@@ -123,8 +112,7 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         shot(page, "21-day-running")
         press(page, "Hold")
         state(page, "holding")
-        page.wait_for_timeout(500)
-        held = x_mm(page)
+        held = stands(page)
         page.wait_for_timeout(1000)
         assert abs(x_mm(page) - held) < 0.1  # the loop settles
         shot(page, "22-day-held")
@@ -142,11 +130,11 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         shot(page, "23-day-trace")
         part(page, "Operate")
 
-        for label, hold_ms in (("Jog X plus", 700), ("Jog A plus", 700), ("Jog X minus", 400)):
-            jogged(page, label, hold_ms)
+        for k, (label, axis) in enumerate((("X plus", "X"), ("A plus", "A"), ("X minus", "X"))):
+            held_and_let_go(page, f"Jog {label}", 2.0, axis)
             page.keyboard.press("p")
+            expect(page.locator("#taught tr")).to_have_count(k + 1)
         part(page, "Teach")
-        expect(page.locator("#taught tr")).to_have_count(3)
         page.locator("#teach-name").fill("three")
         shot(page, "24-day-taught")
         press(page, "Save program")

@@ -27,7 +27,7 @@ from threadline.live.sim_rows import SimRows
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 
-SPEED = 2.0
+SPEED = 0.5
 TIMES = 10
 
 
@@ -140,26 +140,34 @@ def moving(anna: Operator, begin: Callable[[Operator], None], until_s: float) ->
     return anna.x_mm()
 
 
+def at_clock(kept: dict[str, list[float]], clock_s: float) -> float:
+    """Return where X was commanded to be at a time of the clock, in mm."""
+    played = np.array(kept["played"])[np.array(kept["clock"]) <= clock_s]
+    return 1e3 * kept["x"][int(played[-1]) - 1] if len(played) and played[-1] else 0.0
+
+
 @pytest.mark.parametrize("after_s", moments())
-@pytest.mark.parametrize(("begin", "most_mm"), [(jog, 26.0), (run, 36.0)])
+@pytest.mark.parametrize(("begin", "most_mm"), [(jog, 15.0), (run, 9.0)])
 def test_kill_the_server(
     begin: Callable[[Operator], None], most_mm: float, after_s: float, project: Path, tmp_path: Path
 ) -> None:
     """The owner stops the machine at once, along its path, and ends; the machine stands.
 
-    At 36 mm/s, twice as fast by the clock, a stop needs 0.1 mm, and what was seen is 40 ms old,
-    2.9 mm: more on a computer that is busy. Were it stopped by the second of silence alone, it
-    would go 72 mm; by the lease, the jog would go 18 mm more.
+    From where it was when the server died, a stop needs a report, 25 ms, and its braking: 2.3 mm of
+    a jog, 1 mm of a run; the rest is left to a computer that is busy, 0.35 s of its clock at least.
+    Were it stopped by the second of silence alone, the run would go 18 mm; by the lease, the jog
+    would go 18 mm as well.
     """
     plant = Plant(project, tmp_path / "black-box")
     with plant.connect() as socket:
         anna = Operator(Spoken(socket)).ready()
-        at_mm = moving(anna, begin, after_s)
+        moving(anna, begin, after_s)
+        killed_s = time.monotonic()
         os.kill(plant.server, signal.SIGKILL)
         os.waitpid(plant.server, 0)
         kept = plant.end()
     x_mm = 1e3 * np.array(kept["x"])
-    assert abs(x_mm[-1] - at_mm) <= most_mm
+    assert abs(x_mm[-1] - at_clock(kept, killed_s)) <= most_mm
     assert np.abs(np.diff(x_mm[-20:])).max() <= 0.362 * 2  # it slows down: no step to rest
 
 
@@ -186,16 +194,23 @@ def cut(connection: ClientConnection) -> None:
 
 @pytest.mark.parametrize("after_s", moments())
 def test_cut_the_connection_in_a_jog(after_s: float, plant: Plant) -> None:
-    """It is let go at once, not when its lease is over; another client takes control."""
+    """It is let go at once, not when its lease is over; another client takes control.
+
+    A jog that this computer has renewed too late has ended before, and is begun again.
+    """
     with plant.connect() as watching, plant.connect() as connection:
         ben = Operator(Spoken(watching), "Ben")
         anna = Operator(Spoken(connection))
         in_control(anna)
-        begin_mm = moving(anna, jog, after_s)
+        for _ in range(20):
+            begin_mm = moving(anna, jog, after_s)
+            if anna.state["state"] == "jogging":
+                break
         cut(connection)
         ben.take()
         ben.see("idle")
         assert abs(ben.x_mm() - begin_mm) <= 26.0
+        assert ben.state["why"] == ""  # which is told of a lease that is over
         home(ben, "X")
         ben.say(type="control", word="release")
         ben.until("state")
@@ -246,7 +261,7 @@ def test_a_server_that_hangs_is_a_server_that_is_gone(project: Path, tmp_path: P
         os.kill(plant.server, signal.SIGCONT)
         seen: dict[str, Any] = anna.see("idle")
         assert seen["progress"]["ended"] == "stopped"
-        assert anna.x_mm() - at_mm <= 36.2 * SPEED * (1.0 + 0.1) + 5.0
+        assert anna.x_mm() - at_mm <= 36.2 * SPEED * (1.0 + 1.0) + 5.0
         os.kill(plant.server, signal.SIGKILL)
         os.waitpid(plant.server, 0)
         plant.end()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -10,11 +11,13 @@ import typer
 
 from threadline.cli.told import note
 from threadline.errors import OptionError
-from threadline.live.continuing import Continued, continued, last_executed, operation_at
+from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
+from threadline.live.derived import Rest
 from threadline.plan import Plan
 from threadline.store.run_store import TRACE
 from threadline.store.unfinished import refuse_other_rows, unfinished_run
 
+RestOf = Callable[[int], Rest]
 ContinueOption = Annotated[
     str | None,
     typer.Option(
@@ -37,9 +40,7 @@ ConfirmedOption = Annotated[
 ]
 
 
-def check_continued(
-    store: Path, run: str | None, at: str | None, *, confirmed: bool, link_can: bool
-) -> None:
+def check_continued(store: Path, run: str | None, at: str | None, *, confirmed: bool) -> None:
     """Refuse options of a continued run without one, no such run, and one that nobody confirms.
 
     Raises
@@ -56,11 +57,6 @@ def check_continued(
                 remedy="Name the run to be continued, too.",
             )
         return
-    if not link_can:
-        raise OptionError(
-            "--continue: a controller with grbl runs whole programs",
-            remedy="Write the rest of the job as a program of its own.",
-        )
     unfinished_run(store, run)
     if not confirmed and not sys.stdin.isatty():
         raise OptionError(
@@ -70,7 +66,7 @@ def check_continued(
 
 
 def continued_run(
-    store: Path, run: str | None, at: str | None, plan: Plan, *, at_rest: bool, asks: bool
+    store: Path, run: str | None, at: str | None, plan: Plan, rest_of: RestOf, *, asks: bool
 ) -> tuple[Continued | None, dict[str, str]]:
     """Return what is run, said to the operator, and what its recording tells of that.
 
@@ -84,8 +80,8 @@ def continued_run(
         The run, and where the work begins again, as typed.
     plan
         The plan, which must be that of the run to the row.
-    at_rest
-        As for ``continued``.
+    rest_of
+        Returns the rest from an operation on, as the link is sent it.
     asks
         Whether the operator will be asked.
 
@@ -99,7 +95,7 @@ def continued_run(
     folder, record = unfinished_run(store, run)
     refuse_other_rows(record, plan)
     operation = operation_at(plan, last_executed(folder / TRACE), at or "block")
-    again = continued(plan, operation, at_rest=at_rest)
+    again = continued_by(plan, rest_of(operation))
     for line in again.told:
         note(line)
     if asks:

@@ -176,7 +176,7 @@ def run(
     fault = None if inject is None else parse_fault(inject, chosen)
     over = link_of(link, chosen, speed, fault)
     check_folder(store)
-    check_continued(store, continue_, at, confirmed=confirmed, link_can=over.continues)
+    check_continued(store, continue_, at, confirmed=confirmed)
     keep_inputs(recording, job, chosen.file, par, spec, proof_file)
     check_outputs(file=recording)
     options = options_of(
@@ -221,7 +221,12 @@ def run(
             **({"override": override} if override else {}),
         }
         again, known_of = continued_run(
-            store, continue_, at, plan, at_rest=at_rest, asks=not confirmed
+            store,
+            continue_,
+            at,
+            plan,
+            lambda operation: over.rest(plan, operation, at_rest=at_rest),
+            asks=not confirmed,
         )
         told |= known_of
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]

@@ -118,13 +118,20 @@ def _circuit(operation: object) -> int | None:
 
 
 def continued(plan: Plan, operation: int, *, at_rest: bool) -> Continued:
-    """Return the run from an operation on, its approach checked before anything moves.
+    """Return the run of rows, turns or scans from an operation on; see ``continued_by``.
 
     Parameters
     ----------
     at_rest
         Whether it may begin at a rest alone: where commands are beside the path, a start from rest
         anywhere else would leave it.
+    """
+    rest = way_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
+    return continued_by(plan, rest)
+
+
+def continued_by(plan: Plan, rest: Rest) -> Continued:
+    """Return the run of the rest of a job, its approach checked before anything moves.
 
     Raises
     ------
@@ -132,7 +139,6 @@ def continued(plan: Plan, operation: int, *, at_rest: bool) -> Continued:
         If the approach leaves the travel of an axis.
     """
     machine, way = plan.machine, way_of(plan.machine)
-    rest = way.rest(plan.commands, machine, operation, at_rest=at_rest)
     begins = way.start(plan.commands)
     approach = [] if rest.dry else _approach(machine, begins, rest.begins)
     line = plan.intent.lines_of(plan.job, [rest.operation]).get(rest.operation, 0)

@@ -74,13 +74,27 @@ def rest_of_rows(commands: Commands, machine: Machine, operation: int, *, at_res
     """
     table = tick_table(commands)
     first, of_first = _first_row(table, operation, rest_rows(table) if at_rest else 0)
+    return rest_from_row(table, first, of_first)
+
+
+def rest_from_row(commands: Commands, first: int, operation: int) -> Rest:
+    """Return the rows of a table from a tick on, which is one of an operation.
+
+    Parameters
+    ----------
+    commands
+        A table of ticks; it is read once.
+    first, operation
+        The tick, and its operation.
+    """
+    table = tick_table(commands)
     begins = table.start_counts.astype(np.int64)
     for block in table:
         upto = min(max(first - block.first_tick, 0), len(block))
         begins = begins + block.counts[:upto].sum(axis=0)
     return Rest(
         commands=replace(table, start_counts=begins, blocks=Stream(_rows_from, table, first)),
-        operation=of_first,
+        operation=operation,
         begins=begins,
         left_out=first,
         dry=False,

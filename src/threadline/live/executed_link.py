@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 
 from threadline.arrays import IntArray
 from threadline.live.continuing import Continued
+from threadline.live.derived import Rest
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Sink
@@ -28,8 +29,6 @@ class ExecutedLink(ABC):
         Seconds of the machine's time in a second.
     """
 
-    continues = True
-
     def __init__(self, speed: float) -> None:
         self._speed = speed
 
@@ -41,6 +40,10 @@ class ExecutedLink(ABC):
     def sent(self) -> Mapping[str, bytes]:
         """Nothing: the rows of the plan are what it is sent."""
         return {}
+
+    def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:
+        """Return the rest of a job from an operation on, as the machine is sent it."""
+        return way_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
 
     def close(self) -> None:  # noqa: B027  # a link that holds a port has something to close
         """Do nothing: the machine ends with its run."""

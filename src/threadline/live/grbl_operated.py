@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from threadline.live.desk import Desk
 from threadline.live.executor import LEASE_S
 from threadline.live.grbl_by_hand import GrblJog, fastest_by_hand
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_program import notes_on, written_program
+from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_run import POLL_S, GrblRun
 from threadline.live.grbl_words import Status
 from threadline.live.kept import Sink
@@ -159,19 +160,29 @@ class GrblOperated(GrblRun):
         program, sent = written_program(plan)
         return Load(plan, sent, notes_on(program, self.controller.blocks), program)
 
+    def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:  # noqa: ARG002  # it makes its own ramps
+        """Return the rest of a load from an operation on: the lines that do it."""
+        assert load.program is not None
+        rest, program = rest_of_program(load.program, load.plan, operation)
+        notes = notes_on(program, self.controller.blocks)
+        sent = dict.fromkeys(load.sent, b"".join(program.lines))
+        return replace(load, sent=sent, notes=notes, program=program, rest=rest)
+
     def refuse(self, load: Load) -> None:
         """Refuse a program that begins elsewhere, or leaves the travel."""
         assert load.program is not None
-        self.refuse_program(load.program, self._starts(load.plan))
+        self.refuse_program(load.program, self._starts(load))
 
     def run(self, load: Load, *, hold_at_rest: bool) -> None:  # noqa: ARG002  # it holds on its path
         """Begin a run."""
         assert load.program is not None
-        self.start(load.program, self._starts(load.plan))
+        self.start(load.program, self._starts(load))
         self._set_out = True
 
-    def _starts(self, plan: Plan) -> FloatArray:
-        return np.asarray(way_of(plan.machine).start(plan.commands) / plan.machine.counts_per_unit)
+    def _starts(self, load: Load) -> FloatArray:
+        whole = way_of(self._machine).start(load.plan.commands)
+        begins = whole if load.rest is None else load.rest.begins
+        return np.asarray(begins / self._machine.counts_per_unit)
 
     # --- by hand ---------------------------------------------------------------------------
 

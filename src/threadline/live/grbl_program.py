@@ -1,17 +1,32 @@
-"""A plan as the program that a controller with grbl is sent."""
+"""A plan as the program that a controller with grbl is sent, whole or from one of its lines on."""
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Mapping
 from contextvars import Context
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from threadline.arrays import IntArray
+from threadline.errors import CommandError
 from threadline.kinds import kind_of
+from threadline.live.derived import Rest, rest_from_row
 from threadline.live.grbl_controller import units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
 from threadline.live.ways import way_of
 from threadline.plan import Plan
+from threadline.signals import tick_table
+from threadline.targets.firmware_program import planned_instants
+
+_TARGET = "grbl"
+_FEED = re.compile(rb"F([\d.]+)")
+_SPINDLE = re.compile(rb"^M[35]$")
+_WORKS = re.compile(rb"^(?:[XYZABCUVW]|G1 |G4 |M)")
+"""Lines that move, wait or switch; what stands before the first of them prepares the controller."""
 
 
 def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
@@ -26,11 +41,82 @@ def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "program.nc"
         # In a context of its own it is there at once, and no output of the command.
-        Context().run(kind_of(machine).targets["grbl"].write, plan, file)
+        Context().run(kind_of(machine).targets[_TARGET].write, plan, file)
         text = file.read_bytes()
     starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
     program = program_of(text, machine.axis_names, units_of(machine), starts)
-    return program, {file.name: text}
+    begins_s = planned_instants(
+        _TARGET, plan.job, plan.motion.trajectory, machine, as_programmed=plan.feeds_as_programmed
+    )
+    rows = np.rint(begins_s / float(machine.tick_clock.period_s)).astype(np.int64)
+    return replace(program, rows=rows, operations=_operations(plan, rows)), {file.name: text}
+
+
+def _operations(plan: Plan, rows: IntArray) -> IntArray:
+    """Return the operations of ticks that never fall; behind the last tick that of the last."""
+    found = np.zeros(len(rows), dtype=np.int64)
+    for block in tick_table(plan.commands):
+        if not len(block):
+            continue
+        begin, end = np.searchsorted(rows, [block.first_tick, block.first_tick + len(block)])
+        found[begin:end] = block.operation[rows[begin:end] - block.first_tick]
+        found[end:] = block.operation[-1]
+    return found
+
+
+def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest, Program]:
+    """Return the rest of a job from an operation on, and the program that does it.
+
+    It begins with the line that was to be under way when the operation began: a line goes on over
+    the ends of operations that lie on it. What prepares the controller, the feed in force and a
+    spindle that runs come before it.
+
+    Parameters
+    ----------
+    program
+        That of the whole plan, as ``written_program`` returns it.
+    plan
+        The plan.
+    operation
+        An operation of the job.
+
+    Raises
+    ------
+    CommandError
+        If it is none of this job.
+    """
+    machine, lines = plan.machine, program.lines
+    works = [k for k, line in enumerate(lines) if _WORKS.match(line)]
+    began = _first_row(plan, operation)
+    first = max(k for k in works if k == works[0] or program.rows[k] <= began + 1)  # it is rounded
+    starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
+    begins = program.ends[first - 1] if first else starts
+    before = lines[: works[0]]
+    feeds = [found for line in lines[:first] for found in _FEED.findall(line)]
+    spindle = [line for line in lines[:first] if _SPINDLE.match(line.strip())]
+    again = [*before, *([b"G1 F" + feeds[-1] + b"\n"] if feeds else []), *spindle[-1:]]
+    text = b"".join([*again, *lines[first:]])
+    rest = program_of(text, machine.axis_names, units_of(machine), begins)
+    row, of = int(program.rows[first]), int(program.operations[first])
+    if row >= began - 1:
+        of = operation
+    found = rest_from_row(plan.commands, row, of)
+    counts = np.rint(begins * machine.counts_per_unit).astype(np.int64)
+    return replace(found, begins=counts), replace(
+        rest,
+        rows=np.concatenate([np.full(len(again), row), program.rows[first:]]) - row,
+        operations=np.concatenate([np.full(len(again), of), program.operations[first:]]).clip(of),
+    )
+
+
+def _first_row(plan: Plan, operation: int) -> int:
+    for block in tick_table(plan.commands):
+        of = np.flatnonzero(block.operation >= operation)
+        if len(of):
+            return block.first_tick + int(of[0])
+    raise CommandError(
+        f"operation {operation} is none of this job", remedy="Continue the run of this job."
+    )
 
 
 def notes_on(program: Program, blocks: int) -> tuple[str, ...]:

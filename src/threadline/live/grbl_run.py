@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import CommandError, LinkFaultError
 from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller
@@ -25,6 +25,7 @@ from threadline.live.grbl_words import (
     CharacterCount,
     Program,
     Status,
+    program_of,
     status_of,
 )
 from threadline.live.kept import Sink
@@ -60,6 +61,8 @@ class GrblRun:
         Number of lines whose ends the position reports have passed.
     ended
         How it ended, and why; None before.
+    stops
+        Number of stops that were heard, in any state.
     """
 
     late_ticks = 0
@@ -68,10 +71,10 @@ class GrblRun:
         self.controller, self._desk, self._sink = controller, desk, sink
         self._port, self._machine = controller.port, controller.machine
         machine = self._machine
-        self.state = State.DISABLED
+        self.state, self.stops = State.DISABLED, 0
         self._at: FloatArray = np.zeros(len(machine.axes))
         self._asked_s = self._heard_s = 0.0
-        self._none = Program((), np.zeros((0, len(machine.axes))), np.zeros(0))
+        self._none = program_of(b"", machine.axis_names, np.ones(len(machine.axes)), self._at)
         self._trace = ReportTrace(machine, sink)
         self._forget()
 
@@ -193,6 +196,7 @@ class GrblRun:
     def _obey(self) -> None:
         """Execute what the operator has asked for."""
         while (cause := self._desk.take()) is not None:
+            self.stops += cause is Cause.STOP
             try:
                 self._command(cause)
             except CommandError as error:
@@ -259,8 +263,11 @@ class GrblRun:
 
     def _report(self, found: Status) -> None:
         self._heard_s = time.monotonic()
+        was_at, was = self._at, self.executed
         self._at = self.controller.position(found)
-        self._trace.record(self._heard_s - self._begun_s, self._at)
+        if self._settled_s is None:
+            self._pass_lines()
+        self._trace.record(self._heard_s - self._begun_s, self._at, *self._passed(was_at, was))
         if self._settled_s is not None:
             self.over = self._heard_s >= self._settled_s
             if self.over:
@@ -268,7 +275,6 @@ class GrblRun:
             return
         if name := self.controller.beyond(self._at):
             self._fault(f"axis {name} is beyond its travel")
-        self._pass_lines()
         if found.state == "Alarm" and not self._braking:
             self._fault("the controller is in alarm")
         elif self._braking and found.state in {"Hold", "Idle", "Alarm"} and found.detail <= 0:
@@ -282,6 +288,25 @@ class GrblRun:
             self.executed = self.acknowledged
             self.ended = (Ended.COMPLETED, "")
             self._end()
+
+    def _passed(self, was_at: FloatArray, was: int) -> tuple[FloatArray, IntArray]:
+        """Return where on the way from the report before lines began, and what was under way.
+
+        Parameters
+        ----------
+        was_at, was
+            The place of that report, and how many lines were executed then.
+
+        Returns
+        -------
+        tuple
+            (n,) shares of that way at which another line began, and (n + 1,) operations.
+        """
+        ends, of = self._program.ends[was : self.executed], self._program.operations
+        places = np.vstack([was_at, *ends, self._at]) * self._machine.radius_m
+        gone = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
+        lines = np.minimum(np.arange(was, self.executed + 1), len(of) - 1)
+        return gone[:-1] / max(gone[-1], 1e-12), of[lines]
 
     def _pass_lines(self) -> None:
         """Move on along the lines that were answered to where the reports say that it is."""

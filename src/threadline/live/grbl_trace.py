@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.live.kept import Sink
 from threadline.machine import Machine
 from threadline.signals import Channel, ChannelKind, Clock, Ended, Event, RecordingBlock
@@ -32,12 +32,12 @@ class ReportTrace:
     tick
         Number of the next sample.
     channels
-        A commanded position for each axis.
+        A commanded position for each axis, and the operation that was under way.
     """
 
     def __init__(self, machine: Machine, sink: Sink) -> None:
         self._sink = sink
-        self.channels = tuple(
+        places = (
             Channel(
                 name=f"{name}.commanded",
                 kind=ChannelKind.COMMANDED,
@@ -47,6 +47,8 @@ class ReportTrace:
             )
             for name, axis in machine.axes.items()
         )
+        operation = Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=_CLOCK)
+        self.channels: tuple[Channel, ...] = (*places, operation)
         self.tick = 0
         self._sample_s, self._before = 0.0, np.zeros(len(machine.axes))
 
@@ -59,15 +61,29 @@ class ReportTrace:
         """Begin another run at a place, with the channels that the sink knows."""
         self.tick, self._sample_s, self._before = 0, 0.0, at
 
-    def record(self, now_s: float, at: FloatArray) -> None:
-        """Record the samples up to a report at the time ``now_s`` of the run."""
+    def record(
+        self, now_s: float, at: FloatArray, begins: FloatArray, operations: IntArray
+    ) -> None:
+        """Record the samples up to a report.
+
+        Parameters
+        ----------
+        now_s, at
+            Time of the run, and the place.
+        begins, operations
+            (n,) shares of the way since the report before at which another line began, and (n + 1,)
+            the operations that were under way.
+        """
         period_s = float(_CLOCK.period_s)
         times = period_s * np.arange(self.tick, int(now_s / period_s) + 1)
         known = [self._sample_s, max(now_s, self._sample_s + 1e-9)]
         samples = {
             channel.name: np.interp(times, known, [self._before[k], at[k]])
-            for k, channel in enumerate(self.channels)
+            for k, channel in enumerate(self.channels[:-1])
         }
+        shares = np.interp(times, known, [0.0, 1.0])
+        under_way = operations[np.searchsorted(begins, shares, side="right")]
+        samples[self.channels[-1].name] = under_way.astype(np.float64)
         if len(times):
             self._put(samples)
         self.tick += len(times)

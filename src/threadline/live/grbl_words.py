@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError, PlanError
 
 STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
@@ -118,11 +118,16 @@ class Program:
         (n, axes) where each line ends, m or rad.
     durations_s
         (n,) how long each takes at its feed alone.
+    rows, operations
+        (n,) tick of the plan at which each begins, and the operation of the job that is under way
+        then; all 0 where that is not known.
     """
 
     lines: tuple[bytes, ...]
     ends: FloatArray
     durations_s: FloatArray
+    rows: IntArray
+    operations: IntArray
 
 
 def program_of(text: bytes, axes: Sequence[str], scale: FloatArray, start: FloatArray) -> Program:
@@ -161,7 +166,10 @@ def program_of(text: bytes, axes: Sequence[str], scale: FloatArray, start: Float
         lines.append(line + b"\n")
         ends.append(then)
         at = then
-    return Program(tuple(lines), np.array(ends).reshape(-1, len(axes)), np.array(durations))
+    none = np.zeros(len(lines), dtype=np.int64)
+    return Program(
+        tuple(lines), np.array(ends).reshape(-1, len(axes)), np.array(durations), none, none
+    )
 
 
 def refuse_realtime(line: bytes, number: int) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from threadline.plan import Plan
 from threadline.signals import Channel
 
 _BY_ITSELF = "grbl switches its drives by itself"
-_WHOLE = "a controller with grbl runs whole programs"
 _NO_HOME = "there is nothing to home: HAL takes where it begins for home"
 
 
@@ -64,7 +63,7 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
         return AtLink(found.label, {}, (_NO_HOME,))
     return AtLink(
         "",
-        {"disable": _BY_ITSELF, "continue": _WHOLE},
+        {"disable": _BY_ITSELF},
         (
             "grbl makes its own ramps, and reports what it commanded, ten times a second: nothing "
             "is measured, inputs and outputs are not reported",
@@ -88,6 +87,12 @@ class RowsOperated(Executor):
     def prepare(self, plan: Plan) -> Load:
         """Return the plan: its rows are what is sent."""
         return Load(plan)
+
+    def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
+        """Return the rest of a load from an operation on."""
+        commands = load.plan.commands
+        found = self._way.rest(commands, self._machine, operation, at_rest=at_rest)
+        return replace(load, rest=found)
 
     def refuse(self, load: Load) -> None:
         """Refuse a plan that begins elsewhere than the machine stands."""

@@ -9,20 +9,23 @@ from typing import Protocol
 from threadline.arrays import IntArray
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
+from threadline.live.continued_sink import ContinuedSink
 from threadline.live.continuing import Continued
+from threadline.live.derived import Rest
 from threadline.live.desk import Desk
 from threadline.live.executed_link import ExecutedLink
 from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_operated import GrblOperated
 from threadline.live.grbl_port import Port, check_address
-from threadline.live.grbl_program import notes_on, written_program
-from threadline.live.grbl_run import GrblRun
+from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_words import Program
 from threadline.live.hal_link import HalLink
 from threadline.live.kept import Sink
+from threadline.live.operated import Load
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_process import REAL_TIME, sim_link
 from threadline.live.states import State
-from threadline.live.ways import way_of
+from threadline.live.supervised import approached
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.plan import Plan
@@ -46,8 +49,6 @@ class Link(Protocol):
 
     label: str
     """What is at its far end, where that is neither a machine nor its twin; else empty."""
-    continues: bool
-    """Whether a run that was broken off can be continued over it."""
 
     @property
     def after_fault(self) -> str:
@@ -61,6 +62,12 @@ class Link(Protocol):
         """Make ready what is sent, and return what the operator has to know before it is.
 
         Nothing moves. ``close`` must follow, with or without a run.
+        """
+
+    def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:
+        """Return the rest of a job from an operation on, as the machine is sent it by ``run``.
+
+        To be called after ``prepare``; ``at_rest`` is as for ``continued``.
         """
 
     def close(self) -> None:
@@ -137,7 +144,6 @@ class GrblLink:
     """
 
     label = ""
-    continues = False
 
     def __init__(self, address: str, machine: Machine) -> None:
         check_address(address)
@@ -171,22 +177,34 @@ class GrblLink:
         hold_at_rest: bool,  # noqa: ARG002  # it holds on its path, whatever it is
         watch: Callable[[Running], None],
         again: Continued | None = None,
-        confirmed: Callable[[], bool | None] = lambda: True,  # noqa: ARG002
+        confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[Ended, str]:
         """Home, send the program, and record what the controller reports."""
-        assert again is None  # ``continues``
         assert self._program is not None
         assert self._controller is not None
-        starts = way_of(plan.machine).start(plan.commands) / plan.machine.counts_per_unit
-        one = GrblRun(self._controller, desk, sink)
+        machine = plan.machine
+        if again is not None:
+            rest = again.rest
+            sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
+        one = GrblOperated(self._controller, desk, sink)
         one.enable()
         one.home()
-        one.start(self._program, starts)
+        if again is not None and (why := approached(one, machine, again, confirmed)):
+            return why
+        load = Load(plan, program=self._program, rest=None if again is None else again.rest)
+        one.run(load, hold_at_rest=False)
         while not one.over:
             one.step()
             watch(one)
         assert one.ended is not None
         return one.ended
+
+    def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:  # noqa: ARG002  # it makes its own ramps
+        """Return the rest of a job from an operation on; ``run`` sends the lines that do it."""
+        assert self._program is not None
+        found, self._program = rest_of_program(self._program, plan, operation)
+        self.sent = dict.fromkeys(self.sent, b"".join(self._program.lines))
+        return found
 
     def close(self) -> None:
         """End the connection, if there is one."""

@@ -118,6 +118,9 @@ class Operated(Protocol):
     def prepare(self, plan: Plan) -> Load:
         """Make a plan ready; nothing is sent, and any thread may call it."""
 
+    def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
+        """Return the rest of a load from an operation on; ``at_rest`` is as for ``continued``."""
+
     def refuse(self, load: Load) -> None:
         """Refuse a load that begins elsewhere than the machine stands."""
 

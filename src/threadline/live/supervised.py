@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Protocol
 
+from threadline.arrays import IntArray
 from threadline.errors import OptionError, Place, PlanError, ProofError
 from threadline.live.continued_sink import ContinuedSink
 from threadline.live.continuing import Continued
@@ -162,7 +164,7 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return Ended.STOPPED, "stopped by the operator while it homed", 0
-        if again is not None and (why := _approach(executor, again, confirmed)) is not None:
+        if again is not None and (why := approached(executor, machine, again, confirmed)):
             executor.close()
             return (*why, executor.late_ticks)
         executor.start(
@@ -182,17 +184,45 @@ def run_commands(
     return ended, text, executor.late_ticks
 
 
-def _approach(
-    executor: Executor, again: Continued, confirmed: Callable[[], bool | None]
+class Led(Protocol):
+    """A machine at home that is moved by hand; see ``Operated``."""
+
+    state: State
+    ended: tuple[Ended, str] | None
+    over: bool
+    stops: int
+
+    @property
+    def stands(self) -> IntArray:
+        """Commanded position, (axes,) in counts."""
+
+    def stand(self, patience_s: float) -> None:
+        """Listen to the machine at rest, and obey what is asked."""
+
+    def move(self, axis: str, to_counts: int) -> None:
+        """Move an axis to a place."""
+
+    def renew(self) -> None:
+        """Renew the lease of a motion by hand."""
+
+    def step(self) -> None:
+        """Go on with a motion."""
+
+
+def approached(
+    executor: Led, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
 ) -> tuple[Ended, str] | None:
-    """Wait for the operator, and move to where the work begins; return why that came to an end."""
+    """Wait for the operator, and move to where the work begins; return why that came to an end.
+
+    None where the machine stands there.
+    """
     answer = None
     while executor.state is State.IDLE and not executor.stops and answer is None:
         answer = confirmed()
         executor.stand(0.0 if answer else _ASK_S)
     if not answer or executor.stops:
         return Ended.STOPPED, "nobody has confirmed that it may go on"
-    names = list(executor.machine.axes)
+    names = list(machine.axes)
     for axis, to in again.approach:
         if executor.stands[names.index(axis)] == to:
             continue

@@ -41,7 +41,8 @@ class Client:
         self._ready.set()
 
     def tell(self, message: BaseModel) -> None:
-        """Let it have a message, in order."""
+        """Let it have a message, in order: a state that waits is older, and is left out."""
+        self._state = None
         self.full = self.full or len(self._waiting) >= _MOST_WAITING
         self._waiting.append(message.model_dump_json())
         self._ready.set()

@@ -18,7 +18,7 @@ from threadline.arrays import finite
 from threadline.errors import ProofError, RecordingError, ThreadlineError
 from threadline.input_files import inputs_read, noting_inputs
 from threadline.live.continued_sink import ContinuedSink
-from threadline.live.continuing import Continued, continued, last_executed, operation_at
+from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
 from threadline.live.hold_deviation import hold_limit_m
 from threadline.live.kept import Sink
 from threadline.live.operated import Load, Operated
@@ -195,16 +195,19 @@ class KeptRuns:
         leaves_m = way_of(self._machine).hold_deviation_m(plan)
         load, number = executor.prepare(plan), int(told["number"])
         found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m)
-        return self._rest_of(str(told["run"]), str(told["at"]), found) if "run" in told else found
+        if "run" not in told:
+            return found
+        return self._rest_of(str(told["run"]), str(told["at"]), found, executor)
 
-    def _rest_of(self, run: str, at: str, whole: Prepared) -> Prepared:
+    def _rest_of(self, run: str, at: str, whole: Prepared, executor: Operated) -> Prepared:
         """Return the rest of a run that was broken off; its approach is checked."""
         folder, record = unfinished_run(self._store, run)
         plan = whole.load.plan
         refuse_other_rows(record, plan)
         operation = operation_at(plan, last_executed(folder / TRACE), at)
-        again = continued(plan, operation, at_rest=whole.at_rest)
-        load = replace(whole.load, rest=again.rest)
+        load = executor.rest(whole.load, operation, at_rest=whole.at_rest)
+        assert load.rest is not None
+        again = continued_by(plan, load.rest)
         return replace(whole, load=load, again=again, continues=folder.name)
 
     def set_out(self, ready: Prepared, executor: Operated) -> None:
@@ -252,8 +255,8 @@ class KeptRuns:
             assert executor.ended is not None
             ended, why = executor.ended
             assert self._progress is not None
-            share, whole_s = executor.share_done, float(self._progress["duration_s"])
-            time_s = self._left_out_s + executor.time_s if share is None else share * whole_s
+            share = executor.share_done
+            time_s = self._left_out_s + executor.time_s if share is None else self._at_share(share)
             self._progress |= {"time_s": time_s, "ended": ended.value, "why": why}
             self._judging = self._pool.submit(self._judged, run, ready, ended.value, why)
         elif self._judging is not None and self._judging.done():
@@ -308,12 +311,18 @@ class KeptRuns:
         if self._progress is None or self._open is None:
             return self._progress
         if (share := executor.share_done) is not None:
-            return {**self._progress, "time_s": share * float(self._progress["duration_s"])}
+            return {**self._progress, "time_s": self._at_share(share)}
         time_s = self._left_out_s + executor.time_s
         period_s = float(self._machine.command_clock.period_s)
         held_s = executor.time_s - (self._held_from or 0) * period_s
         since = 0.0 if self._held_from is None else held_s
         return {**self._progress, "time_s": time_s - self._held * period_s - max(since, 0.0)}
+
+    def _at_share(self, share: float) -> float:
+        """Return the instant of the whole job at a share of what is sent of it, s."""
+        assert self._progress is not None
+        whole_s = float(self._progress["duration_s"])
+        return self._left_out_s + share * (whole_s - self._left_out_s)
 
     def _break_off(self, error: BaseException | None) -> None:
         if self._open is not None:

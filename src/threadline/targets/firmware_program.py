@@ -170,6 +170,24 @@ class _Stretch:
         self.ends, self.durations_s = [], []
 
 
+def planned_instants(
+    target: str,
+    job: Job,
+    trajectory: Trajectory,
+    machine: Machine,
+    *,
+    as_programmed: bool = True,
+) -> FloatArray:
+    """Return the instant of the plan, in s, at which each line that is written begins.
+
+    Parameters are as for ``write_firmware_program``.
+    """
+    timed = planned_job(job, trajectory, machine)
+    plain = replace(machine, operator=None)
+    lines = _Lines(Chords(target, timed, job, plain, as_programmed))
+    return np.array([begins_s for begins_s, _ in lines.timed()])
+
+
 class _Lines:
     """The lines of a program; each moves at least one of its axes by a printed digit."""
 
@@ -182,9 +200,7 @@ class _Lines:
         self._linear = [axes[name].kind == "linear" for name in merged.job.axes]
 
     def __iter__(self) -> Iterator[str]:
-        at = _written_position(np.array(self._job.start), self._linear)
-        feed = ""
-        for line in self._body(at, feed):
+        for _, line in self.timed():
             if len(line) > self._board.longest:
                 raise PlanError(
                     f"a line of {len(line)} characters: {self._target} takes {self._board.longest}",
@@ -192,16 +208,21 @@ class _Lines:
                 )
             yield line
 
-    def _body(self, at: list[str], feed: str) -> Iterator[str]:
+    def timed(self) -> Iterator[tuple[float, str]]:
+        """Yield each line behind the instant of the plan at which it begins, s."""
+        at, feed, now_s = _written_position(np.array(self._job.start), self._linear), "", 0.0
         if self._board.head is not None:
             told = self._board.head(self._machine, self._job.axes)
-            yield from (f"; {line}" for line in told)
-        yield from self._board.begin
+            yield from ((now_s, f"; {line}") for line in told)
+        yield from ((now_s, line) for line in self._board.begin)
         modal = False
         for item in self._merged:
+            begins_s = now_s
             if not isinstance(item, Chord):
-                yield from self._other(item)
+                now_s += item.duration_s if isinstance(item, Dwell) else 0.0
+                yield from ((begins_s, line) for line in self._other(item))
                 continue
+            now_s += item.duration_s
             now = _written_position(item.points[-1], self._linear)
             words = [
                 f"{name}{self._number(text)}"
@@ -216,9 +237,9 @@ class _Lines:
                 wanted = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
             g = "" if modal and not self._dialect.each_g else "G1 "
             modal = True
-            yield g + " ".join(words) + ("" if wanted == feed else f" F{wanted}")
+            yield begins_s, g + " ".join(words) + ("" if wanted == feed else f" F{wanted}")
             feed = wanted
-        yield from self._board.end
+        yield from ((now_s, line) for line in self._board.end)
 
     def _number(self, text: str) -> str:
         return f"{text}." if self._dialect.points and "." not in text else text
