@@ -14,26 +14,34 @@ import pytest
 
 from tests.live import (
     test_checked,
+    test_continued,
     test_guards,
+    test_hold_deviation,
     test_homing,
     test_jog,
+    test_many_ticks,
     test_tail,
 )
 from tests.live.bench import winder
+from threadline.cli import continued
 from threadline.errors import LinkFaultError
-from threadline.live import executor, guards, lateness, states, supervised
+from threadline.live import continuing, executor, guards, lateness, states, supervised
 from threadline.live.ahead import Ahead
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.far_end import FarEnd
 from threadline.live.guards import Guards
+from threadline.live.jogging import JogAhead
 from threadline.live.sim_machine import SimMachine
 from threadline.live.states import Cause, State
+from threadline.live.wire import Message
 from threadline.options import Options
 from threadline.pipeline import Proof, open_job, plan_job, prove_plan
 from threadline.proof_file import ProofFile, write_proof
+from threadline.signals import Commands
 from threadline.verdict import load_spec
 
+_extend, _start, _approached = JogAhead.extend, Executor.start, supervised.approached
 Take = Callable[[pytest.MonkeyPatch], None]
 BY_LATENESS = ("late-ticks", "", "3 ticks in a row came late", 15)
 BY_ONE_TICK = ("one-late-tick", "", "a tick came 6 periods late", 5)
@@ -72,6 +80,43 @@ def in_turn(desk: Desk) -> Cause | None:
         return asked.popleft()
     stop, desk._stop = desk._stop, False
     return Cause.STOP if stop else None
+
+
+def without_end(one: JogAhead, until: int) -> Message:
+    """Jog as on an axis without an end."""
+    one._low, one._high = -np.inf, np.inf
+    return _extend(one, until)
+
+
+def held_anywhere(one: Executor, commands: Commands, **options: bool) -> None:
+    """Begin a run that is held wherever it is."""
+    _start(one, commands, **{**options, "hold_at_rest": False})
+
+
+def unconfirmed(*given: object) -> object:
+    """Approach without asking anybody."""
+    return _approached(*given[:-1], lambda: True)  # type: ignore[arg-type]
+
+
+def with_patch(test: Callable[..., None]) -> Callable[[], None]:
+    """Return a call of a test of jumps that patches something itself."""
+
+    def call() -> None:
+        with pytest.MonkeyPatch.context() as monkeypatch:
+            test("jumps", monkeypatch)
+
+    return call
+
+
+def with_folder(test: Callable[[Path], None]) -> Callable[[], None]:
+    """Return a call of a test with a folder of its own."""
+
+    def call() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            test(Path(folder))
+
+    call.__module__ = test.__module__
+    return call
 
 
 def nothing(*_: object, **__: object) -> str:
@@ -171,6 +216,36 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     "the release of a jog": (
         attribute(Executor, "let_go", nothing),
         test_jog.test_letting_go_brakes_now,
+    ),
+    "the end of travel of a jog": (
+        attribute(JogAhead, "extend", without_end),
+        lambda: test_jog.test_it_stops_at_the_end_of_its_travel(1.0),
+    ),
+    "the rest that a hold waits for": (
+        attribute(Executor, "start", held_anywhere),
+        test_hold_deviation.test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there,
+    ),
+    "every tick of a report": (
+        attribute(Guards, "_in_order", lambda *_: True),
+        with_patch(test_many_ticks.test_one_call_for_all_ticks_judges_as_the_guards_that_say_which),
+    ),
+    "a braking that is refused": (
+        attribute(Ahead, "undo", lambda _: False),
+        lambda: test_homing.test_a_braking_that_is_refused_comes_again_later(Cause.STOP),
+    ),
+    "the confirmation of a rest": (
+        attribute(supervised, "approached", unconfirmed),
+        lambda: test_continued.test_nothing_moves_until_somebody_confirms(False, None),
+    ),
+    "the travel of an approach": (
+        attribute(continuing, "_approach", lambda *_: []),
+        test_continued.test_an_approach_beyond_the_travel_is_refused_before_anything_moves,
+    ),
+    "the rest of this job alone": (
+        attribute(continued, "refuse_other_rows", nothing),
+        with_folder(
+            test_continued.test_another_job_a_completed_run_and_nobody_there_are_refused
+        ),
     ),
     "the stop of homing": (
         attribute(FarEnd, "home", lambda one, _wakes, _stopped: np.zeros(3, np.int64)),

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import gc
-import tempfile
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
 from tests.live import test_grbl, test_hal, test_scans, test_turns, test_wire
 from tests.live.hal_bench import hal_alone, unhurried
-from tests.live.test_guards_removed import Take, attribute, nothing
+from tests.live.test_guards_removed import Take, attribute, nothing, with_folder
 from threadline.live import executor, grbl_run, grbl_words, lateness, scan_guards, wire
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
@@ -80,17 +78,6 @@ def with_patch(test: Callable[[pytest.MonkeyPatch], None]) -> Callable[[], None]
     def call() -> None:
         with pytest.MonkeyPatch.context() as monkeypatch:
             test(monkeypatch)
-
-    call.__module__ = test.__module__
-    return call
-
-
-def with_folder(test: Callable[[Path], None]) -> Callable[[], None]:
-    """Return a call of a test with a folder of its own."""
-
-    def call() -> None:
-        with tempfile.TemporaryDirectory() as folder:
-            test(Path(folder))
 
     call.__module__ = test.__module__
     return call

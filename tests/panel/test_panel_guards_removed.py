@@ -1,0 +1,123 @@
+"""Take a guard of the panel away, and the test that the table of hazards names for it fails."""
+
+from __future__ import annotations
+
+import gc
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.live.test_guards_removed import Take, attribute, nothing
+from tests.panel import (
+    test_admission,
+    test_control,
+    test_links,
+    test_operator,
+)
+from tests.panel.bench import PROGRAM, proven, served
+from threadline.live import grbl_by_hand, supervised
+from threadline.live.states import Cause
+from threadline.panel import project_programs
+from threadline.panel.admission import Admission
+from threadline.panel.clients import Client
+from threadline.panel.control import ControlLease
+from threadline.panel.owner import Owner
+from threadline.panel.panel import Panel
+
+
+def leaves_it_moving(panel: Panel, client: Client) -> None:
+    """Forget a client that is gone, and let go on what it moved."""
+    panel._clients.pop(client.number, None)
+
+
+def stops_and_forgets(one: Owner) -> None:
+    """Stop what moves, and nothing that was asked for."""
+    one._desk.ask(Cause.STOP)
+
+
+def of_another_site(folder: Path) -> None:
+    with served(folder) as client:
+        test_admission.test_other_sites_are_refused(client, {"origin": "http://evil.example"})
+
+
+Test = Callable[[Path], None]
+GUARDS: dict[str, tuple[Take, Test]] = {
+    "the origin": (attribute(Admission, "refusal", nothing), of_another_site),
+    "the token": (
+        attribute(Admission, "knows", lambda *_: True),
+        test_admission.test_without_the_token_nobody_is_let_in,
+    ),
+    "names in the folder alone": (
+        attribute(project_programs, "program_path", lambda folder, name: folder / name),
+        test_admission.test_a_link_does_not_lead_out_of_the_folder,
+    ),
+    "bytes that act at once": (
+        attribute(project_programs, "_refuse_realtime", nothing),
+        lambda folder: test_admission.test_bytes_that_act_at_once_are_refused_with_their_line(
+            folder, 0x18
+        ),
+    ),
+    "one lease": (
+        attribute(ControlLease, "renew", lambda *_: True),
+        lambda _: test_control.test_it_is_what_two_people_would_say(),
+    ),
+    "a lease that expires": (
+        attribute(ControlLease, "passes", lambda *_: None),
+        lambda _: test_control.test_who_is_gone_loses_it_after_five(),
+    ),
+    "a state that was seen": (
+        attribute(Client, "saw", lambda *_: True),
+        lambda _: test_control.test_a_state_may_be_acted_on_for_half_a_second(),
+    ),
+    "a command once": (
+        attribute(Client, "is_next", lambda *_: True),
+        lambda _: test_control.test_a_state_may_be_acted_on_for_half_a_second(),
+    ),
+    "a connection that ends": (
+        attribute(Panel, "leave", leaves_it_moving),
+        test_operator.test_a_connection_that_ends_lets_go,
+    ),
+    "what was asked for before a stop": (
+        attribute(Owner, "_stop", stops_and_forgets),
+        lambda folder: with_patch(test_operator.test_a_stop_before_it_begins_ends_a_start, folder),
+    ),
+    "the hashes of what is started": (
+        attribute(supervised, "check_proof", lambda *_: ()),
+        test_operator.test_a_program_that_was_changed_since_is_not_run,
+    ),
+    "the little that grbl is sent ahead": (
+        attribute(grbl_by_hand, "AHEAD_S", 2.0),
+        test_links.test_a_jog_on_grbl_ends_where_nobody_renews_it,
+    ),
+}
+
+
+def with_patch(test: Callable[[Path, pytest.MonkeyPatch], None], folder: Path) -> None:
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        test(folder, monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of ``test_operator``, whose program is proven once for both."""
+    folder = tmp_path_factory.getbasetemp() / "proven-project"
+    folder.mkdir(exist_ok=True)
+    proven(folder)
+    return folder
+
+
+@pytest.mark.parametrize("guard", GUARDS)
+def test_without_the_guard_its_test_fails(
+    guard: str, project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take_away, test = GUARDS[guard]
+    take_away(monkeypatch)
+    own = getattr(test, "__module__", "") == test_admission.__name__ or guard in {"the origin"}
+    (project / "there.prg").write_text(PROGRAM, "utf-8")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
+        with pytest.raises((AssertionError, pytest.fail.Exception)):
+            test(tmp_path if own else project)
+        gc.collect()
