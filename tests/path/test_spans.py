@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from threadline.path.polygon import turns
-from threadline.path.spans import _EVEN, _MOST_PARTS, _evenly_timed
+from threadline.path.spans import _EVEN, _MOST_PARTS, _count, _cut_and_joined, _nominal, _parts
 
 CASES = 200
 
@@ -16,11 +16,26 @@ def differences(rng: np.random.Generator) -> list[np.ndarray]:
     return [rng.uniform(0.01, 0.01 * 10 ** rng.uniform(0, 0.8), size=(CASES, 1)) for _ in range(3)]
 
 
+def cut_evenly(
+    c: np.ndarray, times: list[np.ndarray], straight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The piece that each part belongs to, the parts, and their times at the feed."""
+    pace, own = 3.0 * np.concatenate(times, axis=1), np.arange(len(c))
+    parts = _parts(pace, straight)
+    whole_s = _nominal(pace, straight, np.full(len(c), 0.03))
+    count = _count(parts, straight, own)
+    cut, nominal_s, owner, line = _cut_and_joined(
+        c, pace, whole_s, straight, parts, own, own + 7, count
+    )
+    np.testing.assert_array_equal(line, owner + 7)
+    return owner, cut, nominal_s
+
+
 def test_parts_are_the_piece_that_they_are_cut_from() -> None:
     """At eleven places of every part, against the piece itself: to rounding, 1e-15 m of 0.1 m."""
     rng = np.random.default_rng(3)
     c = rng.normal(scale=0.02, size=(CASES, 4, 2))
-    owner, cut, _ = _evenly_timed(c, *differences(rng), np.zeros(CASES, dtype=np.bool_))
+    owner, cut, _ = cut_evenly(c, differences(rng), np.zeros(CASES, dtype=np.bool_))
     assert np.bincount(owner).max() > 5 and len(np.unique(owner)) == CASES
     u = np.linspace(0.0, 1.0, 11)[:, None] ** np.arange(4)
     for piece in range(CASES):
@@ -39,7 +54,7 @@ def test_no_part_is_faster_than_its_feed_or_much_slower() -> None:
     rng = np.random.default_rng(4)
     c = rng.normal(scale=0.02, size=(CASES, 4, 2))
     t = differences(rng)
-    owner, _, nominal_s = _evenly_timed(c, *t, np.zeros(CASES, dtype=np.bool_))
+    owner, _, nominal_s = cut_evenly(c, t, np.zeros(CASES, dtype=np.bool_))
     a, b, d = 3.0 * np.concatenate(t, axis=1).T
     count = np.bincount(owner)
     spread = np.max([a, b, d], axis=0) - np.min([a, b, d], axis=0)
@@ -62,7 +77,7 @@ def test_a_piece_at_one_speed_and_a_straight_one_stay_whole(straight: bool) -> N
     rng = np.random.default_rng(5)
     c = rng.normal(scale=0.02, size=(CASES, 4, 2))
     t = differences(rng) if straight else [np.full((CASES, 1), 0.01)] * 3
-    owner, cut, nominal_s = _evenly_timed(c, *t, np.full(CASES, straight))
+    owner, cut, nominal_s = cut_evenly(c, t, np.full(CASES, straight))
     np.testing.assert_array_equal(owner, np.arange(CASES))
     np.testing.assert_array_equal(cut, c)
     if not straight:

@@ -5,6 +5,7 @@ vertices alone are the control points. Elsewhere points are added on the chords 
 the vertex, the nearer to it the smaller the tolerance. All lengths are measured at the tool, with
 rotary axes at their radius.
 """
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
 
@@ -83,30 +84,57 @@ def turns(
     the vertex, so that a turn of a mandrel counts at its largest radius on the chords beside the
     vertex; lengths count at the largest of all.
     """
-    chord = np.diff(positions, axis=0) * radius_m
-    length = np.sqrt((chord**2).sum(axis=1))
-    tangent = chord / length[:, None]
-    turn = np.zeros(len(positions))
-    change = np.diff(tangent, axis=0)
+    shares = np.ones((0, len(radius_m)))
     if local is not None:
         most = local.most_between(positions)
-        change *= np.maximum(most[:-1], most[1:])
-    turn[1:-1] = np.sqrt((change**2).sum(axis=1))
-    turn[turn <= STRAIGHT] = 0.0
+        shares = np.maximum(most[:-1], most[1:])
+    found: tuple[FloatArray, FloatArray] = _turns(positions, radius_m, shares)
+    return found
+
+
+@njit(error_model="numpy")
+def _turns(positions, radius_m, shares):
+    """Return lengths and turns; ``shares`` are those of the vertices in between, or none."""
+    count, axes = positions.shape
+    length, turn = np.empty(max(count - 1, 0)), np.zeros(count)
+    tangent = np.zeros((2, axes))
+    for i in range(count - 1):
+        squared, here, before = 0.0, i % 2, 1 - i % 2
+        for j in range(axes):
+            chord = (positions[i + 1, j] - positions[i, j]) * radius_m[j]
+            tangent[here, j] = chord
+            squared += chord * chord
+        size = np.sqrt(squared)
+        length[i] = size
+        changed = 0.0
+        for j in range(axes):
+            tangent[here, j] /= size
+            change = tangent[here, j] - tangent[before, j]
+            if i > 0 and len(shares):
+                change *= shares[i - 1, j]
+            changed += change * change
+        changed = np.sqrt(changed)
+        if i > 0 and not changed <= STRAIGHT:
+            turn[i] = changed
     return length, turn
 
 
-def corner_spacing(length_m: FloatArray, turn: FloatArray, cut_m: float) -> FloatArray:
-    """Return the (n,) distance of the points to be added beside each vertex, 0 for none.
+@njit(error_model="numpy")
+def corner_spacing(length_m, turn, cut_m, spacing):
+    """Write the (n,) distances of the points to be added beside each vertex, 0 for none.
 
     ``cut_m`` is the largest distance at the tool between the spline and the vertex, and between
     the spline and the chords. The points stand at most half way to the next vertex.
     """
-    with np.errstate(divide="ignore"):
-        unit = np.where(turn > 0, cut_m / turn, np.inf)
-    before, after = np.insert(length_m, 0, 0.0), np.append(length_m, 0.0)
-    spacing = np.minimum(unit / EVEN_CUT, 0.5 * np.minimum(before, after))
-    return np.where(np.maximum(before, after) * ANY_CUT <= unit, 0.0, spacing)
+    count = len(turn)
+    for v in range(count):
+        spacing[v] = 0.0
+        if turn[v] > 0.0:
+            before = length_m[v - 1] if v > 0 else 0.0
+            after = length_m[v] if v < count - 1 else 0.0
+            unit = cut_m / turn[v]
+            if max(before, after) * ANY_CUT > unit:
+                spacing[v] = min(unit / EVEN_CUT, 0.5 * min(before, after))
 
 
 def control_polygon(
@@ -129,55 +157,79 @@ def control_polygon(
     cut_m
         Largest distance of the spline from vertices and chords, at the tool.
     """
-    spacing = corner_spacing(length_m, turn, cut_m)
-    fraction, owner, vertex = _insert(length_m, turn, spacing, first, stop)
-    begin, end = vertices.positions[owner], vertices.positions[owner + 1]
-    opens = np.diff(owner, prepend=-1) > 0
-    share = fraction - np.where(opens, 0.0, np.roll(fraction, 1))
-    return Controls(
-        # The end is written out so that a vertex is met bit for bit.
-        positions=np.where(vertex[:, None] == 1, end, begin + fraction[:, None] * (end - begin)),
-        turn=np.where(vertex == 1, turn[owner + 1], 0.0),
-        added=1 - vertex,
-        length_m=share * length_m[owner],
-        nominal_s=share * vertices.nominal_s[owner + 1],
-        operation=vertices.operation[owner + 1],
-        line=vertices.line[owner + 1],
+    columns = _points(
+        vertices.positions,
+        vertices.nominal_s,
+        vertices.operation,
+        vertices.line,
+        length_m,
+        turn,
+        cut_m,
+        first,
+        stop,
     )
+    return Controls(**dict(zip(_COLUMNS, columns, strict=True)))
 
 
-@njit()
-def _insert(
-    length: FloatArray, turn: FloatArray, spacing: FloatArray, first: int, stop: int
-) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return of every control point its place on its chord (0 to 1), the chord, 1 if a vertex."""
-    fraction = np.empty((stop - first) * MOST_POINTS)
-    owner = np.empty((stop - first) * MOST_POINTS, dtype=np.int64)
-    vertex = np.zeros((stop - first) * MOST_POINTS, dtype=np.int64)
+@njit(error_model="numpy")
+def _points(positions, nominal_s, operation, line, length_m, turn, cut_m, first, stop):
+    """Return the columns of the control points of chords ``first`` to ``stop``."""
+    axes = positions.shape[1]
+    spacing = np.empty(len(turn))
+    corner_spacing(length_m, turn, cut_m, spacing)
+    share = np.empty(MOST_POINTS)
+    count = 0
+    for c in range(first, stop):
+        plain = spacing[c] == 0.0 and spacing[c + 1] == 0.0
+        count += 1 if plain else _on_chord(length_m, turn, spacing, c, share)
+    out = np.empty((count, axes))
+    turned, gone, time_s = np.zeros(count), np.empty(count), np.empty(count)
+    added = np.zeros(count, dtype=np.int64)
+    own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     n = 0
     for c in range(first, stop):
-        near, far = spacing[c] / length[c], spacing[c + 1] / length[c]
-        begin = n
-        room = 1.0 - near - far
-        if near > 0.0 and far > 0.0 and room < TOUCH:
-            fraction[n] = 0.5
-            n += 1
-        else:
-            # Towards a vertex without added points, a second added point keeps the spacing even.
-            if near > 0.0:
-                fraction[n] = near
+        before = 0.0
+        if spacing[c] > 0.0 or spacing[c + 1] > 0.0:
+            for k in range(_on_chord(length_m, turn, spacing, c, share) - 1):
+                at = share[k]
+                for j in range(axes):
+                    out[n, j] = positions[c, j] + at * (positions[c + 1, j] - positions[c, j])
+                gone[n] = (at - before) * length_m[c]
+                time_s[n] = (at - before) * nominal_s[c + 1]
+                own[n], row[n], added[n] = operation[c + 1], line[c + 1], 1
+                before = at
                 n += 1
-                if far == 0.0 and turn[c + 1] > 0.0 and room > EXTRA * near:
-                    fraction[n] = 2.0 * near
-                    n += 1
-            if far > 0.0:
-                if near == 0.0 and turn[c] > 0.0 and room > EXTRA * far:
-                    fraction[n] = 1.0 - 2.0 * far
-                    n += 1
-                fraction[n] = 1.0 - far
-                n += 1
-        fraction[n] = 1.0
-        vertex[n] = 1
+        # The end is written out so that a vertex is met bit for bit.
+        for j in range(axes):
+            out[n, j] = positions[c + 1, j]
+        gone[n], time_s[n] = (1.0 - before) * length_m[c], (1.0 - before) * nominal_s[c + 1]
+        own[n], row[n], turned[n] = operation[c + 1], line[c + 1], turn[c + 1]
         n += 1
-        owner[begin:n] = c
-    return fraction[:n], owner[:n], vertex[:n]
+    return out, turned, added, gone, time_s, own, row
+
+
+@njit(error_model="numpy")
+def _on_chord(length, turn, spacing, c, share):
+    """Write the places (0 to 1) of the control points on a chord, its end the last; count them."""
+    near, far = spacing[c] / length[c], spacing[c + 1] / length[c]
+    n = 0
+    room = 1.0 - near - far
+    if near > 0.0 and far > 0.0 and room < TOUCH:
+        share[n] = 0.5
+        n += 1
+    else:
+        # Towards a vertex without added points, a second added point keeps the spacing even.
+        if near > 0.0:
+            share[n] = near
+            n += 1
+            if far == 0.0 and turn[c + 1] > 0.0 and room > EXTRA * near:
+                share[n] = 2.0 * near
+                n += 1
+        if far > 0.0:
+            if near == 0.0 and turn[c] > 0.0 and room > EXTRA * far:
+                share[n] = 1.0 - 2.0 * far
+                n += 1
+            share[n] = 1.0 - far
+            n += 1
+    share[n] = 1.0
+    return n + 1

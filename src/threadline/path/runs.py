@@ -15,6 +15,7 @@ COINCIDENT_M = 1e-10
 """A vertex nearer than this at the tool to the one before is left out: atoms are as far apart."""
 ROUNDING = 1e-14
 """Or nearer than this share of where it is: of so short a way hardly a digit is left."""
+_AT_A_TIME = 4096  # vertices; their control points and pieces stay in a cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,21 +57,22 @@ def join_vertices(first: Vertices | None, second: Vertices) -> Vertices:
 
 
 @njit()
-def _away(places, stops, near_m):  # type: ignore[no-untyped-def]
-    """Return (n,) whether each of (n + 1, axes) places after the first one is kept.
+def _away(places, before, radius_m, rest, near_m):  # type: ignore[no-untyped-def]
+    """Return (n,) whether each of (n, axes) places is kept; ``before`` is the place before them.
 
-    A place is kept if it is farther than ``near_m`` from the last place that was kept. One of the
-    ``stops`` (n,) is kept unless it is that place: the motion rests where the program says. What
-    is less than the rounding of a place is no way.
+    A place is kept if it is farther than ``near_m`` from the last place that was kept. One where
+    the motion rests, by ``rest`` (n,), is kept unless it is that place: the motion rests where the
+    program says. What is less than the rounding of a place is no way.
     """
-    away = np.zeros(len(places) - 1, dtype=np.bool_)
-    last = 0
-    for k in range(1, len(places)):
-        least_m = COINCIDENT_M if stops[k - 1] else near_m
+    away = np.zeros(len(places), dtype=np.bool_)
+    last = -1
+    for k in range(len(places)):
+        least_m = COINCIDENT_M if rest[k] > 0 else near_m
         for axis in range(places.shape[1]):  # a difference of rows would be a new array for each
-            away_m = abs(places[k, axis] - places[last, axis])
-            if away_m > max(least_m, ROUNDING * abs(places[k, axis])):
-                away[k - 1] = True
+            here_m = places[k, axis] * radius_m[axis]
+            there_m = (places[last, axis] if last >= 0 else before[axis]) * radius_m[axis]
+            if abs(here_m - there_m) > max(least_m, ROUNDING * abs(here_m)):
+                away[k] = True
                 last = k
                 break
     return away
@@ -102,30 +104,38 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
     """
     radius = programmed.radius_m
     last: Vertices | None = None
-    for block in programmed:
-        own = Vertices(
-            positions=block.positions,
-            nominal_s=block.nominal_s,
-            operation=block.operation,
-            line=block.line,
-        )
-        before = block.positions[:1] if last is None else last.positions
-        places = np.concatenate([before, block.positions]) * radius
-        new = _away(places, block.rest > 0, near_m)
+    for own, rest, dwell_s in _bites(programmed):
+        before = own.positions[:1] if last is None else last.positions
+        new = _away(own.positions, before[0], radius, rest, near_m)
         if last is None:
             new[0] = True
-        # Which distinct vertex each row stands at; -1 is the last one of the block before.
-        at = np.cumsum(new) - 1
-        distinct = own.take(np.flatnonzero(new))
-        stops = np.flatnonzero(block.rest)
+        distinct = own if new.all() else own.take(np.flatnonzero(new))
         first = 0
-        for vertex in np.unique(at[stops]):
-            dwell = float(block.dwell_s[stops[at[stops] == vertex]].sum())
-            part = distinct.take(slice(first, vertex + 1))
-            yield Chunk(vertices=part, ends=True, dwell_s=dwell)
-            first = int(vertex) + 1
+        if rest.any():
+            # Which distinct vertex each row stands at; -1 is the last one of the rows before.
+            at = np.cumsum(new) - 1
+            stops = np.flatnonzero(rest)
+            for vertex in np.unique(at[stops]):
+                pause_s = float(dwell_s[stops[at[stops] == vertex]].sum())
+                part = distinct.take(slice(first, vertex + 1))
+                yield Chunk(vertices=part, ends=True, dwell_s=pause_s)
+                first = int(vertex) + 1
         part = distinct.take(slice(first, None))
         if len(part):
             yield Chunk(vertices=part, ends=False, dwell_s=0.0)
         if len(distinct):
             last = distinct.take(slice(-1, None))
+
+
+def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, FloatArray]]:
+    """Yield vertices, rests and dwells of a path, few at a time: they stay in a cache."""
+    for block in programmed:
+        for first in range(0, len(block), _AT_A_TIME):
+            rows = slice(first, first + _AT_A_TIME)
+            own = Vertices(
+                positions=block.positions[rows],
+                nominal_s=block.nominal_s[rows],
+                operation=block.operation[rows],
+                line=block.line[rows],
+            )
+            yield own, block.rest[rows], block.dwell_s[rows]

@@ -1,21 +1,18 @@
 """The cubic pieces of a B-spline whose knots are spaced as its control points are."""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.path.polygon import Controls
 from threadline.path.types import PieceBlock
 
-BoolArray: TypeAlias = NDArray[np.bool_]
 _EVEN = 0.02
 """A piece is divided where its time per unit of u, by the feed, varies by more than this share."""
 _MOST_PARTS = 16
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 def pieces_of(
@@ -30,6 +27,43 @@ def pieces_of(
         begins at the first or ends at the last.
     ends, dwell_s
         Whether the run ends at ``stop``, and the pause there.
+    """
+    coefficients, pace, straight = _spans(
+        controls.positions, controls.turn, controls.length_m, controls.nominal_s, first, stop
+    )
+    own = slice(first + 1, stop + 1)
+    operation, line = controls.operation[own], controls.line[own]
+    parts = _parts(pace, straight)
+    count = _count(parts, straight, operation)
+    nominal_s = _nominal(pace, straight, controls.nominal_s[own])
+    if count < len(parts) or parts.max() > 1:
+        coefficients, nominal_s, operation, line = _cut_and_joined(
+            coefficients, pace, nominal_s, straight, parts, operation, line, count
+        )
+    rest = np.zeros(count, dtype=np.int64)
+    pause = np.zeros(count)
+    if ends:
+        rest[-1], pause[-1] = 1, dwell_s
+    for fresh in (coefficients, nominal_s, rest, pause):
+        fresh.flags.writeable = False  # so the block need not copy what nobody else holds
+    return PieceBlock(
+        coefficients=coefficients,
+        operation=operation,
+        nominal_s=nominal_s,
+        rest_after=rest,
+        dwell_s=pause,
+        line=line,
+    )
+
+
+@njit(error_model="numpy")
+def _spans(positions, turn, length_m, nominal_s, first, stop):
+    """Return the pieces between two control points, their paces, and which of them are straight.
+
+    Returns
+    -------
+    coefficients, pace, straight
+        (m, 4, axes); (m, 3) Bezier values of the time at the feed per unit of u, s; (m,).
 
     Notes
     -----
@@ -39,134 +73,139 @@ def pieces_of(
     of leg k as h[k-1] : h[k]. A leg between two points where the polygon does not turn is a line.
     The spline beside a line ends in their common point as at the end of a run: its polygon is
     mirrored there, so that it leaves straight, without curvature and evenly, whatever the length
-    of the line.
+    of the line. The time at the feed is a spline over the same knots as the path.
     """
-    line = (controls.turn[:-1] == 0.0) & (controls.turn[1:] == 0.0)
-    leg = np.diff(controls.positions, axis=0)
-    knots = _knots(controls.length_m[1:], line)
-    d0, d1, d2 = _differences(leg, knots)
-    t0, t1, t2 = _differences(controls.nominal_s[1:, None], knots)
-    joints = controls.positions.copy()
-    inner = np.flatnonzero(~(knots.opens[1:] | knots.closes[:-1]))
-    joints[inner + 1] += (knots.lead[:, None] * leg - d0)[inner + 1]
-    d0, d1, d2, t0, t1, t2 = (part[first:stop] for part in (d0, d1, d2, t0, t1, t2))
-    coefficients = np.stack(
-        [joints[first:stop], 3.0 * d0, 3.0 * (d1 - d0), d0 - 2.0 * d1 + d2], axis=1
-    )
-    straight = line[first:stop]
-    coefficients[straight, 1] = leg[first:stop][straight]
-    coefficients[straight, 2:] = 0.0
-    owner, coefficients, nominal = _evenly_timed(coefficients, t0, t1, t2, straight)
-    straight = straight[owner]
-    passed = controls.nominal_s[first + 1 : stop + 1][owner]
-    nominal[straight] = passed[straight]
-    operation = controls.operation[first + 1 : stop + 1][owner]
-    job_line = controls.line[first + 1 : stop + 1][owner]
-    # Straight spans of one move are one piece.
-    same = straight[1:] & straight[:-1] & (operation[1:] == operation[:-1])
-    kept = np.flatnonzero(np.concatenate([[True], ~same]))
-    merged = coefficients[kept]
-    merged[:, 1] = np.add.reduceat(coefficients[:, 1], kept, axis=0)
-    rest = np.zeros(len(kept), dtype=np.int64)
-    pause = np.zeros(len(kept))
-    if ends:
-        rest[-1], pause[-1] = 1, dwell_s
-    return PieceBlock(
-        coefficients=merged,
-        operation=operation[kept],
-        nominal_s=np.add.reduceat(nominal, kept),
-        rest_after=rest,
-        dwell_s=pause,
-        line=job_line[kept],
-    )
+    legs, axes = len(positions) - 1, positions.shape[1]
+    line = np.empty(legs, dtype=np.bool_)
+    for k in range(legs):
+        line[k] = turn[k] == 0.0 and turn[k + 1] == 0.0
+    # Shares of each leg before its first and after its second inner Bezier point.
+    lead, trail = np.empty(legs), np.empty(legs)
+    opens, closes = np.empty(legs, dtype=np.bool_), np.empty(legs, dtype=np.bool_)
+    for k in range(legs):
+        opens[k] = k == 0 or line[k - 1] or line[k]
+        closes[k] = k == legs - 1 or line[k + 1] or line[k]
+        h = length_m[k + 1]
+        before = h if opens[k] else length_m[k]
+        after = h if closes[k] else length_m[k + 2]
+        total = before + h + after
+        lead[k], trail[k] = before / total, after / total
+    coefficients = np.empty((stop - first, 4, axes))
+    pace = np.empty((stop - first, 3))
+    for k in range(first, stop):
+        i = k - first
+        h = length_m[k + 1]
+        here = 0.0 if opens[k] else h / (length_m[k] + h)
+        there = 0.0 if closes[k] else h / (h + length_m[k + 2])
+        for j in range(axes):
+            leg = positions[k + 1, j] - positions[k, j]
+            d0, d2 = lead[k] * leg, trail[k] * leg
+            d1 = leg - d0 - d2
+            joint = positions[k, j]
+            if not opens[k]:
+                start = d0
+                d0 = (trail[k - 1] * (positions[k, j] - positions[k - 1, j]) + start) * here
+                joint += start - d0
+            if not closes[k]:
+                d2 = (lead[k + 1] * (positions[k + 2, j] - positions[k + 1, j]) + d2) * there
+            coefficients[i, 0, j] = joint
+            if line[k]:
+                coefficients[i, 1, j], coefficients[i, 2, j], coefficients[i, 3, j] = leg, 0.0, 0.0
+            else:
+                coefficients[i, 1, j] = 3.0 * d0
+                coefficients[i, 2, j] = 3.0 * (d1 - d0)
+                coefficients[i, 3, j] = d0 - 2.0 * d1 + d2
+        d0, d2 = lead[k] * nominal_s[k + 1], trail[k] * nominal_s[k + 1]
+        pace[i, 1] = 3.0 * (nominal_s[k + 1] - d0 - d2)
+        if not opens[k]:
+            d0 = (trail[k - 1] * nominal_s[k] + d0) * here
+        if not closes[k]:
+            d2 = (lead[k + 1] * nominal_s[k + 2] + d2) * there
+        pace[i, 0], pace[i, 2] = 3.0 * d0, 3.0 * d2
+    return coefficients, pace, line[first:stop]
 
 
-def _evenly_timed(
-    coefficients: FloatArray, t0: FloatArray, t1: FloatArray, t2: FloatArray, straight: BoolArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Divide curved pieces along which the programmed speed changes.
+@njit(error_model="numpy")
+def _parts(pace, straight):
+    """Return into how many parts each of m pieces is divided so that its pace is even in each.
 
-    The time at the feed is a spline over the same knots as the path, with the Bezier differences
-    ``t0, t1, t2`` (m, 1) on each of m pieces. A piece has a single nominal time. At the slowest of
-    its three differences it would take up to half as long again as programmed, and the needle of a
-    stitcher would wait for the head.
+    A piece has a single nominal time. At the slowest of its three paces (m, 3) it would take up to
+    half as long again as programmed, and the needle of a stitcher would wait for the head.
+    """
+    out = np.ones(len(pace), dtype=np.int64)
+    for i in range(len(pace)):
+        a, b, d = pace[i]
+        mean = max((a + b + d) / 3.0, _TINY)
+        uneven = (max(a, b, d) - min(a, b, d)) / mean
+        if not straight[i] and uneven > _EVEN:
+            out[i] = min(int(np.ceil(uneven / _EVEN)), _MOST_PARTS)
+    return out
+
+
+@njit(error_model="numpy")
+def _count(parts, straight, operation):
+    """Return the number of pieces: parts, and straight spans of one move as one of them."""
+    count = 0
+    for i in range(len(parts)):
+        count += parts[i]
+        if i > 0 and straight[i] and straight[i - 1] and operation[i] == operation[i - 1]:
+            count -= 1
+    return count
+
+
+@njit(error_model="numpy")
+def _nominal(pace, straight, passed_s):
+    """Return the (m,) times of whole pieces: at the slowest pace of those that are curved."""
+    out = np.empty(len(pace))
+    for i in range(len(pace)):
+        a, b, d = pace[i]
+        out[i] = passed_s[i] if straight[i] else max(a, b, d)
+    return out
+
+
+@njit(error_model="numpy")
+def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, line, count):
+    """Return ``count`` pieces: m cut into ``parts`` each, straight spans of one move joined.
 
     Returns
     -------
-    owner, coefficients, nominal_s
-        (k,) piece that each part belongs to, and the (k, 4, axes) coefficients and (k,) times of
-        the parts.
+    coefficients, nominal_s, operation, line
+        (count, 4, axes) and (count,) of the pieces.
     """
-    pace = 3.0 * np.concatenate([t0, t1, t2], axis=1)
-    mean = np.maximum(pace.mean(axis=1), np.finfo(np.float64).tiny)
-    uneven = (pace.max(axis=1) - pace.min(axis=1)) / mean
-    parts = np.clip(np.ceil(uneven / _EVEN), 1, _MOST_PARTS).astype(np.int64)
-    parts[straight] = 1
-    owner = np.repeat(np.arange(len(parts)), parts)
-    share = 1.0 / parts[owner]
-    begin = share * (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts))
-    c = coefficients[owner]
-    u, h = begin[:, None], share[:, None]
-    cut = np.stack(
-        [
-            c[:, 0] + u * (c[:, 1] + u * (c[:, 2] + u * c[:, 3])),
-            h * (c[:, 1] + u * (2.0 * c[:, 2] + 3.0 * u * c[:, 3])),
-            h**2 * (c[:, 2] + 3.0 * u * c[:, 3]),
-            h**3 * c[:, 3],
-        ],
-        axis=1,
-    )
-    whole = parts[owner] == 1
-    cut[whole] = c[whole]
-    a, b, d = pace[owner].T
-    end = begin + share
-    # The largest Bezier value of the part's time per u, so that no place is above its feed.
-    first = a * (1.0 - begin) ** 2 + 2.0 * b * begin * (1.0 - begin) + d * begin**2
-    last = a * (1.0 - end) ** 2 + 2.0 * b * end * (1.0 - end) + d * end**2
-    middle = a * (1.0 - begin) * (1.0 - end) + d * begin * end
-    middle += b * (begin * (1.0 - end) + end * (1.0 - begin))
-    return owner, cut, share * np.maximum(np.maximum(first, middle), last)
-
-
-@dataclass(frozen=True, slots=True)
-class _Knots:
-    """Knot spans of n legs: ``h`` of each, and those of the legs ``before`` and ``after`` it.
-
-    ``opens`` and ``closes`` tell whether the spline begins or ends with the leg; ``lead`` and
-    ``trail`` are the shares of the leg before its first and after its second inner Bezier point.
-    """
-
-    h: FloatArray
-    before: FloatArray
-    after: FloatArray
-    opens: BoolArray
-    closes: BoolArray
-    lead: FloatArray
-    trail: FloatArray
-
-
-def _knots(h: FloatArray, line: BoolArray) -> _Knots:
-    """Return the knot spans: the (n,) lengths of the legs, mirrored at lines and at run ends."""
-    opens = np.concatenate([[True], line[:-1]]) | line
-    closes = np.concatenate([line[1:], [True]]) | line
-    before = np.where(opens, h, np.concatenate([h[:1], h[:-1]]))
-    after = np.where(closes, h, np.concatenate([h[1:], h[-1:]]))
-    total = before + h + after
-    return _Knots(h, before, after, opens, closes, before / total, after / total)
-
-
-def _differences(leg: FloatArray, knots: _Knots) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the three (n, axes) differences of the Bezier points of every span.
-
-    ``leg`` (n, axes) holds differences along the polygon: of positions, or of the time at the feed,
-    whose Bezier differences bound the time that a span needs.
-    """
-    lead, trail = knots.lead[:, None] * leg, knots.trail[:, None] * leg
-    around = np.zeros((len(leg) + 1, leg.shape[1]))
-    around[:-1] += lead
-    around[1:] += trail
-    d0 = around[:-1] * (knots.h / (knots.before + knots.h))[:, None]
-    d2 = around[1:] * (knots.h / (knots.h + knots.after))[:, None]
-    d0 = np.where(knots.opens[:, None], lead, d0)
-    d2 = np.where(knots.closes[:, None], trail, d2)
-    return d0, leg - lead - trail, d2
+    axes = coefficients.shape[2]
+    out = np.empty((count, 4, axes))
+    time_s = np.empty(count)
+    own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    n = 0
+    for i in range(len(parts)):
+        same = i > 0 and straight[i] and straight[i - 1] and operation[i] == operation[i - 1]
+        if same:
+            for j in range(axes):
+                out[n - 1, 1, j] += coefficients[i, 1, j]
+            time_s[n - 1] += nominal_s[i]
+            continue
+        own[n : n + parts[i]], row[n : n + parts[i]] = operation[i], line[i]
+        if parts[i] == 1:
+            out[n], time_s[n] = coefficients[i], nominal_s[i]
+            n += 1
+            continue
+        a, b, d = pace[i]
+        h = 1.0 / parts[i]
+        for part in range(parts[i]):
+            u = h * part
+            end = u + h
+            for j in range(axes):
+                c0, c1 = coefficients[i, 0, j], coefficients[i, 1, j]
+                c2, c3 = coefficients[i, 2, j], coefficients[i, 3, j]
+                out[n, 0, j] = c0 + u * (c1 + u * (c2 + u * c3))
+                out[n, 1, j] = h * (c1 + u * (2.0 * c2 + 3.0 * u * c3))
+                out[n, 2, j] = h**2 * (c2 + 3.0 * u * c3)
+                out[n, 3, j] = h**3 * c3
+            # The largest Bezier value of the part's time per u, so that no place is above its feed.
+            first = a * (1.0 - u) ** 2 + 2.0 * b * u * (1.0 - u) + d * u**2
+            last = a * (1.0 - end) ** 2 + 2.0 * b * end * (1.0 - end) + d * end**2
+            middle = a * (1.0 - u) * (1.0 - end) + d * u * end
+            middle += b * (u * (1.0 - end) + end * (1.0 - u))
+            time_s[n] = h * max(first, last, middle)
+            n += 1
+    return out, time_s, own, row
