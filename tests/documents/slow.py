@@ -34,7 +34,7 @@ SLOW: dict[str, dict[str, str]] = {
         ),
         "python tools/memory_bounds.py": "half an hour",
         "python -m tools.points_growth 3 4": "times and memory of one computer",
-        "python -m tools.smoother_corners": "5 s; what a path could gain, not what it does",
+        "python -m tools.smoother_corners": "half a minute; what a path could gain",
         "python -m tools.random_paths 1000 200000": "a minute",
         "python -m tools.random_paths 60000 300000": "an hour",
     },
