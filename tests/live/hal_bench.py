@@ -59,6 +59,7 @@ SLEPT = (
     "refills came too late",
     "has stood still",
     "the machine was silent",
+    "that tick is past",
     "this computer slept",
 )
 """What is told of a run for which nobody had the processor for a tenth of a second."""

@@ -314,6 +314,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
     assert sum(len(block.samples["X.commanded"]) for block in kept.blocks) >= tick
 
 
+@awake
 def test_an_underrun_is_seen(tmp_path: Path) -> None:
     """The process in front of HAL sleeps: HAL brakes by itself, and the run is over."""
     slept = []

@@ -174,7 +174,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     ),
     "a fifo of HAL that ran empty": (
         attribute(executor, "_STARVED", ""),
-        with_folder(test_hal.test_an_underrun_is_seen),
+        with_folder(test_hal.test_an_underrun_is_seen.__wrapped__),
     ),
     "rows that HAL is about to play": (
         attribute(HalSession, "__init__", without_lead),

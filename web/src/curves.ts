@@ -21,8 +21,9 @@ export class Curves {
     const x = { time: false };
     const size = () => ({ width: Math.max(Math.min(above.clientWidth, window.innerWidth - 60), 280), height: 170 });
     this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [10, 5] }, { label: "commanded", stroke: BLUE, dash: [3, 2] }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
-    this.deviation = new uPlot({ ...size(), height: 130, legend: { live: false }, scales: { x }, axes, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
-    new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 130 }); }).observe(above);
+    const close = axes.map((axis, k) => (k ? { ...axis, space: 14 } : axis)); // a low picture has marks, too
+    this.deviation = new uPlot({ ...size(), height: 150, legend: { live: false }, scales: { x }, axes: close, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
+    new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 150 }); }).observe(above);
   }
 
   /** Show what is planned, and nothing else until the machine moves. */
