@@ -84,6 +84,8 @@ class Motion:
         the inverses.
     needle_follows
         Whether a needle turns with the way of the head, and keeps no times of its own.
+    of_averages
+        Warnings of how the motion was smoothed.
     """
 
     programmed: ProgrammedPath
@@ -94,6 +96,7 @@ class Motion:
     demands: tuple[Demand, ...] = ()
     rests_s: tuple[float, float] = (0.0, 0.0)
     needle_follows: bool = False
+    of_averages: tuple[str, ...] = ()
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -133,8 +136,9 @@ class Motion:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A line for every axis whose feed-forward needs more current or voltage than there is."""
-        return tuple(line for demand in self.demands if (line := _beyond(demand)))
+        """How it was smoothed, and each axis whose feed-forward needs more than its drive has."""
+        beyond = tuple(line for demand in self.demands if (line := _beyond(demand)))
+        return self.of_averages + beyond
 
     def interpolation(self, options: Mapping[str, str]) -> str:
         """Return the interpolation that was asked for, that of the path where none is named."""

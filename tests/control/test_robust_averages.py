@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
@@ -104,6 +106,43 @@ def test_no_machine_rings_more_than_is_said(stops):
     after = t >= CHANGE_S / 2
     plain = max(np.abs(answer(even, f, t) - 1.0)[after].max() for f in factors)
     assert plain > 2.0 * found.error
+
+
+def test_a_mean_is_even_where_the_speed_is_not():
+    """Stitches keep their length where no average of that width keeps the speed so well."""
+    mean_s, factors = 0.6 * CHANGE_S, (1.0, 0.7, 1.4)
+    omega = frequencies_rad_s(GRID_S, SAMPLES)
+    axis = StepOfSpeed(
+        speed=0.1,
+        room=1e-3,
+        current_limit_a=np.inf,
+        machines=[response(factor, omega) for factor in factors],
+    )
+    early = replace(change(False), even_s=CHANGE_S / 8)
+    of_speed, of_mean = (
+        robust_weights(
+            axis,
+            [replace(early, mean_s=lasts_s)],
+            count=COUNT,
+            step_s=STEP_S,
+            degree=5,
+            grid_s=GRID_S,
+            samples=SAMPLES,
+        )
+        for lasts_s in (0.0, mean_s)
+    )
+    assert of_speed is not None and of_mean is not None
+    assert of_mean.error < 0.7 * of_speed.error
+    step_s = 2e-5
+    t = np.arange(-0.2, 0.8, step_s)
+    lasts, off = round(mean_s / step_s), []
+    for factor in factors:
+        way = np.cumsum(answer(of_mean.weights, factor, t)) * step_s
+        gone = (way[lasts:] - way[:-lasts]) / mean_s
+        # The first mean that is looked at begins a sample of the grid later.
+        begins = t[:-lasts] >= early.even_s + GRID_S
+        off.append(np.abs(gone - 1.0)[begins].max())
+    assert max(off) == pytest.approx(of_mean.error, abs=3e-3)
 
 
 def test_what_serves_a_start_alone_is_better_at_it():

@@ -88,6 +88,9 @@ class ChangeOfSpeed:
         Until so long before 0 another axis moves, and the load must not stray.
     share
         Least and largest of the speeds that are planned, in parts of the wanted one.
+    mean_s
+        Time over which the mean of the speed is to be even, 0 where the speed itself is. With it
+        nothing is asked of when the speed is there, nor that the load stands before.
     """
 
     stop: bool
@@ -97,6 +100,7 @@ class ChangeOfSpeed:
     even_s: float
     aside_s: float = 0.0
     share: tuple[float, float] = (1.0, 1.0)
+    mean_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -264,12 +268,21 @@ def _bands(
     there = np.flatnonzero((t >= due - MEAN_S) & (t <= due))
     even = np.flatnonzero((t >= change.even_s) & (t <= _SEEN * change.within_s))
     asked = np.ones(len(even))
-    bands = [
-        _Band(S[there] * least, *_at_least(THERE + _SPARE, len(there)), _LATE),
-        _Band(S[even] * least, *_at_least(1.0, len(even)), _ERROR),
-        _Band(S[even] * most, -np.inf * asked, asked, _ERROR),
+    seen = S[even]
+    if change.mean_s:
+        # From a sample after each instant on; what lasts beyond the samples is not looked at.
+        lasts = max(round(change.mean_s / (t[1] - t[0])), 1)
+        until = np.minimum(even + lasts, len(t) - 1)
+        run = np.cumsum(S, axis=0)
+        seen = (run[until] - run[even]) / (until - even)[:, None]
+    bands: list[_Band] = []
+    if not change.mean_s:
+        bands.append(_Band(S[there] * least, *_at_least(THERE + _SPARE, len(there)), _LATE))
+    bands += [
+        _Band(seen * least, *_at_least(1.0, len(even)), _ERROR),
+        _Band(seen * most, -np.inf * asked, asked, _ERROR),
     ]
-    if planned:
+    if planned and not change.mean_s:
         still = np.flatnonzero((t >= -change.still_s) & (t <= -change.early_s))
         bands.append(_Band(S[still], *_within(STILL, len(still))))
     # While another axis has its even speed, what this one adds across makes the load faster.

@@ -119,6 +119,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         of_loads=of_loads,
         along_m_s2=job.along_m_s2,
     )
+    warnings: tuple[str, ...] = ()
     # A demand above its limit is no error: the verdict shows what comes of it.
     if timing.smoothing_s is None:
         followed = followed_by_motors(timed, machine, job, shaper)
@@ -126,7 +127,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         averages = even_averages(timing.smoothing_s)
         followed = followed_by_loads(timed, machine, job, averages)
     else:
-        averages = robust_averages(
+        averages, warnings = robust_averages(
             timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
         )
         stepped = with_steps(timed)
@@ -140,6 +141,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         demands=followed.demands,
         rests_s=followed.rests_s,
         needle_follows=job.needle_follows,
+        of_averages=warnings,
     )
     return Plan(
         job=job,

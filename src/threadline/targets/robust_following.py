@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil, log2
+from typing import overload
 
 import numpy as np
 
@@ -41,6 +42,7 @@ _WEAK, _STRONG = 0.9, 0.43  # of it, for the axis with the largest error and for
 _DEPARTURES = (0.25, 0.35, 0.425, 0.5)  # how long before its step a start may begin, in two turns
 _WITHIN = (1.0, 0.8)  # the same, in its run-up
 _ENOUGH = 0.04  # of the speed: an error with which a load may stand in the corners
+_HOPELESS = 1.25  # times it: more than sharing the room of a corner mends
 _SOONER = 0.96
 """Of the time in which machines other than that of the file have to have the speed: the motion that
 is planned departs from that of the programs by some per cent of it."""
@@ -74,10 +76,12 @@ def robust_averages(
     radius_m: FloatArray,
     share: float,
     smoothing_s: float | None,
-) -> Averages:
-    """Return averages over time that leave the least error of speed on nine machines.
+) -> tuple[Averages, tuple[str, ...]]:
+    """Return averages over time that leave the least error of speed on nine machines, and warnings.
 
-    They are of the motion with its run-ups as steps (``with_steps``).
+    They are of the motion with its run-ups as steps (``with_steps``). Where the needle is too fast
+    for all machines to keep the speed, its mean over a turn of the needle is what is even: stitches
+    then keep their length, and a warning says so.
 
     Parameters
     ----------
@@ -126,18 +130,19 @@ def robust_averages(
     program = _Program(planned.axes, axes, change_s=change_s, grid_s=grid_s, samples=samples)
     leads, wanted = leads_of(planned), _shares(job)
     of = _SOONER if len(machines) > 1 else 1.0
-    own = {
-        stop: program.least(
+    turn_s = change_s / TURNS if smoothing_s is None else None
+    own: dict[bool, list[RobustWeights]] = {}
+    warnings: list[str] = []
+    for stop, leads_s in ((False, leads.starts_s), (True, leads.stops_s)):
+        ways = [
             [
-                [
-                    [_change(change_s, early_s, stop=stop, leads_s=leads_s, share=wanted, of=of)]
-                    for early_s in alike
-                ]
-                for alike in _departures_s(change_s, leads_s[0])
+                [_change(change_s, early_s, stop=stop, leads_s=leads_s, share=wanted, of=of)]
+                for early_s in alike
             ]
-        )
-        for stop, leads_s in ((False, leads.starts_s), (True, leads.stops_s))
-    }
+            for alike in _departures_s(change_s, leads_s[0])
+        ]
+        own[stop], told = program.speed_or_length(ways, turn_s)
+        warnings += told
     even = own[False]
     if steps.bent or steps.bends.any():
         # A step between pieces that move may be the start of one axis and the stop of another.
@@ -146,12 +151,13 @@ def robust_averages(
         even = program.least(
             [[[_change(change_s, 0.25 * change_s, stop=stop) for stop in (False, True)]]]
         )
-    return Averages(
+    averages = Averages(
         weights=_acting(even),
         step_s=step_s / _SAMPLES,
         starts=_acting(own[False]),
         stops=_acting(own[True]),
     )
+    return averages, tuple(warnings)
 
 
 _Ways = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
@@ -174,8 +180,47 @@ class _Program:
         self._names = names
         self._change_s, self._grid_s, self._samples = change_s, grid_s, samples
 
-    def least(self, ways: _Ways) -> list[RobustWeights]:
-        """Return the best weights of every axis.
+    def speed_or_length(
+        self, ways: _Ways, turn_s: float | None
+    ) -> tuple[list[RobustWeights], list[str]]:
+        """Return weights that keep the speed or, where none do, its mean over a turn; and warnings.
+
+        Parameters
+        ----------
+        turn_s
+            Of the needle; None where nothing but the speed may be kept.
+
+        Raises
+        ------
+        PlanError
+            As ``least``.
+        """
+        if turn_s is None:
+            return self.least(ways), []
+        try:
+            found = self.least(ways, enough=_ENOUGH)
+        except PlanError:
+            found = None
+        if found is not None:
+            return found, []
+        first = ways[0][0][0]
+        found = self.least([[[replace(first, mean_s=turn_s)]]])
+        error = max(weights.error for weights in found)
+        ends = "before stops" if first.stop else "after starts"
+        return found, [
+            f"--robust: {ends} no average keeps the speed of the head within {_ENOUGH:.0%} on all "
+            "machines, so the length of stitches is kept in its place, to "
+            f"{error:.1%} as planned; a slower needle keeps both"
+        ]
+
+    @overload
+    def least(self, ways: _Ways) -> list[RobustWeights]: ...
+
+    @overload
+    def least(self, ways: _Ways, enough: float) -> list[RobustWeights] | None: ...
+
+    def least(self, ways: _Ways, enough: float = np.inf) -> list[RobustWeights] | None:
+        """Return the best weights of every axis; None where an error is above ``enough``.
 
         Raises
         ------
@@ -193,6 +238,13 @@ class _Program:
                     remedy="Give a longer --smoothing, or lower the speed.",
                 )
             found.append(best)
+            if best.error > _HOPELESS * enough:
+                return None
+        shared = self._shared(found, ways)
+        return shared if max(weights.error for weights in shared) <= enough else None
+
+    def _shared(self, found: list[RobustWeights], ways: _Ways) -> list[RobustWeights]:
+        """Return weights with which the weakest axis has more room in a corner, if better."""
         # Where two axes meet both are off: what the weaker takes of the room the others give.
         weakest = int(np.argmax([weights.cost for weights in found]))
         if len(found) == 1 or _good(found[weakest], ways):

@@ -41,7 +41,7 @@ def _runs(sewn: Sequence[SewnContour]) -> Iterator[Operation | MoveRun]:
         yield from _begin(contour)
         needle = _Needle(contour, number)
         line = contour.place.line
-        for block in contour.blocks():
+        for block, most_hz in _with_most(contour):
             line = int(block.line[-1])
             columns = needle.columns(block)
             for start in range(0, len(block.line), _RUN):
@@ -49,7 +49,7 @@ def _runs(sewn: Sequence[SewnContour]) -> Iterator[Operation | MoveRun]:
                 yield MoveRun(
                     targets=block.points[1:][part],
                     line=block.line[part],
-                    feeds=tuple(_feeds(contour, block.times_s[part])),
+                    feeds=tuple(_feeds(contour, block.times_s[part], most_hz[part])),
                     file=contour.place.file,
                     passes=(),
                     columns={name: column[part] for name, column in columns.items()},
@@ -77,13 +77,43 @@ def _rest(contour: SewnContour, block: StitchBlock) -> Iterator[Operation]:
         yield Dwell(0.0, Source(contour.place.file, int(block.line[-1])))
 
 
-def _feeds(contour: SewnContour, times_s: FloatArray) -> Iterator[tuple[int, Feed]]:
+def _with_most(contour: SewnContour) -> Iterator[tuple[StitchBlock, FloatArray]]:
+    """Yield blocks with the (n,) speeds up to which a timing by limits may turn the needle.
+
+    Where a corner is rounded one piece of the path is of two stitches, and has one speed. So that
+    neither of them takes less than a turn, both have that of the shorter.
+    """
+    held: tuple[StitchBlock, FloatArray] | None = None
+    for block in contour.blocks():
+        most_hz = np.full(len(block.lengths_m), contour.settings.needle_speed_hz)
+        # Only a needle that follows has such speeds; others need no leg in hand.
+        if not contour.settings.follows:
+            yield block, most_hz
+            continue
+        if held is not None:
+            before, slowed_hz = held
+            if not before.rests:
+                ratio = float(block.lengths_m[0] / before.lengths_m[-1])
+                slowed_hz[-1] = min(slowed_hz[-1], most_hz[0] * ratio)
+                most_hz[0] *= min(1.0, 1.0 / ratio)
+            yield held
+        held = block, most_hz
+    if held is not None:
+        yield held
+
+
+def _feeds(
+    contour: SewnContour, times_s: FloatArray, most_hz: FloatArray
+) -> Iterator[tuple[int, Feed]]:
     """Yield each feed with the index of the first stitch to which it applies."""
     if contour.settings.needle == "constant":
         yield 0, Feed(FeedMode.INVERSE_TIME, contour.settings.needle_speed_hz)
         return
-    most = contour.settings.needle_speed_hz if contour.settings.follows else None
-    for k in np.flatnonzero(np.diff(times_s, prepend=-1.0)).tolist():
+    changes = np.diff(times_s, prepend=-1.0) != 0.0
+    if contour.settings.follows:
+        changes |= np.diff(most_hz, prepend=-1.0) != 0.0
+    for k in np.flatnonzero(changes).tolist():
+        most = float(most_hz[k]) if contour.settings.follows else None
         yield k, Feed(FeedMode.INVERSE_TIME, 1.0 / float(times_s[k]), most=most)
 
 
