@@ -61,13 +61,14 @@ def proof_warnings(proof: Proof) -> list[str]:
 
 
 def arc_warnings(job: Job, machine: Machine) -> list[str]:
-    """Return a line where LinuxCNC rounds a corner by an arc, which its planner here does not.
+    """Return a line where LinuxCNC passes a corner faster than its planner here does.
 
-    Moves of X, Y and Z alone meet so, two of them that follow each other and bend; measured in
+    Moves of X, Y and Z alone meet so, two of them that follow each other: where they bend it rounds
+    the corner by an arc, and after G61 it goes on where they do not; measured in
     ``docs/interpolations.md``.
     """
     planner = machine.planner
-    if not isinstance(planner, LinuxCncPlanner) or planner.exact_stop:
+    if not isinstance(planner, LinuxCncPlanner):
         return []
     others = [axis not in "XYZ" for axis in job.axes]
     place = np.array(job.start)
@@ -81,9 +82,16 @@ def arc_warnings(job: Job, machine: Machine) -> list[str]:
         alone = np.asarray((way[:, others] == 0.0).all(axis=1))
         along = way / np.linalg.norm(way, axis=1)[:, None]
         bends = np.asarray(np.linalg.norm(np.diff(along, axis=0), axis=1) > _BEND)
-        corners = np.flatnonzero(alone[1:] & alone[:-1] & bends)
+        faster = ~bends if planner.exact_stop else bends
+        corners = np.flatnonzero(alone[1:] & alone[:-1] & faster)
         if len(corners):
             where = Place(run.file, int(line[corners[0] + 1]))
+            if planner.exact_stop:
+                return [
+                    f"{where}: LinuxCNC does not stop between moves of X, Y and Z alone that go "
+                    "straight on, after G61 neither; its planner here does: it takes less time "
+                    "than is told"
+                ]
             return [
                 f"{where}: LinuxCNC rounds corners between moves of X, Y and Z alone by arcs, "
                 "which its planner here has not: it takes less time than is told, down to half "

@@ -5,7 +5,7 @@ add up (its documents, "Trajectory Planning" and "G64 Path Blending"; what they 
 fitted to servo cycles of version 2.9, run without a screen: no line of its source was at hand).
 Both have half of the acceleration. So it blends every move in which a rotary axis takes part. Moves
 of X Y Z alone it blends by arcs, unless ``[TRAJ]ARC_BLEND_ENABLE = 0``; they are taken as with that
-setting.
+setting. After G61 such moves have up to a tenth less acceleration (``Rules.kinks``).
 
 A move of length L, acceleration a and speed v reaches v_r = min(v, sqrt(a L)). The blend lasts at
 most t = min(L_1 / v_r1, L_2 / v_r2, max(v_r1 / a_1, v_r2 / a_2)); it begins when the first move is
@@ -97,16 +97,20 @@ class BlendedRun(MovesInHand):
     planner: LinuxCncPlanner
     entered: float = 0.0  # speed that the first move has when the one before ends
     overlap: float = 0.0  # for how long both moved
+    kink: float = 0.0  # share of acceleration that its first corner takes from the first move
 
     def _rest(self) -> None:
-        self.entered, self.overlap = 0.0, 0.0
+        self.entered, self.overlap, self.kink = 0.0, 0.0, 0.0
 
     def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
         start, way, nominal_s = self.start[0], self.way[0], self.nominal_s[0]
         moves = self.rules.moves(way, nominal_s)
+        kinks = np.zeros(len(way) + 1)
+        if self.planner.exact_stop:
+            kinks[0], kinks[1:-1] = self.kink, self.rules.kinks(moves, nominal_s == 0.0)
         found = blended(
             moves.length,
-            moves.acceleration,
+            moves.acceleration * (1.0 - np.maximum(kinks[1:], kinks[:-1])),
             moves.speed,
             self.rules.half_angles(way),
             -1.0 if self.planner.exact_stop else self.planner.tolerance_m * MM,
@@ -120,6 +124,7 @@ class BlendedRun(MovesInHand):
             yield self._pieces(start, way / moves.length[:, None], moves.length, found)
             self.begun = True
             self.entered, self.overlap = float(found[5][-1]), float(found[6][-1])
+            self.kink = float(kinks[out])
         self._keep(out)
 
     def _pieces(

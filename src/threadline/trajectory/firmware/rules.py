@@ -29,6 +29,7 @@ from threadline.trajectory.firmware.junctions import (
 
 MM = 1e3  # firmwares count in mm and degrees
 _LINEAR, _SECOND, _TURNING = "XYZ", "UVW", "ABC"
+_SERVO_S, _SHARP_DEG, _KINK = 1e-3, 2.0, 0.1  # as LinuxCNC comes
 _INSTANT = 1.0  # mm/s or deg/s: Klipper's own default for axes beside X Y Z
 
 
@@ -140,6 +141,24 @@ class Rules:
         tangent[rests, 0] = 1.0
         along = (tangent[1:] * tangent[:-1]).sum(axis=1)
         return np.asarray(np.sqrt(np.maximum(0.5 * (1.0 - along), 0.0)))
+
+    def kinks(self, moves: Moves, rapid: NDArray[np.bool_]) -> FloatArray:
+        """Return by which (n - 1,) shares LinuxCNC takes acceleration from both moves of a corner.
+
+        After G61 it still measures, at each corner between moves of X, Y and Z alone, the
+        acceleration of turning within a servo cycle of 1 ms, as a share of what its axes have, and
+        takes that off theirs, a tenth at most (``[TRAJ]ARC_BLEND_KINK_RATIO``). It does not where
+        a rapid move and one at a feed meet, and where a move goes back within 2 degrees.
+        """
+        plane = self._plane
+        alone = ((moves.direction != 0.0) <= (plane > 0.0)).all(axis=1)
+        meets = alone[1:] & alone[:-1] & (rapid[1:] == rapid[:-1])
+        back = ((moves.direction[1:] + moves.direction[:-1]) ** 2 * plane).sum(axis=1)
+        speed = np.minimum(moves.speed[1:], moves.speed[:-1])
+        turns = np.abs(np.diff(moves.direction, axis=0)) * plane / self.acceleration
+        share = turns.max(axis=1) * (speed / _SERVO_S + moves.acceleration[1:])
+        meets &= back >= np.radians(_SHARP_DEG) ** 2
+        return np.asarray(np.where(meets, np.minimum(share, _KINK), 0.0))
 
     def _of_axes(self, said: Mapping[str, Quantity], default: float = np.inf) -> FloatArray:
         """Return the (axes,) values of ``said``; ``default`` where it has none."""
