@@ -102,6 +102,9 @@ def test_what_cannot_be_robust_is_refused() -> None:
     program = read_job(EXAMPLES / "x-180.prg", winder)
     with pytest.raises(PlanError, match="no needle that says in which time"):
         plan_job(program, winder, ROBUST)
+    follows = read_job(EXAMPLES / "stitcher-follow.seam.toml", MACHINE)
+    with pytest.raises(PlanError, match="its needle follows the head"):
+        plan_job(follows, MACHINE, ROBUST)
 
 
 def _exact(parts):

@@ -100,9 +100,14 @@ def robust_averages(
     OptionError
         If no load or spring has a tolerance.
     PlanError
-        If the job has no needle and no smoothing is given, if the time is too short, or if the
-        current does not suffice.
+        If a needle follows the head, if the job has no needle and no smoothing is given, if the
+        time is too short, or if the current does not suffice.
     """
+    if job.needle_follows:
+        raise PlanError(
+            f"{job.name}: its needle follows the head, which a robust plan lets swing in corners",
+            remedy='Leave --robust out, or give needle = "constant".',
+        )
     change_s = _change_s(job) if smoothing_s is None else smoothing_s
     if change_s < _LEAST_CHANGE_S:
         raise PlanError(
