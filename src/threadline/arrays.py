@@ -85,6 +85,17 @@ def _taken(values: ArrayLike, dtype: type[Any]) -> NDArray[Any]:
     return np.array(values, dtype=dtype)
 
 
+def largest_of_axes(values: FloatArray) -> FloatArray:
+    """Return the (n,) largest of each row of (n, axes) values.
+
+    Axis after axis: numpy compares along a short inner dimension slowly.
+    """
+    largest: FloatArray = values[:, 0]
+    for axis in range(1, values.shape[1]):
+        largest = np.maximum(largest, values[:, axis])
+    return largest
+
+
 def _check_ndim(found: int, name: str, wanted: int) -> None:
     if found != wanted:
         raise ValueError(f"{name} must have {wanted} dimension(s), got {found}")

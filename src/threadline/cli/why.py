@@ -46,9 +46,9 @@ class Why:
     indices
         Sobol indices of the largest share of a limit.
     halved
-        (n,) yield of ``machines`` machines with the tolerance of one number halved.
+        (n,) yield of ``machines`` machines, with the tolerance of one of the n numbers halved.
     own
-        Their yield as they are.
+        Yield of the same machines with every tolerance as it is in the file.
     """
 
     indices: Influence

@@ -23,8 +23,12 @@ def chord_time_s(
     velocity_limit
         (axes,) m/s or rad/s.
     """
-    fastest = (np.abs(displacement) / velocity_limit).max(axis=1)
-    return np.where(nominal_s > 0, nominal_s, fastest)
+    rapid = ~(nominal_s > 0)
+    if not rapid.any():
+        return nominal_s
+    time_s = nominal_s.copy()
+    time_s[rapid] = (np.abs(displacement[rapid]) / velocity_limit).max(axis=1)
+    return time_s
 
 
 def whole_ticks_s(time_s: FloatArray, tick_s: float) -> FloatArray:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, largest_of_axes
 from threadline.errors import Place, PlanError
 from threadline.jobs.gcode.f_words import as_f_words
 from threadline.jobs.operations import Feed, FeedMode, Job
@@ -70,10 +70,10 @@ def feed_time_s(
     if feed.mode is FeedMode.INVERSE_TIME:
         return np.where(size.max(axis=1) > 0, 1.0 / feed.value, 0.0)
     if feed.mode is FeedMode.COUNT_PER_TICK:
-        counts = (size * machine.counts_per_unit[column]).max(axis=1)
+        counts = largest_of_axes(size * machine.counts_per_unit[column])
         return np.asarray(counts * float(machine.tick_clock.period_s) / feed.value)
     if feed.mode is FeedMode.FASTEST_AXIS:
-        return np.asarray(at_tool.max(axis=1) / feed.value)
+        return np.asarray(largest_of_axes(at_tool) / feed.value)
     if feed.mode in (FeedMode.ALL_AXES, FeedMode.IN_TURN):
         linear = np.array([machine.axes[axis].kind == "linear" for axis in axes])
         written = size * np.where(linear, 1.0, _MM_AS_DEGREE_M)

@@ -41,7 +41,7 @@ class NeedleColumns:
         self._trim_until = 0  # tick
 
     def rows(self, block: TickBlock) -> NeedleRows:
-        """Return what stands beside the rows of the next block."""
+        """Return the needle's columns for the rows of ``block``, which is the next of the table."""
         first, rows = block.first_tick, len(block)
         period_s = float(self._clock.period_s)
         self._pull(float(self._clock.time_s(first + rows)) + period_s)

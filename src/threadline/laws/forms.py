@@ -50,7 +50,8 @@ def less_cosine(x: FloatArray) -> FloatArray:
 class Phase:
     """A stretch of the motion with the acceleration ``c0 + c1 t + b sin(w t + p)``.
 
-    ``t`` counts from the start of the phase; ``v0`` and ``s0`` are velocity and rise there.
+    ``t`` counts from the start of the phase; ``v0`` and ``s0`` are the velocity and the rise at
+    that start. The phase lasts from ``begin`` to ``end`` of the whole motion, which takes 1.
     """
 
     begin: float

@@ -154,7 +154,9 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
 
 
 def corners(machine: Machine) -> FloatArray:
-    """Return (2**n, n) parts: every combination of ends, the first number changing slowest.
+    """Return (2**n, n) parts of tolerances: each of n numbers at its lower (-1) or upper end (1).
+
+    Every combination is a row; the first number changes slowest.
 
     Raises
     ------

@@ -122,7 +122,8 @@ def vertices_as_points(
         signs = np.vstack([way[None], np.sign(displacement)])
         moved = np.where(signs != 0, np.arange(len(signs))[:, None], 0)
         latest = np.take_along_axis(signs, np.maximum.accumulate(moved, axis=0), axis=0)
-        turned = (signs[1:] * latest[:-1] < 0).any(axis=1).astype(np.float64)
+        # Axis by axis: numpy looks along a short inner dimension slowly.
+        turned = np.logical_or.reduce([*(signs[1:] * latest[:-1] < 0).T]).astype(np.float64)
         way = latest[-1]
         if held is not None:
             points = join([held, points])

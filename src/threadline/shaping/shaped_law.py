@@ -61,7 +61,10 @@ class _Shifted:
 
 
 def _left(law: Law, since: FloatArray, derivative: int) -> FloatArray:
-    """Return what is left of the rise ``since`` before its end; all of it before its beginning."""
+    """Return 1 minus the rise at the times 1 - ``since``, or a derivative of it by ``since``.
+
+    ``since`` (n,) counts back from the end of the law; above 1, before the law begins, it is 1.
+    """
     near = since <= 1.0 - law.meets
     out = np.empty_like(since)
     out[near] = law.left(since[near], derivative)

@@ -79,7 +79,7 @@ class ScheduledMove:
 
     @property
     def forward(self) -> bool:
-        """Whether it goes away from 0."""
+        """Whether the move leads away from 0."""
         return self.end_m > self.begin_m
 
 

@@ -31,7 +31,7 @@ class TableWriter(Protocol):
     """Writes a tick table."""
 
     def __call__(self, table: TickTable, path: Path, needle: Beside | None = None) -> Written:
-        """Write the table, of a seam with the needle beside its rows."""
+        """Write ``table`` to ``path``; rows of a seam have the columns of ``needle``, too."""
         ...
 
 
@@ -40,7 +40,7 @@ TABLES: dict[str, TableWriter] = {
     "npz": write_table_npz,
     "ticks": write_array,
 }
-"""Files of a tick table; of a seam with the needle beside its rows."""
+"""The writers of a tick table, by the word of ``--target``."""
 
 
 class Timed(Protocol):

@@ -119,6 +119,13 @@ def _pieces_by_samples(
 
 
 def _block(pieces: PieceBlock, begin_s: float) -> TrajectoryBlock | None:
+    if (pieces.nominal_s > 0).all() and not (pieces.dwell_s > 0).any():
+        return TrajectoryBlock(
+            start_s=begin_s + np.concatenate([[0.0], np.cumsum(pieces.nominal_s)[:-1]]),
+            duration_s=pieces.nominal_s,
+            coefficients=pieces.coefficients,
+            operation=pieces.operation,
+        )
     count, order, axes = pieces.coefficients.shape
     # Row 2i is piece i, row 2i + 1 the dwell after it; rows without duration fall away.
     duration = np.stack([pieces.nominal_s, pieces.dwell_s], axis=1).reshape(-1)

@@ -138,7 +138,7 @@ class StitchingSession:
         )
 
     def advance(self, samples: int) -> RecordingBlock:
-        """Go on for a number of samples, and return what happened."""
+        """Simulate the next ``samples`` samples, and return what happened."""
         first, head = self.tick, self._head
         block = StitchBlock(first_stitch=0, **self._turns)
         states, steps = play(

@@ -104,7 +104,7 @@ class ToldRuns:
         return self._sessions[0].halted
 
     def resume(self) -> None:
-        """Let the rows go on."""
+        """Go on with the rows after a stop, in every run."""
         for session in self._sessions:
             session.resume()
 

@@ -97,9 +97,9 @@ class Run(Protocol):
         """Say, once the recording was read, what a measure of many runs did not see of it."""
 
     def release(self) -> None:
-        """Let go of its samples after its own measures have finished.
+        """Forget the samples of this run, once the measures that read one run have finished.
 
-        What measures of many runs ask for is kept.
+        What measures of many runs read is kept.
         """
 
 
@@ -128,7 +128,7 @@ class MeasureOfRuns(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _WholeRuns:
-    """A measure that has its runs whole."""
+    """A measure that reads its runs whole, and not block by block."""
 
     finish: Callable[[Sequence[Any]], Sequence[Finding]]
 
@@ -150,7 +150,7 @@ class _Whole:
     findings: Callable[[], Sequence[Finding]]
 
     def finish(self) -> Sequence[Found]:
-        """Measure it."""
+        """Measure the whole run, and return the findings."""
         return [Found.made([finding]) for finding in self.findings()]
 
     def feed(self, block: Block) -> None:

@@ -235,6 +235,8 @@ class Interpreter:
     def _in_degrees(self, plain: PlainReader, count: int, before: tuple[float, ...]) -> FloatArray:
         """Return the (count,) feeds of the moves just read, with inches undone for A B C alone."""
         values = plain.out_feed[:count]
+        if self._feed_tenth_mm == self._tenth_mm == _MILLIMETRE:
+            return values
         words = np.flatnonzero(plain.out_word[:count] >= 0)
         unit = np.full(count, self._feed_tenth_mm)
         if len(words):

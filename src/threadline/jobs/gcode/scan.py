@@ -148,12 +148,11 @@ class Scanner:
     def _note_plain(self, program: int | None, count: int) -> None:
         """Note what the plain reader has found in ``count`` blocks of a program."""
         plain = self._plain
-        if count:
-            words, first = np.unique(plain.out_word[:count], return_index=True)
-            for word, at in zip(words.tolist(), first.tolist(), strict=True):
-                if word >= 0:
-                    line = int(plain.out_line[at])
-                    self.findings.feeds.feed(program, word * (ONE // STEPS), line)
+        (with_word,) = np.nonzero(plain.out_word[:count] >= 0)
+        words, first = np.unique(plain.out_word[with_word], return_index=True)
+        for word, at in zip(words.tolist(), with_word[first].tolist(), strict=True):
+            line = int(plain.out_line[at])
+            self.findings.feeds.feed(program, word * (ONE // STEPS), line)
 
     def _note(self, program: int | None, block: Block) -> None:
         """Note what may deserve a warning."""

@@ -50,7 +50,7 @@ class MoveStudy:
 
     @property
     def switched(self) -> FrontPoint | None:
-        """The on/off command within the tolerance and ``WITHIN`` of the robust optimum, if any."""
+        """The shortest command of the front that was made on/off; None where there is none."""
         return next((point for point in self.front if point.command is not None), None)
 
 

@@ -77,9 +77,10 @@ def _halved(
 
 
 def _hermite(c: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (n, 6, axes) polynomials over [0, 1] of time, and (n,) durations.
+    """Return (n, 6, axes) polynomials over [0, 1] of a piece's time, and (n,) durations, s.
 
-    ``y`` are (n, 3) Bernstein coefficients: their sums keep above 0, whatever the rounding.
+    ``c`` are the coefficients of the pieces of the path. ``y`` are (n, 3) Bernstein coefficients of
+    the square of the speed along each: weighted sums of them are above 0, however they are rounded.
     """
     duration_s = ((y @ _SHARES) ** -0.5) @ _WEIGHTS
     number = np.arange(_ORDER)[:, None]
