@@ -174,17 +174,6 @@ def test_moves_of_a_plane_take_longer_after_g61(tmp_path: Path, plane: Machine, 
     assert found == pytest.approx(STOPS_S[name], rel=6e-3)
 
 
-@pytest.mark.linuxcnc
-def test_linuxcnc_itself_takes_so_long_after_g61(tmp_path: Path, plane: Machine) -> None:
-    if shutil.which("linuxcnc") is None:
-        pytest.skip("linuxcnc (Debian's linuxcnc-uspace) is not installed")
-    # Twice: where a busy computer holds up what feeds it moves, it waits for them.
-    programs = {f"bends-{k}": f"G61\n{bends()}" for k in range(2)}
-    took = times_on_linuxcnc(programs, plane, tmp_path, "Y")
-    found = planned(tmp_path, plane, bends(), "G61").duration_s
-    assert found == pytest.approx(min(took.values()), rel=0.01)
-
-
 def test_speeds_do_not_step_and_accelerations_are_kept(tmp_path: Path, machine: Machine) -> None:
     """At corners as anywhere: position and speed go on, and two halves make an acceleration."""
     (block,) = planned(tmp_path, machine, PROGRAMS["short"], "G64 P0.1")
