@@ -86,16 +86,18 @@ def test_a_plan_says_what_follows_and_what_was_intended() -> None:
 
 
 def test_the_contour_is_of_optimal_followed_by_motors() -> None:
-    """0.3 mm unless told otherwise; loads that follow, and other paths, are not asked for it."""
+    """0.3 mm unless told otherwise; of loads that follow it bounds the ends of the table alone."""
     assert Options(interpolation="optimal").timing.contour_m == 3e-4
     assert Options().timing.contour_m == np.inf
     assert Options(interpolation="optimal", feed_forward_s=0.01).timing.contour_m == np.inf
     named = options_of("optimal", None, "0.1 mm", contour="50 um")
     assert named.timing.contour_m == pytest.approx(5e-5, rel=1e-12)
     assert options_of("optimal", None, "0.1 mm", contour="none").timing.contour_m == np.inf
-    for words in ({"interpolation": "auto"}, {"interpolation": "optimal", "feed_forward": True}):
-        with pytest.raises(OptionError, match="bounds what loops make of optimal"):
-            options_of(feed=None, tolerance="0.1 mm", contour="0.3 mm", **words)
+    with pytest.raises(OptionError, match="bounds what loops make of optimal"):
+        options_of("auto", None, "0.1 mm", contour="0.3 mm")
+    at_ends = options_of("optimal", None, "0.1 mm", feed_forward=True, contour="0.2 mm").timing
+    assert at_ends.ends_m == pytest.approx(2e-4, rel=1e-12)
+    assert at_ends.contour_m == np.inf
     for text in ("0 mm", "-1 mm", "0.9 um"):
         with pytest.raises(OptionError, match="at least 1 um"):
             options_of("optimal", None, "0.1 mm", contour=text)

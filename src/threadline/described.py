@@ -19,6 +19,7 @@ from threadline.option_words import (
     parse_width_s,
 )
 from threadline.options import Options
+from threadline.path.interpolations import OPTIMAL
 
 PROGRAMMED = "programmed"
 """Feed of a plan that keeps the feeds of its job."""
@@ -55,13 +56,20 @@ def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
             else {"robust": f"{options.robust_share * 100.0!r} %"}
         ),
         **({} if options.change_s is None else {"change": f"{options.change_s!r} s"}),
-        **({"contour": _contour_text(options)} if options.follows_contour else {}),
+        **({"contour": _contour_text(options)} if options.interpolation == OPTIMAL else {}),
     }
 
 
 def _contour_text(options: Options) -> str:
-    contour_m = options.timing.contour_m
+    contour_m = options.allowance_m
     return NO_CONTOUR if contour_m == math.inf else f"{contour_m!r} m"
+
+
+def _contour_m(description: dict[str, str]) -> float | None:
+    if "contour" in description:
+        return parse_contour_m(description["contour"])
+    # Recordings that say nothing of it are of plans that kept the rests of the inverses.
+    return math.inf if "feed-forward" in description else None
 
 
 def options_from(description: dict[str, str]) -> Options:
@@ -95,9 +103,7 @@ def options_from(description: dict[str, str]) -> Options:
             if "robust" not in description
             else parse_robust(description["robust"]),
             change_s=None if "change" not in description else parse_width_s(description["change"]),
-            contour_m=None
-            if "contour" not in description
-            else parse_contour_m(description["contour"]),
+            contour_m=_contour_m(description),
         )
     except KeyError as error:
         raise OptionError(

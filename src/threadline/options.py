@@ -77,6 +77,9 @@ class TimingChoice:
     contour_m
         How far the loads may leave the path while their loops follow; infinite where the timing
         does not ask.
+    ends_m
+        How far the loads of ``optimal`` with feed-forward may leave their motion where its table
+        begins and ends; None keeps the rests of their inverses.
     robust_share, change_s
         As ``Options`` has them.
     """
@@ -88,6 +91,7 @@ class TimingChoice:
     smoothing_s: float | None
     shaper: str | None
     contour_m: float
+    ends_m: float | None = None
     robust_share: float | None = None
     change_s: float | None = None
 
@@ -182,14 +186,22 @@ class Options:
             limit_share=self.limit_share,
             smoothing_s=self.feed_forward_s,
             shaper=self.shaper,
-            contour_m=self._contour_m if self.follows_contour else math.inf,
+            contour_m=self.allowance_m if self.follows_contour else math.inf,
+            ends_m=self._ends_m,
             robust_share=self.robust_share,
             change_s=self.change_s,
         )
 
     @property
-    def _contour_m(self) -> float:
+    def allowance_m(self) -> float:
+        """``contour_m``, or its default."""
         return DEFAULT_CONTOUR_M if self.contour_m is None else self.contour_m
+
+    @property
+    def _ends_m(self) -> float | None:
+        if self.interpolation != OPTIMAL or self.following is Following.MOTOR:
+            return None
+        return None if math.isinf(self.allowance_m) else self.allowance_m
 
     @property
     def following(self) -> Following:
@@ -240,11 +252,11 @@ def options_of(
             f"--feed-mode {feed_mode!r} says what F means, and --feed {feed!r} replaces every F",
             remedy='Leave one of them out, or give the feed as an F, like "F 3000".',
         )
-    if contour is not None and (interpolation != OPTIMAL or feed_forward):
-        what = "feed-forward, whose loads follow," if feed_forward else interpolation
+    if contour is not None and interpolation != OPTIMAL:
         raise OptionError(
-            f"--contour {contour!r} bounds what loops make of {OPTIMAL}, and nothing of {what}",
-            remedy=f"Leave it out, or give --interpolation {OPTIMAL} without --feed-forward.",
+            f"--contour {contour!r} bounds what loops make of {OPTIMAL}, and nothing of "
+            f"{interpolation}",
+            remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
         )
     if robust is not None and (not feed_forward or interpolation != DEFAULT_INTERPOLATION):
         raise OptionError(

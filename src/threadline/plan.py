@@ -82,6 +82,9 @@ class Motion:
     rests_s
         How long the loads rest in the table before their motion and after it, for the sake of
         the inverses.
+    table_s
+        How long the table is where it ends before the loads stand; None where it is as long as the
+        trajectory.
     needle_follows
         Whether a needle turns with the way of the head, and keeps no times of its own.
     of_averages
@@ -97,6 +100,7 @@ class Motion:
     rests_s: tuple[float, float] = (0.0, 0.0)
     needle_follows: bool = False
     of_averages: tuple[str, ...] = ()
+    table_s: float | None = None
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -105,8 +109,8 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """Of the trajectory, s."""
-        return self.trajectory.duration_s
+        """Of the commands, s."""
+        return self.trajectory.duration_s if self.table_s is None else self.table_s
 
     @property
     def moving_s(self) -> tuple[float, float]:

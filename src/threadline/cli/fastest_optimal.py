@@ -87,7 +87,7 @@ def fastest_optimal(asked: Asked) -> NoReturn:
         words: dict[str, str | Path | None] = {
             "--feed": f"{best.found.best!r} m/s",
             "--limits": None if best.share == 1.0 else share_words(best.share),
-            "--contour": None if best.contour_m is None else contour_text(best.contour_m),
+            **({} if best.contour_m is None else {"--contour": contour_text(best.contour_m)}),
             **level_option(asked.trials),
         }
         again = command_line("prove", asked.file, {**asked.words, **words})

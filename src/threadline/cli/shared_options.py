@@ -103,7 +103,8 @@ ContourOption = Annotated[
     str | None,
     typer.Option(
         help=f"Of optimal: how far the loops may leave the path; default "
-        f'"{planning.DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit.'
+        f'"{planning.DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With '
+        "--feed-forward: how far the loads may leave their motion where its table begins and ends."
     ),
 ]
 LimitsOption = Annotated[

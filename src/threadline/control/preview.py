@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from threadline.compiled import njit
 from threadline.control.exponential import decay_and_moments
 from threadline.control.inverse import Inverse, inverse_of
 from threadline.control.lost_ticks import AHEAD, Levels
+from threadline.control.told_ticks import Told
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
@@ -77,6 +78,10 @@ class Demand:
         """Larger share of the two limits that is used; above 1 the machine cannot follow."""
         return max(self.volts / self.volt_limit, (self.current_a or 0.0) / self.current_limit_a)
 
+    def at_least(self, volts: float) -> Demand:
+        """Return the same with a peak voltage of at least ``volts``."""
+        return replace(self, volts=max(self.volts, volts))
+
     @property
     def bound_by(self) -> str:
         """Name of the limit of which most is used: ``"current"`` or ``"voltage"``."""
@@ -139,6 +144,11 @@ class AxisPreview:
     model
         Numbers from which the inverse is made; those of ``machine`` when None.
 
+    Attributes
+    ----------
+    latest
+        What was told by the last call of ``feed``.
+
     Raises
     ------
     MachineError
@@ -161,6 +171,7 @@ class AxisPreview:
         self._driven = _Inner(self.inverse, self.timing.tick_s)
         self._peaks = (0.0, 0.0, 0.0)
         self._levels = Levels(self._filter.numerator, skips=controller.dac.zero_on_reversal)
+        self.latest = Told.none()
 
     @property
     def orders(self) -> int:
@@ -198,7 +209,10 @@ class AxisPreview:
             self._filter.denominator, self._filter.numerator, volts, zi=self._memory
         )
         self._note(driven.time_s, driven.volts, driven.current_a)
-        return np.asarray((sensed.measured_counts + error) / self.inverse.loop.counts_per_unit)
+        counts = sensed.measured_counts
+        references = np.asarray((counts + error) / self.inverse.loop.counts_per_unit)
+        self.latest = Told(references_si=references, levels=volts, counts=counts)
+        return references
 
     @property
     def demand(self) -> Demand:

@@ -125,7 +125,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         followed = followed_by_motors(timed, machine, job, shaper)
     elif timing.robust_share is None:
         averages = even_averages(timing.smoothing_s)
-        followed = followed_by_loads(timed, machine, job, averages)
+        followed = followed_by_loads(timed, machine, job, averages, ends_m=timing.ends_m)
     else:
         averages, warnings = robust_averages(
             timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
@@ -140,6 +140,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         timed=None if followed.timed is followed.trajectory else followed.timed,
         demands=followed.demands,
         rests_s=followed.rests_s,
+        table_s=followed.table_s,
         needle_follows=job.needle_follows,
         of_averages=warnings,
     )

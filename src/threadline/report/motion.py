@@ -145,6 +145,11 @@ def motion_lines(plan: Plan) -> list[str]:
     if plan.motion.of_loads is None:
         return []
     begin_s, end_s = plan.motion.moving_s
+    if plan.motion.table_s is not None:
+        return [
+            f"Motion:               {end_s - begin_s:.4g} s, from {begin_s:.3f} s to "
+            f"{end_s:.3f} s; its table takes {plan.duration_s:.4g} s, and the loops do the rest"
+        ]
     return [
         f"Motion:               {end_s - begin_s:.4g} s, from {begin_s:.3f} s to {end_s:.3f} s of "
         f"a table of {plan.duration_s:.4g} s: feed-forward begins before it and goes "

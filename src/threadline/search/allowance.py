@@ -16,6 +16,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from threadline.control import EARLIEST
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
@@ -151,7 +152,7 @@ def options_at(
         options,
         feed=Feed(FeedMode.FASTEST_AXIS, top),
         limit_share=rung.share,
-        contour_m=rung.contour_m,
+        contour_m=options.contour_m if rung.contour_m is None else rung.contour_m,
     )
 
 
@@ -227,12 +228,16 @@ def _bounds(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]:
     """Return the least time within the limits of the axes, and within those of the drives, too."""
     freely = replace(options, feed_forward_s=None, contour_m=math.inf)
     path = plan_job(job, machine, freely).motion.path
-    return (
-        Bound(within="the axes", duration_s=least_time_s(path, axis_limits(machine, path.axes))),
-        Bound(
-            within="axes and drives",
-            duration_s=least_time_s(
-                path, limits_of(machine, path.axes, of_loads=not options.follows_contour)
-            ),
-        ),
+    # A table may end before its loads stand, by so much at most.
+    sooner_s = 0.0
+    if options.timing.ends_m is not None:
+        sooner_s = EARLIEST * float(machine.tick_clock.period_s)
+    of_loads = not options.follows_contour
+    drives = limits_of(machine, path.axes, of_loads=of_loads)
+    return tuple(
+        Bound(within=within, duration_s=max(least_time_s(path, limits) - sooner_s, 0.0))
+        for within, limits in (
+            ("the axes", axis_limits(machine, path.axes)),
+            ("axes and drives", drives),
+        )
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -16,6 +16,12 @@ from threadline.machine import Machine
 from threadline.plant.values import Values
 from threadline.signals import Stream
 from threadline.targets.following import Followed, Following
+from threadline.targets.short_table import (
+    ToldEnds,
+    leads_s,
+    short_table,
+    shortened,
+)
 from threadline.targets.ticks import compile_ticks
 from threadline.trajectory import (
     Trajectory,
@@ -38,6 +44,7 @@ def followed_by_loads(
     averages: Averages,
     model: Values | None = None,
     stepped: Trajectory | None = None,
+    ends_m: float | None = None,
 ) -> Followed:
     """Return the commands with which the loads follow ``planned``, smoothed by ``averages``.
 
@@ -56,6 +63,9 @@ def followed_by_loads(
     stepped
         The motion that is smoothed, with other run-ups than ``planned``, at the same times;
         ``planned`` itself when None.
+    ends_m
+        By how much the loads may leave their motion where the table begins and ends, at the tool,
+        so that it rests neither before the motion nor after it; None keeps these rests.
 
     Raises
     ------
@@ -66,32 +76,86 @@ def followed_by_loads(
     PlanError
         If an inverse needs more derivatives than the smoothed motion has.
     """
+    motion = _Motion(planned, machine, job, averages, model, stepped)
     before_s, after_s = _rests_s(machine, planned.axes, model)
-    width_s = averages.width_s
-    half_s = 0.5 * width_s
-    rests_s = (before_s + half_s, after_s + half_s)
-    timed = held_trajectory(planned, job, width_s, *rests_s)
-    held = timed if stepped is None else held_trajectory(stepped, job, width_s, *rests_s)
-    trajectory = averaged_trajectory(held, averages)
-    check_limits(trajectory, machine)
-    # The first reading finds the demands; of a short motion it is kept for the commands.
-    reading = _References(trajectory, machine, model)
-    kept: list[TrajectoryBlock] | None = []
-    for block in reading.blocks():
-        if kept is not None:
-            kept.append(block)
-            kept = kept if len(kept) <= _KEPT else None
-    references = reference_trajectory(trajectory, machine, model)
-    if kept is not None:
-        references = replace(references, blocks=Stream.of(kept))
-    return Followed(
-        following=Following.LOAD,
-        timed=timed,
-        trajectory=trajectory,
-        commands=compile_ticks(references, machine, job),
-        demands=tuple(preview.demand for preview in reading.previews),
-        rests_s=(before_s, after_s),
-    )
+    if ends_m is not None:
+        previews = [AxisPreview(machine, axis, model) for axis in planned.axes]
+        for begin_s in leads_s(machine, previews, before_s):
+            short = motion.short((begin_s, after_s), ends_m)
+            if short is not None:
+                return short
+    return motion.whole((before_s, after_s))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Motion:
+    """A motion that loads are to follow, with the parameters of ``followed_by_loads``."""
+
+    planned: Trajectory
+    machine: Machine
+    job: Job
+    averages: Averages
+    model: Values | None
+    stepped: Trajectory | None
+
+    def whole(self, rests_s: tuple[float, float]) -> Followed:
+        """Return it with the rests that its inverses need."""
+        timed, trajectory = self._smoothed(rests_s)
+        reading, references = self._read(trajectory)
+        return Followed(
+            following=Following.LOAD,
+            timed=timed,
+            trajectory=trajectory,
+            commands=compile_ticks(references, self.machine, self.job),
+            demands=tuple(preview.demand for preview in reading.previews),
+            rests_s=rests_s,
+        )
+
+    def short(self, rests_s: tuple[float, float], ends_m: float) -> Followed | None:
+        """Return it with a table that ends with the motion; None where that cannot be.
+
+        The second of ``rests_s`` is what its inverses need.
+        """
+        _, trajectory = self._smoothed(rests_s)
+        reading, references = self._read(trajectory)
+        over_s = trajectory.duration_s - rests_s[1]
+        table = short_table(
+            self.machine, trajectory, reading.previews, reading.told, over_s, ends_m
+        )
+        if table is None:
+            return None
+        timed, trajectory = self._smoothed((rests_s[0], 0.0))
+        return Followed(
+            following=Following.LOAD,
+            timed=timed,
+            trajectory=trajectory,
+            commands=compile_ticks(shortened(references, table), self.machine, self.job),
+            demands=table.demands([preview.demand for preview in reading.previews]),
+            rests_s=(rests_s[0], 0.0),
+            table_s=table.rows * float(self.machine.tick_clock.period_s),
+        )
+
+    def _smoothed(self, rests_s: tuple[float, float]) -> tuple[Trajectory, Trajectory]:
+        """Return the motion before and after it was smoothed, with rests before and after it."""
+        width_s = self.averages.width_s
+        held_s = (rests_s[0] + 0.5 * width_s, rests_s[1] + 0.5 * width_s)
+        held = timed = held_trajectory(self.planned, self.job, width_s, *held_s)
+        if self.stepped is not None:
+            held = held_trajectory(self.stepped, self.job, width_s, *held_s)
+        trajectory = averaged_trajectory(held, self.averages)
+        check_limits(trajectory, self.machine)
+        return timed, trajectory
+
+    def _read(self, trajectory: Trajectory) -> tuple[_References, Trajectory]:
+        """Read the references once: that finds the demands; of a short motion they are kept."""
+        reading = _References(trajectory, self.machine, self.model)
+        kept: list[TrajectoryBlock] | None = []
+        for block in reading.blocks():
+            if kept is not None:
+                kept.append(block)
+                kept = kept if len(kept) <= _KEPT else None
+        references = reference_trajectory(trajectory, self.machine, self.model)
+        return reading, references if kept is None else replace(references, blocks=Stream.of(kept))
 
 
 def reference_trajectory(
@@ -135,6 +199,7 @@ class _References:
         self._trajectory = trajectory
         self._machine = machine
         self.previews = [AxisPreview(machine, axis, model) for axis in trajectory.axes]
+        self.told = [ToldEnds() for _ in trajectory.axes]
 
     def blocks(self) -> Iterator[TrajectoryBlock]:
         clock = self._machine.tick_clock
@@ -143,7 +208,8 @@ class _References:
         total = max(ceil(end_s / step - 1e-9), 0)
         motion = TrajectoryReader(self._trajectory)
         labels = _Labels(self._trajectory)
-        columns = [_Column(k, preview) for k, preview in enumerate(self.previews)]
+        pairs = zip(self.previews, self.told, strict=True)
+        columns = [_Column(k, preview, told) for k, (preview, told) in enumerate(pairs)]
         last: FloatArray | None = None
         for first in range(0, total, _ROWS):
             count = min(_ROWS, total - first)
@@ -165,8 +231,8 @@ class _References:
 class _Column:
     """The references of one axis: computed at its controller's ticks, taken where they are due."""
 
-    def __init__(self, column: int, preview: AxisPreview) -> None:
-        self._column, self._preview = column, preview
+    def __init__(self, column: int, preview: AxisPreview, ends: ToldEnds) -> None:
+        self._column, self._preview, self._ends = column, preview, ends
         self._next = self._next_early = 0  # ticks of the controller
         self._time_s: FloatArray = np.empty(0)
         self._told: FloatArray = np.empty(0)
@@ -186,6 +252,7 @@ class _Column:
         now = motion.ladder(time_s, preview.orders)[:, :, self._column]
         early = motion.ladder(early_s, preview.orders)[:, :, self._column]
         told = preview.feed(time_s, now, early)
+        self._ends.add(preview.latest)
         self._time_s = np.concatenate([self._time_s, time_s])
         self._told = np.concatenate([self._told, told])
         result = np.interp(due_s + timing.held_s, self._time_s, self._told)

@@ -42,6 +42,9 @@ class Followed:
     rests_s
         How long the loads rest before their motion, while the references begin, and after it,
         while what swings in the inverses decays.
+    table_s
+        How long the table is where it is shorter than the motion with its rests: the loops bring
+        the loads to rest after it.
     """
 
     following: Following
@@ -50,6 +53,7 @@ class Followed:
     commands: TickTable
     demands: tuple[Demand, ...] = ()
     rests_s: tuple[float, float] = (0.0, 0.0)
+    table_s: float | None = None
 
 
 def followed_by_motors(

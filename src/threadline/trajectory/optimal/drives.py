@@ -53,6 +53,12 @@ def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False
     return replace(own, acceleration=acceleration, demand=demand[demand[:, :, 0].any(axis=1)])
 
 
+def reserve_of(machine: Machine, axis: str) -> float:
+    """Return the share of voltage and current of an axis that is kept for its loop."""
+    kept = machine.drive_of(axis).amplifier.reserve
+    return RESERVE if kept is None else kept.si
+
+
 def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> FloatArray:
     """Return (3, axes, 2) the shares of its limits that an axis needs for 1 m/s and for 1 m/s^2.
 
@@ -68,8 +74,7 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
     for k, axis in enumerate(axes):
         if machine.axes[axis].drive:  # told positions: its torque is judged
             continue
-        kept = machine.drive_of(axis).amplifier.reserve
-        reserve = RESERVE if kept is None else kept.si
+        reserve = reserve_of(machine, axis)
         for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis, of_loads)):
             left = (1.0 - reserve) * limit - still
             if not left > 0.0:
