@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
 from threadline.path import path_deviation, plan_path, programmed_path
+from threadline.path.auto import auto_pieces
 
 from .builders import job_of, polylines, there_and_back
 
@@ -94,6 +95,22 @@ def test_long_straight_sections_stay_lines():
     straight = np.all(c[:, 2:] == 0, axis=(1, 2))
     assert straight.tolist() == [True, False, False, True]
     assert np.linalg.norm(c[[0, -1], 1], axis=1).sum() > 0.199
+
+
+@pytest.mark.parametrize("turn_deg", [20.0, 90.0, 170.0])
+def test_a_corner_of_long_chords_is_cut_by_what_is_allowed(turn_deg: float) -> None:
+    """No more and no less: of three even legs the spline passes |dt| l / 6 beside the vertex.
+
+    ``auto`` keeps a part of the tolerance for its smoothing, behind which a wider cut would hide.
+    """
+    turn, cut_m = np.radians(turn_deg), 1e-4
+    vertices = 0.1 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0 + np.cos(turn), np.sin(turn)]])
+    programmed = programmed_path(job_of(vertices.tolist(), ("X", "Y"), RAPID), WINDER)
+    path = [block.coefficients for block in auto_pieces(programmed, cut_m)]
+    u = np.linspace(0.0, 1.0, 2001)
+    places = np.concatenate([u[:, None] ** np.arange(len(c)) @ c for c in np.concatenate(path)])
+    near = np.linalg.norm(places - vertices[1], axis=1).min()
+    assert near == pytest.approx(cut_m, rel=1e-6)
 
 
 def test_dense_curve_becomes_a_b_spline_without_added_points():

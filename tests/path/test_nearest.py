@@ -42,6 +42,8 @@ def test_random_pieces_against_dense_search(at_rest: int) -> None:
         target = c[0].copy() if case % 4 == 0 else rng.normal(scale=0.01, size=axes)
         u, squared = _nearest_on_piece(c, target, np.inf, np.empty(SAMPLES + 1))
         assert np.sqrt(squared) <= dense(c, target) + 1e-9, (case, c, target)
+        # Nor is it beyond the ends of the piece, where the polynomial may come nearer.
+        assert 0.0 <= u <= 1.0 and np.sqrt(squared) >= dense(c, target) - 1e-9, (case, u)
         there = u ** np.arange(order) @ c
         assert np.sqrt(squared) == pytest.approx(np.linalg.norm(there - target), abs=1e-15)
 
