@@ -30,8 +30,8 @@ demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
 test: $(STAMP)  ## Run the tests, on every core
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
-test-cores: $(STAMP)  ## The suite and the numerics as other processors round; half an hour
-	$(BIN)/python -m tools.core_types --whole
+test-cores: $(STAMP)  ## What `make test` ran, as other processors round; half an hour
+	$(BIN)/python -m tools.core_types --whole --others
 
 lint: $(STAMP)  ## Linters, types and the rules of the house
 	$(BIN)/ruff check .

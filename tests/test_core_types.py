@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from tools.core_types import CORE_TYPES, NUMERICS, ROOT, WHOLE, flags_of, runs
+from tools.core_types import CORE_TYPES, NEEDS, NUMERICS, ROOT, WHOLE, flags_of, own_core_type, runs
 
+HERE = flags_of(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
 CPUINFO = "processor\t: 0\nflags\t\t: fpu pni avx fma avx512f\nprocessor\t: 1\nflags\t\t: fpu\n"
 
 
@@ -26,6 +27,27 @@ def test_a_core_type_that_would_stop_at_an_illegal_instruction_is_left_out():
     old = frozenset({"pni", "avx"})
     assert [core for core, _ in runs(old, whole=True)] == ["Prescott", "Sandybridge"]
     assert runs(flags_of("model name: none\n"), whole=True) == []
+
+
+def test_the_core_type_of_the_plain_run_is_not_run_again():
+    flags = flags_of(CPUINFO)
+    others = runs(flags, whole=True, own="SkylakeX")
+    assert [core for core, _ in others] == ["Prescott", "Haswell", "Sandybridge"]
+    assert runs(flags, whole=True, own="Zen") == runs(flags, whole=True)
+
+
+@pytest.mark.parametrize(
+    "core", [core for core in ("Haswell", "Sandybridge") if NEEDS[core] in HERE]
+)
+def test_numpy_says_which_core_type_it_has_picked(core: str):
+    asked = "from tools.core_types import own_core_type; print(own_core_type())"
+    told = subprocess.run(
+        [sys.executable, "-c", asked],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+        env=os.environ | {"OPENBLAS_CORETYPE": core},
+    )  # fmt: skip
+    assert told.stdout.strip() == core
+    assert own_core_type() is not None
 
 
 def test_the_folders_are_there():

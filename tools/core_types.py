@@ -1,4 +1,4 @@
-"""Run the tests as other processors would: ``python -m tools.core_types [--whole]``.
+"""Run the tests as other processors would: ``python -m tools.core_types [--whole] [--others]``.
 
 numpy and scipy multiply and factor matrices with OpenBLAS, which has a kernel per kind of
 processor; the kernels round differently. A decision that hangs on the last bits of such a result
@@ -9,6 +9,7 @@ machine can play the others.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import os
 import platform
 import subprocess
@@ -52,29 +53,50 @@ def flags_of(cpuinfo: str) -> frozenset[str]:
     return frozenset()
 
 
-def runs(flags: frozenset[str], *, whole: bool) -> list[tuple[str, tuple[str, ...]]]:
+def own_core_type() -> str | None:
+    """Return the kernel that numpy's OpenBLAS has picked here; None where it does not say."""
+    import numpy as np
+
+    for library in (Path(np.__file__).parent.parent / "numpy.libs").glob("*openblas*"):
+        tell = getattr(ctypes.CDLL(str(library)), "scipy_openblas_get_corename64_", None)
+        if tell is not None:
+            tell.restype = ctypes.c_char_p
+            return str(tell().decode())
+    return None
+
+
+def runs(
+    flags: frozenset[str], *, whole: bool, own: str | None = None
+) -> list[tuple[str, tuple[str, ...]]]:
     """Return what is to run, as (core type, folders), on a processor with these flags.
 
-    No folders mean the whole suite. A core type that the processor cannot play is left out.
+    No folders mean the whole suite. A core type that the processor cannot play is left out, and so
+    is ``own``, on which every test has been run.
     """
     planned: list[tuple[str, tuple[str, ...]]] = [(WHOLE, ())] if whole else []
     folders = tuple(f"tests/{name}" for name in NUMERICS)
     planned += [(core, folders) for core in CORE_TYPES]
-    return [(core, each) for core, each in planned if NEEDS[core] in flags]
+    return [(core, each) for core, each in planned if NEEDS[core] in flags and core != own]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the tests; return 1 if any run failed, or if there was nothing to run."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--whole", action="store_true", help=f"the whole suite on {WHOLE}, too")
+    parser.add_argument(
+        "--others", action="store_true", help="not on the core type of a plain run of the suite"
+    )
     parser.add_argument("rest", nargs="*", help="arguments for pytest, after --")
     chosen = parser.parse_args(arguments)
     if platform.machine() not in ("x86_64", "AMD64"):
         print(f"core types are those of x86-64, this is {platform.machine()}: nothing to run")
         return 0
     flags = flags_of(Path("/proc/cpuinfo").read_text(encoding="utf-8"))
-    planned = runs(flags, whole=chosen.whole)
-    left_out = sorted(set(CORE_TYPES) - {core for core, _ in planned})
+    own = own_core_type() if chosen.others else None
+    planned = runs(flags, whole=chosen.whole, own=own)
+    if own is not None:
+        print(f"a plain run of the suite is on {own}: left out")
+    left_out = sorted(core for core in CORE_TYPES if NEEDS[core] not in flags)
     if left_out:
         print(f"this processor cannot play {', '.join(left_out)}: left out")
     failed = []
