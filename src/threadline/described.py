@@ -69,7 +69,8 @@ def _contour_m(description: dict[str, str]) -> float | None:
     if "contour" in description:
         return parse_contour_m(description["contour"])
     # Recordings that say nothing of it are of plans that kept the rests of the inverses.
-    return math.inf if "feed-forward" in description else None
+    of_loads = "feed-forward" in description and description["interpolation"] == OPTIMAL
+    return math.inf if of_loads else None
 
 
 def options_from(description: dict[str, str]) -> Options:
