@@ -115,14 +115,38 @@ def figures(proof: Proof) -> dict[str, Any]:
 
 
 def circuits_and_points(job: Job) -> tuple[int | None, int]:
-    """Return how often the most repeated moves happen, None for once, and the number of moves."""
-    circuits, points = 1, 0
+    """Return the number of passes of outermost subroutine calls, and that of moves.
+
+    Where there is but one pass, or none, the first is None.
+    """
+    circuits, points, least = 0, 0, 0
+    before: tuple[tuple[int, ...], int] = ((), 0)
     for item, times, _ in job.folded():
+        if times == 0:  # where repeated passes end
+            continue
         if isinstance(item, MoveRun):
-            circuits, points = max(circuits, times), points + times * len(item)
-        elif isinstance(item, Move):
-            circuits, points = max(circuits, times), points + times
+            now = (item.passes, int(item.line[0]))
+        else:
+            now = (item.source.passes, item.source.line)
+        if _begins(before, now):
+            # Of the moves of a pass those that no call inside it repeats happen least often.
+            circuits, least = circuits + least, times
+        elif now[0]:
+            least = min(least, times)
+        before = now if not isinstance(item, MoveRun) else (item.passes, int(item.line[-1]))
+        if isinstance(item, MoveRun | Move):
+            points += times * (len(item) if isinstance(item, MoveRun) else 1)
+    circuits += least
     return (circuits if circuits > 1 else None), points
+
+
+def _begins(before: tuple[tuple[int, ...], int], now: tuple[tuple[int, ...], int]) -> bool:
+    """Say whether a pass of an outermost call begins between two passes and lines."""
+    (was, line), (passes, next_line) = before, now
+    if not passes or not was or was[0] != passes[0]:
+        return bool(passes)
+    # Two calls of one pass each, one after the other: the lines begin again.
+    return len(was) == len(passes) == 1 and next_line < line
 
 
 def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
