@@ -35,6 +35,7 @@ PARTS = {
     "`dac` of a controller": ("controllers.x.pd.dac",),
     "`[axes.X]`": ("axes.X",),
     "`profile` of an axis": ("axes.X.profile",),
+    "`[path]`": ("path",),
     "`[inputs.NAME]`": ("inputs.x",),
     "`[tool]`": ("tool",),
     "`[tolerances]`": ("tolerances",),

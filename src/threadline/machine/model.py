@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Literal
 
-import numpy as np
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.arrays import FloatArray
 from threadline.errors import Place
-from threadline.machine.acting_radius import acts_at_m, check_radii
+from threadline.machine.acting_radius import check_radii
+from threadline.machine.axis_arrays import AxisArrays
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
-from threadline.machine.mandrel import LocalRadii, local_radii
 from threadline.machine.motion_planner import FirmwarePlanner, check_by_axis
 from threadline.machine.parts import (
     STRICT,
@@ -28,6 +25,7 @@ from threadline.machine.parts import (
     Sensor,
     Tool,
 )
+from threadline.machine.path_limits import PathLimits, check_asked_of_paths
 from threadline.machine.pneumatics import (
     MOST_SCANS,
     Contact,
@@ -58,7 +56,8 @@ AxisName = Annotated[str, Field(pattern=r"^[A-Z]$")]
 MAX_AXES = 6
 NUMBERED = (
     "tick_budget", "clocks", "bodies", "links", "drives", "sensors", "controllers", "axes",
-    "inputs", "cylinders", "outputs", "contacts", "plc", "shaft", "tables", "tool", "operator",
+    "inputs", "cylinders", "outputs", "contacts", "plc", "shaft", "tables", "path", "tool",
+    "operator",
 )  # fmt: skip
 """Fields of ``Machine`` whose numbers may have tolerances."""
 _WITH_DYNAMICS = ("bodies", "links", "sensors", "controllers", "cylinders", "tables", "design")
@@ -67,7 +66,7 @@ CommandedBy = Literal["ticks", "switches", "steps"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
-class Machine:
+class Machine(AxisArrays):
     """A machine as its TOML file describes it; every number in SI with tolerance and provenance.
 
     Parameters
@@ -82,6 +81,8 @@ class Machine:
     cylinders, outputs, contacts, plc
         Pneumatic axes of an on/off machine and the PLC that switches them. Such a machine may have
         no ``axes``.
+    path
+        What the tool may do along its path, whatever its axes do.
     tool
         Radius at which rotary axes act that have none of their own.
     operator
@@ -126,6 +127,7 @@ class Machine:
     plc: Plc | None = None
     shaft: Shaft | None = None
     tables: Tables | None = None
+    path: PathLimits | None = None
     tool: Tool | None = None
     operator: Operator | None = None
     programs: Programs = Field(default_factory=Programs)
@@ -187,6 +189,7 @@ class Machine:
         check_radii(self.axes, self.tool)
         if self.planner is not None:
             check_by_axis(self.planner, self.axes, self.rotary)
+        check_asked_of_paths(self.path, self.axes, self.cylinders, self.tables)
         self._on_off_references()
         self._stitching_references()
         if self.tolerances != Tolerances():  # a variant is made often, and names nothing mostly
@@ -343,53 +346,3 @@ class Machine:
             return self.clock(told.clock)
         first = self.controller_of(name)
         return self.clock(first.reference_clock or first.clock)
-
-    def _column(self, field: Literal["counts", "velocity", "acceleration"]) -> FloatArray:
-        return np.array([getattr(axis, field).si for axis in self.axes.values()])
-
-    @property
-    def counts_per_unit(self) -> FloatArray:
-        """(axes,) counts per m or rad."""
-        return self._column("counts")
-
-    @property
-    def velocity_limit(self) -> FloatArray:
-        """(axes,) m/s or rad/s."""
-        return self._column("velocity")
-
-    @property
-    def acceleration_limit(self) -> FloatArray:
-        """(axes,) m/s^2 or rad/s^2."""
-        return self._column("acceleration")
-
-    @property
-    def jerk_limit(self) -> FloatArray:
-        """(axes,) m/s^3 or rad/s^3; infinite where the file gives none."""
-        return np.array(
-            [np.inf if axis.jerk is None else axis.jerk.si for axis in self.axes.values()]
-        )
-
-    @property
-    def travel(self) -> FloatArray:
-        """(axes, 2) lowest and highest position, m or rad; infinite for an endless axis."""
-        return np.array(
-            [
-                (-np.inf, np.inf) if axis.travel is None else [end.si for end in axis.travel]
-                for axis in self.axes.values()
-            ]
-        )
-
-    @property
-    def radius_m(self) -> FloatArray:
-        """(axes,) 1 for a linear axis, for a rotary one its own radius, else that of the tool.
-
-        With a profile it is the largest.
-        """
-        return np.array([acts_at_m(axis, self.tool) for axis in self.axes.values()])
-
-    def local_radii(self, axes: Sequence[str]) -> LocalRadii | None:
-        """Return by how much less the radii are from place to place, for a path of ``axes``."""
-        profiles = {
-            name: axis.profile for name, axis in self.axes.items() if axis.profile is not None
-        }
-        return local_radii(profiles, axes)

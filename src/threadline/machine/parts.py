@@ -199,6 +199,7 @@ class Axis:
     """An axis that jobs move: its scale, travel and hard limits.
 
     ``controller`` names the controller that moves it, or ``drive`` a stepper or pulse servo.
+    ``deceleration`` is what it may brake with, where that is not its ``acceleration``.
     ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum of
     coordinates; without it, the load is what the sensor or the drive of the axis counts, not
     rounded. ``frame`` gives the position of the frame in the same way. ``endless`` axes have no
@@ -215,6 +216,7 @@ class Axis:
     counts: Resolution
     velocity: Annotated[Quantity, Units(("m/s", "rad/s"), positive=True)]
     acceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)]
+    deceleration: Annotated[Quantity, Units(("m/s^2", "rad/s^2"), positive=True)] | None = None
     jerk: Annotated[Quantity, Units(("m/s^3", "rad/s^3"), positive=True)] | None = None
     travel: tuple[Position, Position] | None = None
     stroke: Position | None = None
@@ -232,6 +234,7 @@ class Axis:
             ("counts", self.counts, f"count/{length}"),
             ("velocity", self.velocity, f"{length}/s"),
             ("acceleration", self.acceleration, f"{length}/s^2"),
+            ("deceleration", self.deceleration, f"{length}/s^2"),
             ("jerk", self.jerk, f"{length}/s^3"),
             ("working_velocity", self.working_velocity, f"{length}/s"),
         ):

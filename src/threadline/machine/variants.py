@@ -39,8 +39,9 @@ _MACHINE = (
 _COUNTS = "axes.*.counts"
 _FRICTION, _STICTION = ".friction", ".stiction"
 _PLANNED = (
-    "tick_budget", "axes.*.velocity", "axes.*.acceleration", "axes.*.jerk", "axes.*.travel.*",
-    "axes.*.stroke", "axes.*.working_velocity", "outputs.*", "plc.*", "tool.*", "operator.*",
+    "tick_budget", "axes.*.velocity", "axes.*.acceleration", "axes.*.deceleration", "axes.*.jerk",
+    "axes.*.travel.*", "axes.*.stroke", "axes.*.working_velocity", "outputs.*", "plc.*", "path.*",
+    "tool.*", "operator.*",
 )  # fmt: skip
 """Numbers that plans depend on and motions do not: they are the same in every variant."""
 
@@ -95,19 +96,6 @@ def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
         Uncertain(name=name, numbers=tuple(paths), normal=_normal(machine, name, paths))
         for name, paths in found.items()
     )
-
-
-def not_drawn(machine: Machine) -> dict[str, str]:
-    """Return the numbers with a tolerance that are the same in every variant, and why each is."""
-    found = {}
-    for path, quantity in _numbers(machine):
-        if quantity.tolerance_si == 0.0:
-            continue
-        if matches(path, machine.tolerances.exclude):
-            found[path] = "excluded by the machine file"
-        elif matches(path, _PLANNED):
-            found[path] = "only plans go by it"
-    return found
 
 
 def check_uncertain(machine: Machine) -> tuple[Uncertain, ...]:

@@ -245,6 +245,8 @@ def mode_off(machine: Machine, relative: float) -> Machine:
 def derate(machine: Machine, share: float) -> Machine:
     """Return ``machine`` with its acceleration and jerk limits multiplied by ``share``.
 
+    Those of braking and along the path are among them.
+
     A loop that lags turns acceleration into error. A plan with lower accelerations can therefore
     have a higher speed, and often less time, within the same tolerance.
 
@@ -261,11 +263,21 @@ def derate(machine: Machine, share: float) -> Machine:
         name: replace(
             axis,
             acceleration=replace(axis.acceleration, si=axis.acceleration.si * share),
+            deceleration=_scaled(axis.deceleration, share),
             jerk=_scaled(axis.jerk, share),
         )
         for name, axis in machine.axes.items()
     }
-    return replace(machine, axes=axes)
+    along = machine.path
+    if along is not None:
+        along = replace(
+            along,
+            acceleration=_scaled(along.acceleration, share),
+            deceleration=_scaled(along.deceleration, share),
+            jerk=_scaled(along.jerk, share),
+            centripetal=_scaled(along.centripetal, share),
+        )
+    return replace(machine, axes=axes, path=along)
 
 
 def _carrying(machine: Machine, axis: str) -> Iterable[str]:

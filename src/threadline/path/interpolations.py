@@ -10,14 +10,16 @@ from threadline.durations.smoothing import smoothing_for, smoothing_share
 from threadline.errors import OptionError
 from threadline.foreign_messages import nearest
 from threadline.machine import Machine
+from threadline.machine.within_path import within_path
 from threadline.path import bspline, straight
 from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
 from threadline.path.polynomial import polynomial_pieces
 from threadline.path.pulled import PULLS, Pull
 from threadline.path.summary import LazySummary, auto_summary, deviation_summary
+from threadline.path.turning_back import resting_at_reversals
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
-from threadline.signals import KeptStream
+from threadline.signals import KeptStream, Stream
 
 DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
@@ -90,6 +92,10 @@ def plan_path(
             f"unknown way {pull!r} to pull a spline", remedy=f"There are: {', '.join(PULLS)}."
         )
     options = PathOptions(tolerance_m=tolerance_m, pull=pull)
+    if interpolation != OPTIMAL:
+        machine = within_path(machine, programmed.axes, programmed.radius_m)
+    elif machine.path is not None and machine.path.asks_for_rests:
+        programmed = replace(programmed, blocks=Stream(resting_at_reversals, programmed))
     return _PLANNERS[interpolation](programmed, machine, options)
 
 

@@ -233,11 +233,11 @@ def _bounds(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]:
     if options.timing.ends_m is not None:
         sooner_s = EARLIEST * float(machine.tick_clock.period_s)
     of_loads = not options.follows_contour
-    drives = limits_of(machine, path.axes, of_loads=of_loads)
+    drives = limits_of(machine, path.axes, path.radius_m, of_loads=of_loads)
     return tuple(
         Bound(within=within, duration_s=max(least_time_s(path, limits) - sooner_s, 0.0))
         for within, limits in (
-            ("the axes", axis_limits(machine, path.axes)),
+            ("the axes", axis_limits(machine, path.axes, path.radius_m)),
             ("axes and drives", drives),
         )
     )

@@ -16,6 +16,7 @@ from threadline.machine.controllers import LeadFilter
 from threadline.machine.design import Design, DesignParameter
 from threadline.machine.load import place_in
 from threadline.machine.numbers import is_whole, number_at
+from threadline.machine.quantity import Quantity
 from threadline.units import parse_quantity
 
 _LEVELS = 3
@@ -92,12 +93,16 @@ class Space:
         """Return the numbers of a machine with a share of its acceleration and jerk."""
         if share == 1.0:
             return {}
-        numbers = {}
-        for name, axis in self.machine.axes.items():
-            numbers[f"axes.{name}.acceleration"] = axis.acceleration.si * share
-            if axis.jerk is not None:
-                numbers[f"axes.{name}.jerk"] = axis.jerk.si * share
-        return numbers
+        names = ("acceleration", "deceleration", "jerk")
+        told: dict[str, Quantity | None] = {
+            f"axes.{axis}.{name}": getattr(limits, name)
+            for axis, limits in self.machine.axes.items()
+            for name in names
+        }
+        if self.machine.path is not None:
+            for name in (*names, "centripetal"):
+                told[f"path.{name}"] = getattr(self.machine.path, name)
+        return {path: limit.si * share for path, limit in told.items() if limit is not None}
 
     def corners(self, points: FloatArray) -> FloatArray:
         """Return (n * C, dims) the corners of the tolerances of (n, dims) points, in turn."""

@@ -14,11 +14,13 @@ from math import comb
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.types import TrajectoryBlock
 
 _ROUNDED = 1.0 + 1e-12
 """A bound is taken to be so much further: it is rounded otherwise than the value that it bounds."""
+_TURNED = 1e-12
+"""Of the largest coefficient of a velocity: by so much it is no motion back."""
 _NOTHING = 1e-14  # leading coefficients that are nothing beside the others would spoil the roots
 
 
@@ -75,6 +77,62 @@ def farthest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
     best = above if up is None else up[0]
     down = None if below_hull * _ROUNDED <= best else highest(-poly, best)
     return up if down is None else down
+
+
+def in_direction(
+    velocity: FloatArray, push: FloatArray
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+    """Return accelerations in the direction of the motion, of parts on which that does not turn.
+
+    Parameters
+    ----------
+    velocity, push
+        (order, n) polynomials of the velocities and accelerations of one axis.
+
+    Returns
+    -------
+    tuple
+        (order, m) polynomials over [0, 1] of each part, above 0 where the axis becomes faster; the
+        (m,) pieces that the parts are of, and where in these they begin and how wide they are.
+    """
+    hull = hull_of(velocity)
+    rounding = _TURNED * np.abs(hull).max(axis=0)
+    forward, back = (hull >= -rounding).all(axis=0), (hull <= rounding).all(axis=0)
+    sign = np.where(forward, 1.0, -1.0)
+    one = np.flatnonzero(forward | back)
+    parts = [push[:, one] * sign[one]]
+    piece, begin, width = [one], [np.zeros(len(one))], [np.ones(len(one))]
+    for k in np.flatnonzero(~(forward | back)).tolist():
+        edges = np.array([0.0, *_turns(velocity[:, k]), 1.0])
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        speed = np.polynomial.polynomial.polyval(middle, velocity[:, k])
+        wide = np.diff(edges)
+        parts.append(_parts(push[:, k], edges[:-1], wide) * np.sign(speed))
+        piece.append(np.full(len(wide), k))
+        begin.append(edges[:-1])
+        width.append(wide)
+    return (
+        np.concatenate(parts, axis=1),
+        np.concatenate(piece),
+        np.concatenate(begin),
+        np.concatenate(width),
+    )
+
+
+def _turns(poly: FloatArray) -> list[float]:
+    """Return the places inside [0, 1] at which one polynomial may change its sign, in order."""
+    kept = np.flatnonzero(np.abs(poly) > _NOTHING * np.abs(poly).max())[-1]
+    roots = np.atleast_1d(np.roots(poly[kept::-1]))
+    return sorted({float(root.real) for root in roots if 0.0 < root.real < 1.0})
+
+
+def _parts(poly: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArray:
+    """Return (order, m) one polynomial on m parts, each over [0, 1]."""
+    out = np.zeros((len(poly), len(begin)))
+    for power, factor in enumerate(poly.tolist()):
+        for k in range(power + 1):
+            out[k] += factor * comb(power, k) * begin ** (power - k) * width**k
+    return out
 
 
 def _highest_of(poly: FloatArray) -> tuple[float, float]:

@@ -12,13 +12,18 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import LimitError
 from threadline.machine import Machine
-from threadline.trajectory.extremes import derivatives, farthest
+from threadline.machine.load import place_in
+from threadline.trajectory.extremes import derivatives, farthest, highest, in_direction
+from threadline.trajectory.optimal.along_shares import path_use
+from threadline.trajectory.optimal.drives import along_of
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 
-Quantity = Literal["travel", "velocity", "acceleration", "jerk"]
+Quantity = Literal["travel", "velocity", "acceleration", "deceleration", "jerk"]
 ALLOWED = 1.001  # of a limit, anywhere
 _ORDER: tuple[Quantity, ...] = ("travel", "velocity", "acceleration", "jerk")
-_UNIT = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
+_BRAKING: Quantity = "deceleration"
+_LISTED: tuple[Quantity, ...] = ("travel", "velocity", "acceleration", _BRAKING, "jerk")
+_UNIT = {"travel": "", "velocity": "/s", "acceleration": "/s^2", _BRAKING: "/s^2", "jerk": "/s^3"}
 # Joints: a larger step of the velocity or acceleration, in parts of the limit, is a jump.
 _STEP = 1e-6
 _ROUNDING = 8 * float(np.finfo(np.float64).eps)  # of a place
@@ -53,13 +58,15 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
     """Return the peak of every axis and limit, in the order of the axes.
 
     Extremes within the pieces count: each piece whose Bernstein coefficients could exceed the
-    peak so far is searched for the roots of its next derivative.
+    peak so far is searched for the roots of its next derivative. Where an axis brakes otherwise
+    than it speeds up, both are searched, each as a quantity of its own.
     """
     column = [machine.axis_names.index(axis) for axis in trajectory.axes]
     low, high = machine.travel[column].T
+    speeding, braking = (limit[column] for limit in machine.sides)
     limits = {
         "velocity": machine.velocity_limit[column],
-        "acceleration": machine.acceleration_limit[column],
+        "acceleration": np.maximum(speeding, braking),
         "jerk": machine.jerk_limit[column],
     }
     found: dict[tuple[int, Quantity], Peak] = {}
@@ -75,6 +82,10 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
                     centre, half = 0.5 * (low[j] + high[j]), 0.5 * (high[j] - low[j])
                 else:
                     centre, half = 0.0, float(limits[quantity][j])
+                if quantity == "acceleration" and speeding[j] != braking[j]:
+                    sides = float(speeding[j]), float(braking[j])
+                    _search_sides(found, j, polys[j], block, axis, sides)
+                    continue
                 key = (j, quantity)
                 _search(found, key, polys[j][order], block, axis, float(centre), float(half))
         before = _joints(found, block, polys, before, trajectory.axes, limits)
@@ -84,7 +95,7 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
     return tuple(
         found[j, quantity]
         for j in range(len(trajectory.axes))
-        for quantity in _ORDER
+        for quantity in _LISTED
         if (j, quantity) in found
     )
 
@@ -95,11 +106,12 @@ def check_limits(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
     Raises
     ------
     LimitError
-        If a peak is above 1.001 of its limit.
+        If a peak is above 1.001 of its limit, or the tool of one along the path (``path_use``).
     """
     peaks = limit_peaks(trajectory, machine)
     if trajectory.historical:
         return peaks
+    _check_along(trajectory, machine)
     for peak in peaks:
         if peak.ratio > ALLOWED:
             length = "m" if machine.axes[peak.axis].kind == "linear" else "rad"
@@ -115,6 +127,57 @@ def check_limits(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
                 remedy="Plan with another interpolation, or with a lower feed.",
             )
     return peaks
+
+
+def _check_along(trajectory: Trajectory, machine: Machine) -> None:
+    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
+    along = along_of(machine, machine.radius_m[column])
+    used = None if along is None else path_use(trajectory, along)
+    if used is None or used.share <= ALLOWED:
+        return
+    key = f"path.{used.quantity}"
+    unit = {"velocity": "m/s", "jerk": "m/s^3"}.get(used.quantity, "m/s^2")
+    raise LimitError(
+        f"{used.share:.6g} of {key}, {used.limit_si:.6g} {unit}, at {used.time_s:.4f} s "
+        f"(operation {used.operation})",
+        axis="",
+        quantity=key,
+        value_si=used.share * used.limit_si,
+        limit_si=used.limit_si,
+        place=place_in(machine, key),
+        remedy="Plan with --interpolation optimal, which knows this limit, for the motors and "
+        "without a shaper, or lower the feed.",
+    )
+
+
+def _search_sides(
+    found: dict[tuple[int, Quantity], Peak],
+    j: int,
+    polys: Sequence[FloatArray],
+    block: TrajectoryBlock,
+    axis: str,
+    sides: tuple[float, float],
+) -> None:
+    """Take the largest acceleration of one axis while it speeds up, and while it brakes."""
+    toward, piece, begin, width = in_direction(polys[1], polys[2])
+    quantities: tuple[Quantity, Quantity] = ("acceleration", _BRAKING)
+    for quantity, sign, limit in zip(quantities, (1.0, -1.0), sides, strict=True):
+        key = (j, quantity)
+        known = found.get(key)
+        best = highest(sign * toward, -1.0 if known is None else known.value_si)
+        if best is None:
+            continue
+        value, i, u = best
+        k = int(piece[i])
+        found[key] = Peak(
+            axis=axis,
+            quantity=quantity,
+            value_si=value,
+            limit_si=limit,
+            ratio=value / limit,
+            time_s=float(block.start_s[k] + (begin[i] + u * width[i]) * block.duration_s[k]),
+            operation=int(block.operation[k]),
+        )
 
 
 def _search(

@@ -12,6 +12,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import BudgetError, OptionError
 from threadline.laws import Law
 from threadline.machine import Machine
+from threadline.machine.within_path import within_path
 from threadline.path.interpolations import CHORDS, on_chords
 from threadline.path.types import PieceBlock, PlannedPath, Timing
 from threadline.signals import KeptStream, Stream
@@ -78,6 +79,8 @@ def plan_trajectory(
     PlanError
         While the trajectory of ``contour_m`` is read: if loads stray farther however slow it is.
     """
+    if path.timing not in (Timing.FASTEST, Timing.FIRMWARE):
+        machine = within_path(machine, path.axes, path.radius_m)
     if pace is Pace.LAW:
         if not on_chords(path.interpolation) or law is None:
             raise OptionError(

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 from threadline.arrays import FloatArray, IntArray, read_only, real_numbers
 from threadline.errors import PlanError
 from threadline.path.auto import auto_pieces
+from threadline.path.turning_back import reversals
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
 from threadline.signals import Stream
 from threadline.trajectory.limits_used import Retimed, limits_used
 from threadline.trajectory.optimal import Limits
-from threadline.trajectory.optimal.along_path import AlongPath, reversals
+from threadline.trajectory.optimal.along_path import AlongPath
 from threadline.trajectory.optimal.fastest_motion import limited_blocks
 from threadline.trajectory.types import Trajectory
 
@@ -34,6 +35,7 @@ def retime(
     path_velocity: float = np.inf,
     path_acceleration: float = np.inf,
     path_jerk: float = np.inf,
+    path_deceleration: float | None = None,
     centripetal: float = np.inf,
 ) -> Retimed:
     """Return the fastest motion from the first of ``points`` to the last, at rest at both.
@@ -56,7 +58,8 @@ def retime(
     deceleration
         (axes,) limits while an axis becomes slower, where they are others than ``acceleration``.
     path_velocity, path_acceleration, path_jerk
-        Limits of the length of the way gone, and ``centripetal`` of the acceleration across the
+        Limits of the length of the way gone, ``path_deceleration`` of its braking, where that is
+        another than ``path_acceleration``, and ``centripetal`` of the acceleration across the
         path; above 0 or infinite. Lengths of all axes are of one unit here. Where the path turns
         back (by more than 148 degrees), a limit of ``path_acceleration`` or ``path_jerk`` asks for
         a rest: the speed along the path has a kink there.
@@ -93,10 +96,13 @@ def retime(
         velocity=_checked_number("path_velocity", path_velocity),
         acceleration=_checked_number("path_acceleration", path_acceleration),
         jerk=_checked_number("path_jerk", path_jerk),
+        deceleration=None
+        if path_deceleration is None
+        else _checked_number("path_deceleration", path_deceleration),
         centripetal=_checked_number("centripetal", centripetal),
         radius_m=np.ones(axes),
     )
-    kinks = bool(np.isfinite([along.acceleration, along.jerk]).any())
+    kinks = along.asks_for_rests
     limited = kinks or bool(np.isfinite([along.velocity, along.centripetal]).any())
     limits = Limits(
         velocity=_checked_limit("velocity", velocity, axes),

@@ -7,11 +7,13 @@ known, a cylinder, or an axis that plays step tables.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from threadline.machine import Machine
 
 PLAN_DEMANDS = ("travel", "velocity", "acceleration", "jerk")
+BRAKING, PATH_USE = "deceleration", "path_use"
+"""Measures of plans on machines with limits of braking, and of the way of the tool."""
 _SWITCHING_LIMITS = ("switching_order", "switching_dwell", "valve_conflict", "over_level")
 
 
@@ -38,12 +40,15 @@ class Always:
 
 
 def _of_axis(machine: Machine, measure: str, axis: str) -> float | None:
+    if measure == PATH_USE:
+        return 1.0
     limits = machine.axes[axis]
     if measure == "travel":
         return None if limits.endless else 0.0
     own = {
         "velocity": limits.velocity,
         "acceleration": limits.acceleration,
+        BRAKING: limits.deceleration or limits.acceleration,
         "jerk": limits.jerk,
     }[measure]
     return None if own is None else own.si
@@ -111,4 +116,7 @@ _BY_WHAT_MOVES: Mapping[str, Always] = {
 
 def always_of(machine: Machine) -> Always:
     """Return the criteria of a machine that hold whatever its specification says."""
-    return _BY_WHAT_MOVES[next(iter(machine.moving.values()))]
+    always = _BY_WHAT_MOVES[next(iter(machine.moving.values()))]
+    braking = any(axis.deceleration is not None for axis in machine.axes.values())
+    own = (*(BRAKING,) * braking, *(PATH_USE,) * (machine.path is not None))
+    return replace(always, listed=(*always.listed, *own), limited=(*always.limited, *own))

@@ -7,12 +7,13 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.machine.quantity import Quantity
 from threadline.plan import Plan
-from threadline.trajectory.extremes import derivatives, farthest, highest, hull_of
+from threadline.trajectory.extremes import derivatives, farthest, highest, hull_of, in_direction
 from threadline.trajectory.types import TrajectoryBlock
 from threadline.verdict.finding import Finding
 
 SLACK = 1.001  # limits hold between samples too, to a thousandth
 _ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
+_PUSH = _ORDERS["acceleration"]
 _BELOW = (0, 1, 2)
 """Orders of what may step below a demand."""
 _ROUNDED = 1e-12
@@ -30,7 +31,8 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
     ``acceleration`` and ``jerk`` are absolute values, in the axis' units. Where a derivative steps
     between two pieces those above it are infinite in theory; the controller sees the step spread
     over one tick of its clock, and so it is counted: a step of velocity is an acceleration for one
-    tick, and that in turn a jerk.
+    tick, and that in turn a jerk. The acceleration of an axis that brakes otherwise than it speeds
+    up is that of speeding up.
     """
     axes = plan.motion.trajectory.axes
     tick_s = float(plan.machine.tick_clock.period_s)
@@ -52,7 +54,10 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
             steps = {below: _step(polys[below], before[column].get(below)) for below in _BELOW}
             before[column] = {below: steps[below][2] for below in _BELOW}
             for order, row in zip(_ORDERS.values(), demands.values(), strict=True):
-                row[column].take(block, polys[order])
+                if order == _PUSH and plan.machine.axes[axes[column]].deceleration is not None:
+                    row[column].take_towards(block, polys[1], polys[2])
+                else:
+                    row[column].take(block, polys[order])
                 # A step of position is a velocity without bound: above that it says no more.
                 for below in range(min(1, order - 1), order):
                     size, piece, _ = steps[below]
@@ -110,6 +115,15 @@ class _Demand:
         found = farthest(poly, self._value)
         if found is not None:
             self._set(found[0], _place(block, found[1], found[2]), "")
+
+    def take_towards(self, block: TrajectoryBlock, velocity: FloatArray, push: FloatArray) -> None:
+        """Compare the (order, n) accelerations of a block where they make the axis faster."""
+        toward, piece, begin, width = in_direction(velocity, push)
+        found = highest(toward, self._value)
+        if found is not None:
+            value, part, place = found
+            where = float(begin[part] + place * width[part])
+            self._set(value, _place(block, int(piece[part]), where), "")
 
     def step(
         self, below: int, size: float, block: TrajectoryBlock, piece: int, where: float

@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray, IntArray
 from threadline.path.types import Timing
 from threadline.plan import Plan
+from threadline.verdict.always import BRAKING, PATH_USE
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import MeasureKind
 from threadline.verdict.types import Criterion
 
-_EXCUSED = ("acceleration", "jerk")
+_EXCUSED = ("acceleration", BRAKING, "jerk", PATH_USE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -20,6 +20,8 @@ from threadline.verdict import (
     turning,
 )
 from threadline.verdict.advance import start_progress
+from threadline.verdict.always import BRAKING, PATH_USE
+from threadline.verdict.braking_demand import measure_braking
 from threadline.verdict.contour import start_contour
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.finding import Finding
@@ -34,6 +36,7 @@ from threadline.verdict.measure import (
 )
 from threadline.verdict.needle_use import NAME as NEEDLE_USE
 from threadline.verdict.needle_use import measure_needle_use
+from threadline.verdict.path_use import measure_path_use
 from threadline.verdict.rise_to_speed import OPTIONS as RISE_OPTIONS
 from threadline.verdict.rise_to_speed import start_rise
 from threadline.verdict.samples import Setting
@@ -142,7 +145,21 @@ _KINDS = (
         reads=(_DEMANDS,),
     ),
     MeasureKind(
+        name=BRAKING,
+        dimension="axis/s^2",
+        per_axis=True,
+        slack=demands.SLACK,
+        reads=(OfPlan(intent=Motion, measure=measure_braking),),
+    ),
+    MeasureKind(
         name="jerk", dimension="axis/s^3", per_axis=True, slack=demands.SLACK, reads=(_DEMANDS,)
+    ),
+    MeasureKind(
+        name=PATH_USE,
+        dimension="ratio",
+        per_axis=False,
+        slack=demands.SLACK,
+        reads=(OfPlan(intent=Motion, measure=measure_path_use),),
     ),
     MeasureKind(
         name="path_deviation",

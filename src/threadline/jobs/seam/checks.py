@@ -45,7 +45,7 @@ def head_accelerations_m_s2(
                 f"to be at speed within two stitches takes {wanted:.4g} m/s^2; axis {axis} does "
                 f"{limits.acceleration.si:.4g} m/s^2"
             )
-    most = min(machine.axes[axis].acceleration.si for axis in axes)
+    most = machine.least_acceleration(axes)
     return Accelerations(min(up, most), min(down, most)), warnings
 
 

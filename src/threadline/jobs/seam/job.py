@@ -102,8 +102,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
                     # The head is there already.
                     still = replace(settings, settle_s=rests or 0.0)
                     sewn[0] = replace(sewn[0], settings=still)
-                limit = min(machine.axes[axis].acceleration.si for axis in AXES)
-                warnings += corner_warnings(sewn[-1], limit)
+                warnings += corner_warnings(sewn[-1], machine.least_acceleration(AXES))
     along_m_s2 = math.inf
     for contour_sewn in sewn:
         check = StitchCheck(contour_sewn, AXES, machine)

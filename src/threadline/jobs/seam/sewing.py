@@ -18,7 +18,7 @@ from threadline.jobs.seam.placement import exempt_mask, place_leg, stitch_count,
 from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.timing import end_speed_m_s, stitch_times_s
 
-_BACK_RAD = 2.5  # of a corner: a little less than at which ``along_path.reversals`` asks for a rest
+_BACK_RAD = 2.5  # of a corner: a little less than at which ``turning_back`` asks for a rest
 MAX_STITCHES = 5_000_000  # of one contour: a leg of them takes 0.5 GB
 
 

@@ -35,6 +35,8 @@ def line_alone(
     if limits.deceleration is not None:
         return None
     if limits.along is not None:
+        if limits.along.sides[0] != limits.along.sides[1]:
+            return None
         length = float(np.linalg.norm(way * limits.along.radius_m))
         velocity = min(velocity, limits.along.velocity / length)
         acceleration = min(acceleration, limits.along.acceleration / length)

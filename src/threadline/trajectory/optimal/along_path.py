@@ -8,11 +8,11 @@ at most ``q_uu - l q_u`` for any l, and the control points of such a polynomial 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray
 from threadline.path.types import PieceBlock
 from threadline.trajectory.extremes import hull_of
 from threadline.trajectory.optimal.path_elements import restricted
@@ -32,6 +32,8 @@ class AlongPath:
     ----------
     velocity, acceleration, jerk
         Of the length of the way gone, m/s, m/s^2, m/s^3.
+    deceleration
+        What the tool may brake with along its path, where that is not ``acceleration``.
     centripetal
         Acceleration across the path, m/s^2.
     radius_m
@@ -43,17 +45,41 @@ class AlongPath:
     jerk: float
     centripetal: float
     radius_m: FloatArray
+    deceleration: float | None = None
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Limits of speeding up along the path, and of braking."""
+        braking = self.acceleration if self.deceleration is None else self.deceleration
+        return self.acceleration, braking
+
+    def named(self, key: str) -> float:
+        """Return the limit that a key of ``[path]`` in a machine file stands for."""
+        own = getattr(self, key)
+        return self.acceleration if own is None else float(own)
+
+    @property
+    def asks_for_rests(self) -> bool:
+        """Whether the motion rests where the path turns back: its speed has a kink there."""
+        return bool(np.isfinite([*self.sides, self.jerk]).any())
 
 
-def only_acceleration(acceleration: float, radius_m: FloatArray) -> AlongPath:
-    """Return a limit of the acceleration along the path, m/s^2, and no other."""
-    return AlongPath(
-        velocity=np.inf,
-        acceleration=acceleration,
-        jerk=np.inf,
-        centripetal=np.inf,
-        radius_m=radius_m,
-    )
+def with_acceleration(
+    along: AlongPath | None, acceleration: float, radius_m: FloatArray
+) -> AlongPath | None:
+    """Return limits with one of the acceleration along the path beside them, m/s^2."""
+    if not np.isfinite(acceleration):
+        return along
+    if along is None:
+        return AlongPath(
+            velocity=np.inf,
+            acceleration=acceleration,
+            jerk=np.inf,
+            centripetal=np.inf,
+            radius_m=radius_m,
+        )
+    up, down = (min(limit, acceleration) for limit in along.sides)
+    return replace(along, acceleration=up, deceleration=down)
 
 
 def divided(run: PieceBlock) -> PieceBlock:
@@ -172,26 +198,12 @@ def true_shares(
         squared = np.maximum((a**2).sum(axis=1) - push**2, 0.0)
         jerk = (tangent * j).sum(axis=1)
         jerk += np.divide(squared, speed, out=np.zeros_like(speed), where=fast)
-        for k, (value, limit) in enumerate(
-            ((speed, limits.velocity), (push, limits.acceleration), (jerk, limits.jerk))
+        up, down = limits.sides
+        for k, share in enumerate(
+            (speed / limits.velocity, np.maximum(push / up, -push / down), jerk / limits.jerk)
         ):
-            worst[k] = max(worst[k], float(np.abs(value).max(initial=0.0)) / limit)
+            worst[k] = max(worst[k], float(np.abs(share).max(initial=0.0)))
     return worst[0], worst[1], worst[2]
-
-
-def reversals(places: FloatArray) -> IntArray:
-    """Return (n,) 1 for each of (n, axes) places at which the path turns back, else 0."""
-    way = np.diff(places, axis=0)
-    size = _size(way)
-    out = np.zeros(len(places), dtype=np.int64)
-    moved = np.flatnonzero(size > 0.0)
-    tangent = way[moved] / size[moved, None]
-    turned = (tangent[1:] * tangent[:-1]).sum(axis=1) < _BACK
-    out[moved[1:][turned]] = 1
-    return out
-
-
-_BACK = -0.85  # cosine of a corner (148 degrees) at which the motion rests: speed has a kink there
 
 
 def _on_one_line(first: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

@@ -10,6 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
 from threadline.path.types import PlannedPath
+from threadline.trajectory.optimal.along_shares import along_shares
 from threadline.trajectory.optimal.drives import axis_limits, demands_of
 from threadline.trajectory.optimal.fastest_motion import follower_of
 from threadline.trajectory.optimal.followers import Follower, Past
@@ -62,13 +63,21 @@ def binding(
     """
     time_s = np.linspace(0.0, trajectory.duration_s, SAMPLES)
     rates = [trajectory(time_s, order) for order in (1, 2, 3)]
-    own = axis_limits(machine, trajectory.axes)
+    own = axis_limits(machine, trajectory.axes, path.radius_m)
     shares: dict[str, FloatArray] = {}
     for kind, rate, limit in zip(
         KINDS, rates, (own.velocity, own.acceleration, own.jerk), strict=False
     ):
         if np.isfinite(limit).any():
             shares[kind] = np.asarray((np.abs(rate) / limit).max(axis=1))
+    if own.deceleration is not None:
+        speeding = rates[0] * rates[1] > 0.0
+        limit = np.where(speeding, *own.sides)
+        shares["acceleration"] = np.asarray((np.abs(rates[1]) / limit).max(axis=1))
+    if own.along is not None:
+        for key, share in along_shares(rates[0], rates[1], rates[2], own.along).items():
+            kind = key if key in KINDS else "acceleration"
+            shares[kind] = np.maximum(share, shares.get(kind, 0.0))
     told, winding, current = (
         np.abs(rates[0] * need[:, 0] + rates[1] * need[:, 1]).max(axis=1)
         for need in demands_of(machine, trajectory.axes, of_loads=of_loads)

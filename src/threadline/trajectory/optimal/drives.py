@@ -10,6 +10,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import PlanError
 from threadline.machine import Machine
 from threadline.plant.rigid import current_needed, drive_rate, rigid_motion
+from threadline.trajectory.optimal.along_path import AlongPath
 from threadline.trajectory.optimal.solve import Limits
 
 RESERVE = 0.1
@@ -18,24 +19,63 @@ _UNITS = ("V at the controller", "V", "A")
 _CREEP = 1e-12  # m/s: sliding friction has a sign and no size
 
 
-def axis_limits(machine: Machine, axes: tuple[str, ...]) -> Limits:
-    """Return what the axes may do, whatever their drives can give."""
+def axis_limits(
+    machine: Machine, axes: tuple[str, ...], radius_m: FloatArray | None = None
+) -> Limits:
+    """Return what axes and tool may do, whatever the drives can give.
+
+    Parameters
+    ----------
+    radius_m
+        (axes,) length at the tool of one unit of each axis, for limits along the path; those of
+        the machine when left out.
+    """
     column = [machine.axis_names.index(axis) for axis in axes]
+    speeding, braking = (limit[column] for limit in machine.sides)
     return Limits(
         velocity=machine.velocity_limit[column],
-        acceleration=machine.acceleration_limit[column],
+        acceleration=speeding,
+        deceleration=None if np.array_equal(speeding, braking) else braking,
         jerk=machine.jerk_limit[column],
+        along=along_of(machine, machine.radius_m[column] if radius_m is None else radius_m),
     )
 
 
-def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> Limits:
-    """Return what the axes may do: their own limits, and what their drives can give.
+def along_of(machine: Machine, radius_m: FloatArray) -> AlongPath | None:
+    """Return what the tool of a machine may do along its path, None where nothing limits it."""
+    own = machine.path
+    if own is None:
+        return None
+    velocity, acceleration, jerk, centripetal = (
+        np.inf if limit is None else limit.si
+        for limit in (own.velocity, own.acceleration, own.jerk, own.centripetal)
+    )
+    return AlongPath(
+        velocity=velocity,
+        acceleration=acceleration,
+        deceleration=None if own.deceleration is None else own.deceleration.si,
+        jerk=jerk,
+        centripetal=centripetal,
+        radius_m=radius_m,
+    )
+
+
+def limits_of(
+    machine: Machine,
+    axes: tuple[str, ...],
+    radius_m: FloatArray | None = None,
+    *,
+    of_loads: bool = False,
+) -> Limits:
+    """Return what axes and tool may do: their own limits, and what their drives can give.
 
     A drive gives the current that its bodies need, with all links rigid, and the voltage for it;
     sliding friction is taken from both beforehand, and so is the reserve for the loop.
 
     Parameters
     ----------
+    radius_m
+        As for ``axis_limits``.
     of_loads
         Whether loads follow the motion, by feed-forward. The voltage is then held over each tick,
         while the back EMF rises: the current is largest at the beginning of the tick. Where
@@ -46,11 +86,17 @@ def limits_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False
     PlanError
         If friction and reserve leave a drive nothing to move with.
     """
-    own = axis_limits(machine, axes)
+    own = axis_limits(machine, axes, radius_m)
     demand = demands_of(machine, axes, of_loads=of_loads)
     with np.errstate(divide="ignore"):
-        acceleration = np.minimum(own.acceleration, (1.0 / demand[:, :, 1]).min(axis=0))
-    return replace(own, acceleration=acceleration, demand=demand[demand[:, :, 0].any(axis=1)])
+        most = (1.0 / demand[:, :, 1]).min(axis=0)
+    speeding, braking = (np.minimum(limit, most) for limit in own.sides)
+    return replace(
+        own,
+        acceleration=speeding,
+        deceleration=None if np.array_equal(speeding, braking) else braking,
+        demand=demand[demand[:, :, 0].any(axis=1)],
+    )
 
 
 def reserve_of(machine: Machine, axis: str) -> float:

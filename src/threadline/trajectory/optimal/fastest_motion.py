@@ -15,7 +15,7 @@ from threadline.path.runs import COINCIDENT_M
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.plant.closed_loop import answers_of
 from threadline.trajectory.optimal.alone import line_alone
-from threadline.trajectory.optimal.along_path import divided, only_acceleration, with_length
+from threadline.trajectory.optimal.along_path import divided, with_acceleration, with_length
 from threadline.trajectory.optimal.drives import limits_of
 from threadline.trajectory.optimal.followers import Follower, Past
 from threadline.trajectory.optimal.following_error import followed
@@ -57,9 +57,8 @@ def fastest_blocks(
     follower = follower_of(path, machine, contour_m) if np.isfinite(contour_m) else None
     if follower is not None and all(answer is None for answer in follower.answers):
         follower = None  # no loop of which anything is known follows these axes
-    limits = limits_of(machine, path.axes, of_loads=of_loads)
-    if np.isfinite(along_m_s2):
-        limits = replace(limits, along=only_acceleration(along_m_s2, path.radius_m))
+    limits = limits_of(machine, path.axes, path.radius_m, of_loads=of_loads)
+    limits = replace(limits, along=with_acceleration(limits.along, along_m_s2, path.radius_m))
     yield from limited_blocks(path, limits, follower)
 
 

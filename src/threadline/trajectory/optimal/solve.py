@@ -71,17 +71,17 @@ class Limits:
         """Return the limits with those along the path as of one more axis: the way gone."""
         if self.along is None:
             return self
-        speeding, braking = self.sides
         own = self.along
+        speeding, braking = (
+            np.append(limit, along) for limit, along in zip(self.sides, own.sides, strict=True)
+        )
         return replace(
             self,
             velocity=np.append(self.velocity, own.velocity),
-            acceleration=np.append(speeding, own.acceleration),
+            acceleration=speeding,
             jerk=np.append(self.jerk, own.jerk),
             demand=np.pad(self.demand, ((0, 0), (0, 1), (0, 0))),
-            deceleration=None
-            if self.deceleration is None
-            else np.append(braking, own.acceleration),
+            deceleration=None if np.array_equal(speeding, braking) else braking,
         )
 
     @property
