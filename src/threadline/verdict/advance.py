@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from threadline.compiled import njit
 from threadline.trajectory import TrajectoryReader
 from threadline.verdict.blocks import judged_blocks
 from threadline.verdict.finding import Finding, Found, Worst
-from threadline.verdict.measure import Measure
+from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.nearest import chord_ways
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -161,7 +162,58 @@ def _advance(
 _advance_fast = njit(nogil=True, error_model="numpy")(_advance)
 
 
-class _Progress:
+class ProgressPart(NamedTuple):
+    """What a sweep over a block takes from the measure and brings back: see ``_advance``.
+
+    Place ``first`` is that of the first sample of the block, which is the ``number``-th of all.
+    ``places`` are the first and the last that have a value; ``ceiling`` has one entry.
+    """
+
+    command: FloatArray
+    way: FloatArray
+    inverse: FloatArray
+    heading: FloatArray
+    axes: tuple[int, ...]
+    first: int
+    number: int
+    lag: int
+    places: IntArray
+    value: FloatArray
+    worst: FloatArray
+    at: IntArray
+    side: FloatArray
+    ceiling: FloatArray
+    dropped: FloatArray
+
+
+def _move_on(points: FloatArray, off: FloatArray, low: int, part: ProgressPart) -> None:
+    """Advance the places of the command by samples of which the first is ``low``."""
+    part.places[0], part.places[1], part.ceiling[0] = _advance_fast(
+        points,
+        off,
+        part.command,
+        part.way,
+        part.inverse,
+        part.heading,
+        part.axes,
+        part.first + low,
+        part.number + low,
+        part.lag,
+        part.places[0],
+        part.value,
+        part.worst,
+        part.at,
+        part.side,
+        part.places[1],
+        part.ceiling[0],
+        part.dropped,
+    )
+
+
+move_on = njit(nogil=True)(_move_on)
+
+
+class _Progress(SweptMeasure):
     """Largest distance along the path between the tool and where its command was.
 
     Every sample is held against the way of the command within the lag before it, and the places
@@ -184,8 +236,8 @@ class _Progress:
         self._setting, self._radius_m = setting, setting.radius_m
         self._lag = setting.lag_samples
         self._number = 0  # samples so far
-        self._low, self._high = 0, -1
-        self._ceiling = np.inf if every_place or runs == 1 else 0.0  # m^2
+        self._places: IntArray = np.array([0, -1], dtype=np.int64)
+        self._ceiling: FloatArray = np.full(1, np.inf if every_place or runs == 1 else 0.0)  # m^2
         self._dropped: FloatArray = np.full(runs, np.inf)  # m^2
         # The command's places within the lag, and one before them.
         self._command: FloatArray = np.empty((0, axes))
@@ -199,37 +251,38 @@ class _Progress:
         self._columns = [self._trajectory.axes.index(axis) for axis in setting.axes]
         self._planned: TrajectoryReader | None = None
 
-    def feed(self, block: Block) -> None:
-        """Take the next samples."""
-        points, off = block.at_tool, block.nearest[0]
+    def part(self, block: Block) -> ProgressPart:
+        """Return what the sweep needs, with the command of the block."""
         fresh = self._commanded(block) * self._radius_m
-        first, count = len(self._command), len(block)
+        first = len(self._command)
         command = np.concatenate([self._command, fresh])
         heading = np.concatenate([self._heading, _headings(self._command, self._heading, fresh)])
         way, length = chord_ways(command)
-        low, high, self._ceiling = _advance_fast(
-            points,
-            off,
-            command,
-            way,
-            1.0 / length,
-            heading,
-            (0,) * points.shape[1],
-            first,
-            self._number,
-            self._lag,
-            self._low,
-            self._value,
-            self._squared,
-            self._at,
-            self._side,
-            self._high,
-            max(self._ceiling, float((way**2).sum(axis=1).max())),
-            self._dropped,
+        self._command, self._heading = command, heading
+        self._ceiling[0] = max(self._ceiling[0], (way**2).sum(axis=1).max())
+        return ProgressPart(
+            command=command,
+            way=way,
+            inverse=1.0 / length,
+            heading=heading,
+            axes=(0,) * command.shape[1],
+            first=first,
+            number=self._number,
+            lag=self._lag,
+            places=self._places,
+            value=self._value,
+            worst=self._squared,
+            at=self._at,
+            side=self._side,
+            ceiling=self._ceiling,
+            dropped=self._dropped,
         )
-        keep = max(low - 1, 0)
-        self._low, self._high = low - keep, high - keep
-        self._command, self._heading = command[keep:], heading[keep:]
+
+    def feed(self, block: Block) -> None:
+        """Take what the sweep found."""
+        keep = max(int(self._places[0]) - 1, 0)
+        self._places -= keep
+        self._command, self._heading = self._command[keep:], self._heading[keep:]
         index = np.maximum(self._at - self._number, 0)
         sides = np.where(self._side > 0.0, "ahead", np.where(self._side < 0.0, "behind", ""))
         self._worst.offer(
@@ -239,7 +292,7 @@ class _Progress:
             position=block.positions_at(index),
             note=sides.astype(object),
         )
-        self._number += count
+        self._number += len(block)
 
     def finish(self) -> Sequence[Found]:
         """Return the least error with which the tool can have come to any place by the end."""
@@ -256,6 +309,7 @@ class _Progress:
         path = PathWindow(setting.plan.motion.programmed)
         every = _Progress(setting, every_place=True)
         for block in judged_blocks(setting.recording, setting.axes, setting.lag_samples, path):
+            move_on(block.at_tool, block.nearest[0], 0, every.part(block))
             every.feed(block)
         return every.finish()
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.verdict.finding import Found, Worst
-from threadline.verdict.largest import raise_to_largest
-from threadline.verdict.measure import Measure
-from threadline.verdict.nearest import between, vertices_to_path
+from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
@@ -21,21 +20,62 @@ _NOTHING_M = 1e-9
 """A move that is no longer than this has no sample of its own, and no piece of a planned path."""
 
 
-@dataclass(slots=True)
-class _Last:
-    """The sample before the next block: of each run its point and nearest chord, and its window.
+class ContourPart(NamedTuple):
+    """What a sweep over a block takes from the measure and brings back.
 
-    Chords are counted from the start of the path.
+    ``point``, (axes, runs), and ``chord``, (runs,), are of the sample before the block, after the
+    sweep of its last one; ``fresh`` says that there is none before. ``begin``, ``end`` and
+    ``time_s`` have an entry more than the block, for that sample. ``worst``, (runs,) squared, is
+    raised to the largest distance of the ways that lead to the samples; where it is: ``at`` the
+    sample, ``part`` of the way to it, and ``nearest`` the chord. ``best`` and ``best_time_s`` are
+    (vertices, runs).
     """
 
-    point: FloatArray  # (axes, runs)
-    chord: IntArray  # (runs,)
-    time_s: float
-    begin: int
-    end: int
+    begin: IntArray
+    end: IntArray
+    time_s: FloatArray
+    point: FloatArray
+    chord: IntArray
+    fresh: bool
+    worst: FloatArray
+    at: IntArray
+    part: FloatArray
+    nearest: IntArray
+    best: FloatArray
+    best_time_s: FloatArray
 
 
-class Contour:
+def _raise(squared: FloatArray, chord: IntArray, low: int, part: ContourPart) -> None:
+    """Raise the worst to the (n, runs) squared distances of samples, the first of which is ``low``.
+
+    Of equals the first stays.
+    """
+    samples, runs = squared.shape
+    for i in range(samples):
+        larger = 0
+        for r in range(runs):
+            larger += squared[i, r] > part.worst[r]
+        if larger:  # seldom, once the first few are behind
+            for r in range(runs):
+                if squared[i, r] > part.worst[r]:
+                    part.worst[r], part.at[r], part.part[r] = squared[i, r], low + i, 1.0
+                    part.nearest[r] = chord[i, r]
+
+
+raise_to_samples = njit(nogil=True)(_raise)
+
+
+class _Left(NamedTuple):
+    """Vertices that no later sample comes nearer to, and how near the path of each run came."""
+
+    best: FloatArray
+    best_time_s: FloatArray
+    vertices: FloatArray
+    operation: IntArray
+    line: IntArray
+
+
+class Contour(SweptMeasure):
     """Both directions at once: path to chords, and programmed vertices to path.
 
     Lengths are at the tool, Euclidean over all axes, rotary ones times their radius: of a mandrel
@@ -60,83 +100,73 @@ class Contour:
         self._line: IntArray = np.empty(0, dtype=np.int64)
         self._best: FloatArray = np.empty((0, runs))  # m^2
         self._best_time_s: FloatArray = np.empty((0, runs))
-        self._last: _Last | None = None
+        # The last sample, with its nearest chord and its window counted from the path's start.
+        self._point: FloatArray = np.empty((len(radius_m), runs))
+        self._chord: IntArray = np.zeros(runs, dtype=np.int64)
+        self._window: tuple[int, int] | None = None
+        self._time_s = 0.0
+        self._part: ContourPart | None = None
+        self._left: _Left | None = None
+
+    def part(self, block: Block) -> ContourPart:
+        """Return what the sweep needs; vertices that are behind the window are put aside."""
+        path, begin, end = block.window()
+        fresh = self._window is None
+        if self._window is None:
+            first, last, time_s = _from_rest(int(begin[0]), path), int(end[0]), block.time_s[0]
+        else:
+            first = max(self._window[0] - path.first, 1)
+            last, time_s = max(self._window[1] - path.first, first), self._time_s
+        self._window = int(begin[-1]) + path.first, int(end[-1]) + path.first
+        self._time_s = float(block.time_s[-1])
+        self._left = self._leave(path.first - self._first)
+        self._chord -= path.first
+        self._hold(path)
+        self._part = ContourPart(
+            begin=np.concatenate([[first], begin]),
+            end=np.concatenate([[last], end]),
+            time_s=np.concatenate([[time_s], block.time_s]),
+            point=self._point,
+            chord=self._chord,
+            fresh=fresh,
+            worst=self._squared,
+            at=np.zeros(self._runs, dtype=np.int64),
+            part=np.ones(self._runs),
+            nearest=np.zeros(self._runs, dtype=np.int64),
+            best=self._best,
+            best_time_s=self._best_time_s,
+        )
+        return self._part
 
     def feed(self, block: Block) -> None:
-        """Take the next samples."""
-        points = block.at_tool
-        path, begin, end = block.window()
-        squared, chord = block.nearest_on_surface
-        last = self._last or _Last(
-            points[0],
-            chord[0] + path.first,
-            float(block.time_s[0]),
-            _from_rest(int(begin[0]), path) + path.first,
-            int(end[0]) + path.first,
-        )
-        begins = np.concatenate([[max(last.begin - path.first, 1)], begin])
-        ends = np.concatenate([[max(last.end - path.first, int(begins[0]))], end])
-        times_s = np.concatenate([[last.time_s], block.time_s])
-        # What is no larger than before is of no interest, wherever blocks begin.
-        worst, at = self._squared, np.zeros(self._runs, dtype=np.int64)
-        raise_to_largest(squared, worst, at)
-        part, nearest = np.ones(self._runs), chord[at, np.arange(self._runs)]
-        between(
-            points,
-            last.point,
-            chord,
-            last.chord - path.first,
-            begins,
-            ends,
-            path.vertices,
-            block.shares,
-            worst,
-            at,
-            part,
-            nearest,
-        )
+        """Take what the sweep found: what is no larger than before is of no interest."""
+        found, path = self._part, block.path
+        assert found is not None and path is not None and self._left is not None
+        at, part, time_s = found.at, found.part, found.time_s
         sample = np.maximum(np.where(part <= 0.5, at - 1, at), 0)
         self._worst.offer(
-            np.sqrt(worst),
-            time_s=times_s[at] + part * (times_s[at + 1] - times_s[at]),
+            np.sqrt(self._squared),
+            time_s=time_s[at] + part * (time_s[at + 1] - time_s[at]),
             operation=block.operations_at(sample),
-            line=path.line[nearest],
+            line=path.line[found.nearest],
             position=block.positions_at(sample),
         )
-        self._settle(path.first - self._first)
-        self._hold(path)
-        vertices_to_path(
-            points,
-            last.point,
-            times_s,
-            begins,
-            ends,
-            path.vertices,
-            self._best,
-            self._best_time_s,
-            path.shares,
-        )
-        self._last = _Last(
-            points[-1],
-            chord[-1] + path.first,
-            float(block.time_s[-1]),
-            int(begin[-1]) + path.first,
-            int(end[-1]) + path.first,
-        )
+        self._settle(self._left)
+        self._chord += path.first
 
     def finish(self) -> Sequence[Found]:
         """Return the worst of what was fed, and of the programmed points that it came to."""
         seen = self._worst.copy()
-        if self._path is not None and self._last is not None:
-            point, time_s = self._last.point, self._last.time_s
+        if self._path is not None:
+            point, time_s = self._point, self._time_s
             # Which vertices a window held is the same for all runs.
             open_ = np.isinf(self._best).any(axis=1)
             reached = int(open_.argmax()) if open_.any() else len(self._best)
             rest = self._vertices[reached:, :, None] - point
             self._best[reached:] = (rest**2).sum(axis=1)
             self._best_time_s[reached:] = time_s
-            self._settle(reached)
-            self._settle(len(self._best), _UNREACHED)
+            self._settle(self._leave(reached))
+            self._settle(self._leave(len(self._best)), _UNREACHED)
             left = self._path.remainder(point)
             if left is not None:
                 self._worst.offer(
@@ -158,23 +188,34 @@ class Contour:
         fresh = np.zeros((grown, self._runs))
         self._best_time_s = np.concatenate([self._best_time_s, fresh])
 
-    def _settle(self, count: int, note: str = "programmed point missed") -> None:
-        """Judge the first ``count`` vertices, which no later sample can come nearer to."""
-        count = min(count, len(self._best))  # a recording may begin in the middle of the path
-        if count <= 0:
-            return
-        at, runs = np.argmax(self._best[:count], axis=0), np.arange(self._runs)
-        self._worst.offer(
-            np.sqrt(self._best[at, runs]),
-            time_s=self._best_time_s[at, runs],
-            operation=self._operation[at],
-            line=self._line[at],
-            position=self._vertices[at] / self._radius_m,
-            note=note,
+    def _leave(self, count: int) -> _Left:
+        """Put the first ``count`` vertices aside."""
+        count = max(min(count, len(self._best)), 0)  # a recording may begin in the middle
+        left = _Left(
+            self._best[:count],
+            self._best_time_s[:count],
+            self._vertices[:count],
+            self._operation[:count],
+            self._line[:count],
         )
         self._best, self._best_time_s = self._best[count:], self._best_time_s[count:]
         self._vertices, self._operation = self._vertices[count:], self._operation[count:]
         self._line = self._line[count:]
+        return left
+
+    def _settle(self, left: _Left, note: str = "programmed point missed") -> None:
+        """Judge vertices that no later sample can come nearer to."""
+        if not len(left.best):
+            return
+        at, runs = np.argmax(left.best, axis=0), np.arange(self._runs)
+        self._worst.offer(
+            np.sqrt(left.best[at, runs]),
+            time_s=left.best_time_s[at, runs],
+            operation=left.operation[at],
+            line=left.line[at],
+            position=left.vertices[at] / self._radius_m,
+            note=note,
+        )
 
 
 def _from_rest(chord: int, path: PathWindow) -> int:

@@ -13,6 +13,7 @@ from threadline.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
 from threadline.verdict.finding import Finding
 from threadline.verdict.samples import Block
+from threadline.verdict.sweep import feed
 from threadline.verdict.window import PathWindow
 
 PER_PIECE = 16  # points on a curved piece: between them it bows out by 1/256 of its own bow at most
@@ -31,7 +32,7 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
     contour = Contour(plan.motion.programmed.radius_m)
     pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.motion.path if len(b))
     for block in _blocks(pieces, PathWindow(plan.motion.programmed), 1):
-        contour.feed(block)
+        feed([contour], block)
     return [replace(found.worst(), time_s=None) for found in contour.finish()]
 
 
@@ -64,7 +65,7 @@ def measure_motion_deviation(plan: Plan, curved: int = PER_PIECE) -> list[Findin
         _points(b.coefficients, b.operation, curved) for b in plan.motion.trajectory if len(b)
     )
     for block in _blocks(pieces, PathWindow(plan.motion.programmed), _SMOOTHED):
-        contour.feed(block)
+        feed([contour], block)
     return [replace(found.worst(), time_s=None) for found in contour.finish()]
 
 

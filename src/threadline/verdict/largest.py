@@ -9,8 +9,13 @@ from threadline.compiled import njit
 from threadline.verdict.samples import lanes
 
 
-def _largest(values: FloatArray, reference: FloatArray, best: FloatArray, at: IntArray) -> None:
-    """Fill in the largest |values - reference| and the first sample that has it, -1 of NaN."""
+def _largest(
+    values: FloatArray, reference: FloatArray, best: FloatArray, at: IntArray, begin: int
+) -> None:
+    """Raise ``best`` to the largest |values - reference|, ``at`` to the first sample that has it.
+
+    The first of the samples has the number ``begin``; NaN is passed over.
+    """
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):
@@ -22,21 +27,7 @@ def _largest(values: FloatArray, reference: FloatArray, best: FloatArray, at: In
                     size = abs(values[i, a, r] - reference[i, a])
                     larger = size > best[a, r]
                     best[a, r] = size if larger else best[a, r]
-                    at[a, r] = i if larger else at[a, r]
-
-
-def _raise(values: FloatArray, best: FloatArray, at: IntArray) -> None:
-    """Raise (runs,) ``best`` to the largest of (n, runs) values, ``at`` the first of those."""
-    samples, runs = values.shape
-    for i in range(samples):
-        larger = 0
-        for r in range(runs):
-            larger += values[i, r] > best[r]
-        if larger:
-            for r in range(runs):
-                larger = values[i, r] > best[r]
-                best[r] = values[i, r] if larger else best[r]
-                at[r] = i if larger else at[r]
+                    at[a, r] = begin + i if larger else at[a, r]
 
 
 def _add_squares(values: FloatArray, total: FloatArray) -> None:
@@ -66,8 +57,7 @@ def _count_beyond(
                     count[a, r] += 1 if beyond else 0
 
 
-_largest_fast = njit(nogil=True)(_largest)
-raise_to_largest = njit(nogil=True)(_raise)
+raise_to_farthest = njit(nogil=True)(_largest)
 _add_squares_fast = njit(nogil=True)(_add_squares)
 _count_beyond_fast = njit(nogil=True)(_count_beyond)
 
@@ -85,7 +75,7 @@ def largest(values: FloatArray, reference: FloatArray | None = None) -> tuple[Fl
     samples, axes, runs = rows.shape
     best, at = np.full((axes, runs), -np.inf), np.full((axes, runs), -1, dtype=np.int64)
     against = np.zeros((samples, axes)) if reference is None else np.ascontiguousarray(reference)
-    _largest_fast(rows, against, best, at)
+    raise_to_farthest(rows, against, best, at, 0)
     return best, at
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from threadline.arrays import IntArray
 from threadline.plan import Plan
@@ -28,6 +29,26 @@ class Measure(Protocol):
 
     def finish(self) -> Sequence[Found]:
         """Return the worst of what was fed, of every run: for each axis, or for the tool."""
+
+
+class SweptMeasure(ABC):
+    """A measure that takes the samples of a block in the sweep of all measures (``sweep.feed``).
+
+    Its part in a sweep is what compiled loops read and fill in. When it is fed, the sweep is over:
+    it takes from its part what came of the block.
+    """
+
+    @abstractmethod
+    def part(self, block: Block) -> NamedTuple | None:
+        """Return its part in the sweep over ``block``; None where it takes none."""
+
+    @abstractmethod
+    def feed(self, block: Block) -> None:
+        """Take what the sweep found in ``block``."""
+
+    @abstractmethod
+    def finish(self) -> Sequence[Found]:
+        """Return the worst of what was fed, as ``Measure.finish``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 
 _FINEST = 1.0 / 4096  # of the way between two points: finer parts of it are not looked at
+_NOTHING_M2 = 1e-26  # a place that is no farther from the path is on it, but for rounding
 _MOST_PARTS = 32  # of a way that wait: one more for each halving, down to the finest
 
 
@@ -118,13 +119,26 @@ def _nearest_chords(
                 chord[i, r] = c if nearer else chord[i, r]
 
 
-def _most_between(first: float, second: float, way: FloatArray) -> float:
+def _most_between(
+    first: float, second: float, here: FloatArray, there: FloatArray, share: FloatArray
+) -> float:
     """Return what no squared distance is above on a way between ends with such squared ones."""
-    long = np.sqrt((way**2).sum())
-    return float((0.5 * (np.sqrt(first) + np.sqrt(second) + long)) ** 2)
+    squared = 0.0
+    for k in range(len(here)):
+        squared += (share[k] * (there[k] - here[k])) ** 2
+    return float((0.5 * (np.sqrt(first) + np.sqrt(second) + np.sqrt(squared))) ** 2)
+
+
+def _alike(first: IntArray, second: IntArray) -> bool:
+    """Say whether all numbers are the same; makes no array of it."""
+    others = 0
+    for r in range(len(first)):
+        others += first[r] != second[r]
+    return others == 0
 
 
 _most_between_fast = njit(nogil=True)(_most_between)
+_alike_fast = njit(nogil=True)(_alike)
 
 
 def _between(
@@ -140,13 +154,14 @@ def _between(
     at: IntArray,
     part: FloatArray,
     worst_chord: IntArray,
+    number: int,
 ) -> None:
     """Raise ``worst``, (runs,) squared, where the straight way to a point is farther than its ends.
 
     The distance to one chord is largest at an end of the way; to two it may not be. ``begin`` and
-    ``end`` have an entry more than the points, for the point before. Where the
-    worst is: ``at`` the point that the way leads to, ``part`` of the way (0..1), and the nearest
-    chord ``worst_chord``. The way counts with the shares of the point that it leads to.
+    ``end`` have an entry more than the points, for the point before. Where the worst is: ``at`` the
+    point that the way leads to, counted from ``number`` on, ``part`` of the way (0..1), and the
+    nearest chord ``worst_chord``. The way counts with the shares of the point that it leads to.
     """
     lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
     axes = points.shape[1]
@@ -154,7 +169,7 @@ def _between(
     of = np.ones(axes)
     for i in range(len(points)):
         known = chord_before if i == 0 else chord[i - 1]
-        if (chord[i] == known).all():
+        if _alike_fast(chord[i], known):
             continue
         low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
         for r in range(points.shape[2]):
@@ -165,16 +180,17 @@ def _between(
                 there[a] = points[i, a, r]
                 if share is not None:
                     of[a] = share[i, a, r]
+            least = max(worst[r], _NOTHING_M2)
             # One chord that is near both ends is enough: no place of the way is farther from it.
             c = chord[i, r]
             first = weighed_to_segment(here, vertices[c - 1], vertices[c], of)
             second = weighed_to_segment(there, vertices[c - 1], vertices[c], of)
-            if max(first, second) <= worst[r]:
+            if max(first, second) <= least:
                 continue
             # Nor is any farther than half of the way and of the distances of both ends.
             c = max(known[r], low)
             first = weighed_to_segment(here, vertices[c - 1], vertices[c], of)
-            if _most_between_fast(first, second, of * (there - here)) <= worst[r]:
+            if _most_between_fast(first, second, here, there, of) <= least:
                 continue
             left = 1
             lows[0], highs[0] = 0.0, 1.0
@@ -190,7 +206,7 @@ def _between(
                     first = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
                     second = weighed_to_segment(stop, vertices[c - 1], vertices[c], of)
                     bound = min(bound, max(first, second))
-                if bound <= worst[r] or b - a < _FINEST:
+                if bound <= max(worst[r], _NOTHING_M2) or b - a < _FINEST:
                     continue
                 middle = 0.5 * (a + b)
                 for n in range(axes):
@@ -201,7 +217,7 @@ def _between(
                     if away < best:
                         best, nearest = away, c
                 if best > worst[r]:
-                    worst[r], at[r], part[r], worst_chord[r] = best, i, middle, nearest
+                    worst[r], at[r], part[r], worst_chord[r] = best, number + i, middle, nearest
                 if left + 2 <= _MOST_PARTS:
                     lows[left], highs[left] = a, middle
                     lows[left + 1], highs[left + 1] = middle, b
@@ -266,9 +282,9 @@ def _vertices_to_path(
                 best_time_s[v, r] = from_s + where * long_s if nearer else best_time_s[v, r]
 
 
-_nearest_chords_fast = njit(nogil=True, error_model="numpy")(_nearest_chords)
+nearest_chords_each = njit(nogil=True, error_model="numpy")(_nearest_chords)
 between = njit(nogil=True)(_between)
-_vertices_to_path_fast = njit(nogil=True, error_model="numpy")(_vertices_to_path)
+vertices_to_path_each = njit(nogil=True, error_model="numpy")(_vertices_to_path)
 
 
 def nearest_chords(
@@ -294,7 +310,7 @@ def nearest_chords(
     chord = np.empty((samples, runs), dtype=np.int64)
     way, length = chord_ways(vertices)
     each = (0,) * axes
-    _nearest_chords_fast(points, begin, end, vertices, way, length, each, share, squared, chord)
+    nearest_chords_each(points, begin, end, vertices, way, length, each, share, squared, chord)
     return squared, chord
 
 
@@ -311,6 +327,6 @@ def vertices_to_path(
 ) -> None:
     """Lower ``best`` and set ``best_time_s``, both (m, runs): see ``_vertices_to_path``."""
     axes = (0,) * points.shape[1]
-    _vertices_to_path_fast(
+    vertices_to_path_each(
         points, before, time_s, begin, end, vertices, axes, share, best, best_time_s
     )

@@ -10,6 +10,7 @@ from threadline.arrays import IntArray
 from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run, Running
 from threadline.verdict.samples import Block
+from threadline.verdict.sweep import feed
 
 Key = tuple[str, tuple[tuple[str, float], ...]]
 """A measure and its options."""
@@ -40,12 +41,12 @@ class _Begun:
             else:
                 measure = reading.start(run, kind.with_defaults(dict(key[1])))
                 self._running[key] = Running(kind=kind, reading=reading, measure=measure)
+        self._measures = [one.measure for one in self._running.values()]
 
     def blocks(self) -> Iterator[Block]:
         """Feed the measures; yield what they were fed with."""
         for block in self.run.blocks():
-            for one in self._running.values():
-                one.measure.feed(block)
+            feed(self._measures, block)
             self.last = block
             yield block
 

@@ -121,6 +121,12 @@ class Block:
         return lanes(self.actual) * self.path.radius_m[:, None]
 
     @cached_property
+    def last_at_tool(self) -> FloatArray:
+        """(axes, runs) the last of ``at_tool``."""
+        assert self.actual is not None and self.path is not None
+        return np.asarray(self.actual[-1].T * self.path.radius_m[:, None])
+
+    @cached_property
     def nearest(self) -> tuple[FloatArray, IntArray]:
         """(n, runs) squared distances of the tool to the nearest chord of its window, and which."""
         path, begin, end = self.window()

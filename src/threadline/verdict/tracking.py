@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
+from threadline.arrays import FloatArray, IntArray
 from threadline.signals import ChannelKind
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.largest import largest
-from threadline.verdict.measure import Measure
+from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.samples import Block, Setting
 
 
-class _Tracking:
+class TrackingPart(NamedTuple):
+    """What a sweep over a block takes from the measure and brings back.
+
+    ``command``, (n, axes), is what the samples are held against; ``size`` and ``at``, (axes, runs),
+    are raised to the largest difference and to the first sample that has it, -1 of none.
+    """
+
+    command: FloatArray
+    size: FloatArray
+    at: IntArray
+
+
+class _Tracking(SweptMeasure):
     """Per axis, in its own unit (m or rad): the largest absolute difference. Lag counts.
 
     The actual position is that of the tool or the load. A live machine has neither: there it is
@@ -29,16 +43,32 @@ class _Tracking:
         ]
         count = len(setting.axes)
         self._worst = [Worst(setting.runs, count, axis) for axis in setting.axes]
+        self._part: TrackingPart | None = None
+
+    def part(self, block: Block) -> TrackingPart | None:
+        """Return what the sweep needs for the tool or the load, where there is one."""
+        self._part = None
+        if block.actual is not None and block.commanded is not None and not all(self._own):
+            shape = len(self._own), block.actual.shape[1]
+            self._part = TrackingPart(
+                command=np.ascontiguousarray(block.commanded),
+                size=np.full(shape, -np.inf),
+                at=np.full(shape, -1, dtype=np.int64),
+            )
+        return self._part
 
     def feed(self, block: Block) -> None:
-        for source, own in ((block.actual, False), (block.own, True)):
-            columns = [column for column, mine in enumerate(self._own) if mine == own]
-            if source is None or not columns:
-                continue
-            sizes, at = largest(source, block.commanded)
-            for column in columns:
+        """Take what the sweep found; what encoders read is in no sweep."""
+        if self._part is not None:
+            self._offer(block, self._part.size, self._part.at, own=False)
+        if block.own is not None and any(self._own):
+            self._offer(block, *largest(block.own, block.commanded), own=True)
+
+    def _offer(self, block: Block, size: FloatArray, at: IntArray, *, own: bool) -> None:
+        for column, mine in enumerate(self._own):
+            if mine == own:
                 self._worst[column].offer(
-                    sizes[column],
+                    size[column],
                     time_s=block.time_s[at[column]],
                     operation=block.operations_at(at[column]),
                     position=block.positions_at(at[column]),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.verdict.finding import Found, Worst
-from threadline.verdict.measure import Measure, Option
+from threadline.verdict.measure import Measure, Option, SweptMeasure
 from threadline.verdict.reversals import ReversalScan, Turning
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -30,15 +31,16 @@ def _track(
     real: FloatArray,
     errors: FloatArray,
     times_s: FloatArray,
+    closed: int,
 ) -> int:
-    """Follow an axis of many runs through the turnings of a block; return how many of them closed.
+    """Follow an axis of many runs through its turnings; return how many of them are closed by now.
 
     ``points`` is (n, axes, runs), of which the axis is ``column``. ``whole`` is [direction, sample
     at which the command left the turning or -1], the same for all runs; ``real``, (4, runs), is
     [best, its time, best of the opposite direction since then, its time]. ``errors`` and
     ``times_s`` are (turnings, runs).
     """
-    closed, runs = 0, points.shape[2]
+    runs = points.shape[2]
     for i in range(len(points)):
         side, now_s = whole[0], time_s[i]
         for r in range(runs):
@@ -70,56 +72,92 @@ def _track(
 _track_fast = njit(nogil=True)(_track)
 
 
-class _Axis:
-    """One axis: the turnings ahead of it, and its farthest position in the current direction."""
+class TurningPart(NamedTuple):
+    """What a sweep over a block takes from the measure and brings back, of k axes.
 
-    def __init__(self, column: int, name: str, setting: Setting, smallest: float) -> None:
-        self._column, self._runs = column, setting.runs
-        self._lag = setting.lag_samples
+    The turnings that axis k awaits are ``values`` and ``leaves`` from ``starts[k]`` to
+    ``starts[k + 1]``, of which ``closed[k]`` are behind it after the sweep, with (turnings, runs)
+    ``errors`` at ``times_s``. ``whole``, (k, 2), and ``real``, (k, 4, runs), are as in ``_track``:
+    an axis without a direction is not followed. ``chord``, (n,), is that of the command, and the
+    first sample of the block has the number ``first``.
+    """
+
+    chord: IntArray
+    first: int
+    lag: int
+    values: FloatArray
+    leaves: IntArray
+    starts: IntArray
+    whole: IntArray
+    real: FloatArray
+    errors: FloatArray
+    times_s: FloatArray
+    closed: IntArray
+
+
+def _follow(points: FloatArray, time_s: FloatArray, low: int, part: TurningPart) -> None:
+    """Follow every axis through its turnings over samples of which the first is ``low``."""
+    high = low + len(points)
+    for k in range(len(part.closed)):
+        if part.whole[k, 0]:
+            own = slice(part.starts[k], part.starts[k + 1])
+            part.closed[k] = _track_fast(
+                points,
+                k,
+                time_s,
+                part.chord[low:high],
+                part.first + low,
+                part.lag,
+                part.values[own],
+                part.leaves[own],
+                part.whole[k],
+                part.real[k],
+                part.errors[own],
+                part.times_s[own],
+                part.closed[k],
+            )
+
+
+follow_turnings = njit(nogil=True)(_follow)
+
+
+class _Axis:
+    """One axis: the turnings ahead of it, and its farthest position in the current direction.
+
+    ``whole`` and ``real`` are as in ``_track``.
+    """
+
+    def __init__(
+        self, column: int, setting: Setting, smallest: float, whole: IntArray, real: FloatArray
+    ) -> None:
+        self._column, name = column, setting.axes[column]
         self._scan = ReversalScan(column, smallest, setting.radius_m)
-        self._open: list[Turning] = []
-        self._whole = np.array([0, -1], dtype=np.int64)
-        self._real: FloatArray = np.zeros((4, setting.runs))
-        self._real[[0, 2]] = -np.inf
+        self.open: list[Turning] = []
+        self._whole, self._real = whole, real
         self._worst = Worst(setting.runs, len(setting.axes), name, note="the recording is empty")
         self._last_s = 0.0
         self._last: FloatArray = np.zeros(setting.runs)
 
-    def feed(self, block: Block, path: PathWindow) -> None:
-        assert block.chord is not None
-        found = self._scan.scan(path)
-        self._open.extend(found)
-        self._last = block.at_tool[-1, self._column].copy()
-        self._last_s = float(block.time_s[-1])
+    def read(self, path: PathWindow) -> None:
+        """Take up the turnings that the path has come to."""
+        self.open.extend(self._scan.scan(path))
         if not self._whole[0]:
-            self._whole[0] = self._open[0].direction if self._open else self._scan.direction
-        if not self._whole[0]:
-            return
-        shape = len(self._open), self._runs
-        errors, times_s = np.empty(shape), np.empty(shape)
-        closed = _track_fast(
-            block.at_tool,
-            self._column,
-            block.time_s,
-            block.chord,
-            block.first,
-            self._lag,
-            np.array([turning.value for turning in self._open], dtype=np.float64),
-            np.array([turning.leaves for turning in self._open], dtype=np.int64),
-            self._whole,
-            self._real,
-            errors,
-            times_s,
-        )
-        for turning, error, at_s in zip(self._open, errors[:closed], times_s, strict=False):
+            self._whole[0] = self.open[0].direction if self.open else self._scan.direction
+
+    def feed(
+        self, last: FloatArray, last_s: float, errors: FloatArray, times_s: FloatArray
+    ) -> None:
+        """Take the (closed, runs) errors of turnings that are behind, and where it is now."""
+        self._last, self._last_s = last, last_s
+        for turning, error, at_s in zip(self.open, errors, times_s, strict=False):
             self._offer(turning, error, at_s)
-        del self._open[:closed]
+        del self.open[: len(errors)]
 
     def finish(self, path: PathWindow | None, last: FloatArray | None) -> Found:
         if path is None or last is None:
             return self._worst.found()
         real, direction = self._real, int(self._whole[0])
-        for turning in [*self._open, self._scan.end()]:
+        for turning in [*self.open, self._scan.end()]:
             if direction:
                 self._offer(turning, real[0] - direction * turning.value, real[1])
             else:
@@ -151,7 +189,7 @@ class _Axis:
         )
 
 
-class _TurningPoints:
+class _TurningPoints(SweptMeasure):
     r"""Per axis: the farthest that it comes at each reversal, against the programmed value.
 
     Lengths at the tool (rotary axes times their radius). A reversal is watched from the one
@@ -162,17 +200,51 @@ class _TurningPoints:
     """
 
     def __init__(self, setting: Setting, smallest: float) -> None:
+        axes, self._runs = len(setting.axes), setting.runs
+        self._whole: IntArray = np.zeros((axes, 2), dtype=np.int64)
+        self._whole[:, 1] = -1
+        self._real: FloatArray = np.zeros((axes, 4, setting.runs))
+        self._real[:, [0, 2]] = -np.inf
         self._axes = [
-            _Axis(column, name, setting, smallest) for column, name in enumerate(setting.axes)
+            _Axis(column, setting, smallest, self._whole[column], self._real[column])
+            for column in range(axes)
         ]
+        self._lag = setting.lag_samples
         self._path: PathWindow | None = None
         self._last: FloatArray | None = None
+        self._part: TurningPart | None = None
+
+    def part(self, block: Block) -> TurningPart:
+        """Return what the sweep needs, with the turnings of the path about the block."""
+        assert block.path is not None and block.chord is not None
+        for axis in self._axes:
+            axis.read(block.path)
+        awaited = [turning for axis in self._axes for turning in axis.open]
+        shape = len(awaited), self._runs
+        self._part = TurningPart(
+            chord=block.chord,
+            first=block.first,
+            lag=self._lag,
+            values=np.array([turning.value for turning in awaited], dtype=np.float64),
+            leaves=np.array([turning.leaves for turning in awaited], dtype=np.int64),
+            starts=np.cumsum([0, *(len(axis.open) for axis in self._axes)]),
+            whole=self._whole,
+            real=self._real,
+            errors=np.empty(shape),
+            times_s=np.empty(shape),
+            closed=np.zeros(len(self._axes), dtype=np.int64),
+        )
+        return self._part
 
     def feed(self, block: Block) -> None:
-        assert block.path is not None
-        self._path, self._last = block.path, block.at_tool[-1]
-        for axis in self._axes:
-            axis.feed(block, block.path)
+        """Take what the sweep found."""
+        found = self._part
+        assert found is not None
+        self._path, self._last, last_s = block.path, block.last_at_tool, float(block.time_s[-1])
+        for column, axis in enumerate(self._axes):
+            begin = int(found.starts[column])
+            closed = slice(begin, begin + int(found.closed[column]))
+            axis.feed(self._last[column], last_s, found.errors[closed], found.times_s[closed])
 
     def finish(self) -> Sequence[Found]:
         return [axis.finish(self._path, self._last) for axis in self._axes]

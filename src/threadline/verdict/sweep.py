@@ -1,0 +1,202 @@
+"""One sweep over the samples of a block for all measures that hold every one of them up.
+
+Samples of many runs are more than a processor's own memory holds. A measure that goes over a whole
+block by itself waits for each of them. In a sweep a few samples at a time are brought in, and every
+measure takes them while they are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
+from threadline.verdict.advance import ProgressPart, move_on
+from threadline.verdict.contour import ContourPart, raise_to_samples
+from threadline.verdict.largest import raise_to_farthest
+from threadline.verdict.measure import Measure, SweptMeasure
+from threadline.verdict.nearest import (
+    between,
+    chord_ways,
+    nearest_chords_each,
+    vertices_to_path_each,
+)
+from threadline.verdict.samples import Block, lanes
+from threadline.verdict.tracking import TrackingPart
+from threadline.verdict.turning import TurningPart, follow_turnings
+
+PartT = TypeVar("PartT", bound=NamedTuple)
+
+_AT_ONCE = 1 << 12
+"""Samples times runs that are brought in together."""
+
+
+class _Chords(NamedTuple):
+    """The programmed path about a block: (m, axes) vertices, ways, (m,) squared lengths of ways.
+
+    ``begin`` and ``end``, (n,), are the first and the last chord that count for each sample.
+    ``axes`` has one entry for each axis.
+    """
+
+    begin: IntArray
+    end: IntArray
+    vertices: FloatArray
+    way: FloatArray
+    length: FloatArray
+    radius_m: FloatArray
+    axes: tuple[int, ...]
+
+
+def _scale(actual: FloatArray, radius_m: FloatArray, points: FloatArray) -> None:
+    """Fill in the lengths at the tool of (n, axes, runs) positions."""
+    samples, axes, runs = actual.shape
+    for i in range(samples):
+        for a in range(axes):
+            for r in range(runs):
+                points[i, a, r] = actual[i, a, r] * radius_m[a]
+
+
+_scale_fast = njit(nogil=True)(_scale)
+
+
+def _sweep(
+    actual: FloatArray,
+    share: FloatArray | None,
+    vertex_share: FloatArray | None,
+    time_s: FloatArray,
+    chords: _Chords,
+    contour: ContourPart,
+    progress: ProgressPart,
+    turning: TurningPart,
+    tracking: TrackingPart,
+    at_once: int,
+) -> None:
+    """Let every measure take the (n, axes, runs) samples; one without runs is not there."""
+    samples, axes, runs = actual.shape
+    # The row before the first is the sample before.
+    points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
+    squared = np.empty((at_once, runs))
+    if len(contour.worst):
+        points[0], chord[0] = contour.point, contour.chord
+    for low in range(0, samples, at_once):
+        high = min(low + at_once, samples)
+        count = high - low
+        here, near, away = points[1 : count + 1], chord[1 : count + 1], squared[:count]
+        begin, end = chords.begin[low:high], chords.end[low:high]
+        if tracking.at.size:
+            command = tracking.command[low:high]
+            raise_to_farthest(actual[low:high], command, tracking.size, tracking.at, low)
+        _scale_fast(actual[low:high], chords.radius_m, here)
+        follow_turnings(here, time_s[low:high], low, turning)
+        if share is None:
+            if len(contour.worst) or len(progress.worst):
+                nearest_chords_each(
+                    here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
+                    None, away, near,
+                )  # fmt: skip
+            if len(progress.worst):
+                move_on(here, away, low, progress)
+        else:
+            if len(progress.worst):
+                nearest_chords_each(
+                    here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
+                    None, away, near,
+                )  # fmt: skip
+                move_on(here, away, low, progress)
+            if len(contour.worst):
+                nearest_chords_each(
+                    here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
+                    share[low:high], away, near,
+                )  # fmt: skip
+        if len(contour.worst):
+            if contour.fresh and low == 0:
+                points[0], chord[0] = points[1], chord[1]
+            begin, end = contour.begin[low : high + 1], contour.end[low : high + 1]
+            raise_to_samples(away, near, low, contour)
+            between(
+                here, points[0], near, chord[0], begin, end, chords.vertices,
+                None if share is None else share[low:high],
+                contour.worst, contour.at, contour.part, contour.nearest, low,
+            )  # fmt: skip
+            vertices_to_path_each(
+                here, points[0], contour.time_s[low : high + 1], begin, end, chords.vertices,
+                chords.axes, vertex_share, contour.best, contour.best_time_s,
+            )  # fmt: skip
+            points[0], chord[0] = points[count], chord[count]
+    if len(contour.worst):
+        contour.point[:], contour.chord[:] = points[0], chord[0]
+
+
+_sweep_fast = njit(nogil=True)(_sweep)
+
+
+_NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
+_NO_ROWS, _NO_ROWS_OF_NUMBERS = np.empty((0, 0)), np.empty((0, 0), dtype=np.int64)
+_NO_CONTOUR = ContourPart(
+    begin=_NO_NUMBERS, end=_NO_NUMBERS, time_s=_NONE, point=_NO_ROWS, chord=_NO_NUMBERS,
+    fresh=True, worst=_NONE, at=_NO_NUMBERS, part=_NONE, nearest=_NO_NUMBERS, best=_NO_ROWS,
+    best_time_s=_NO_ROWS,
+)  # fmt: skip
+_NO_PROGRESS = ProgressPart(
+    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, heading=_NO_ROWS, axes=(), first=0, number=0,
+    lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS, side=_NONE,
+    ceiling=_NONE, dropped=_NONE,
+)  # fmt: skip
+_NO_TURNING = TurningPart(
+    chord=_NO_NUMBERS, first=0, lag=0, values=_NONE, leaves=_NO_NUMBERS, starts=_NO_NUMBERS,
+    whole=_NO_ROWS_OF_NUMBERS, real=np.empty((0, 0, 0)), errors=_NO_ROWS, times_s=_NO_ROWS,
+    closed=_NO_NUMBERS,
+)  # fmt: skip
+_NO_TRACKING = TrackingPart(command=_NO_ROWS, size=_NO_ROWS, at=_NO_ROWS_OF_NUMBERS)
+"""Parts of measures that take no part: compiled code is the same with and without them."""
+
+
+def _that(parts: Mapping[type, NamedTuple], none: PartT) -> PartT:
+    """Return the part of the kind of ``none``, or that itself."""
+    found = parts.get(type(none), none)
+    assert isinstance(found, type(none))
+    return found
+
+
+def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
+    """Sweep over a block for one part of each kind at most."""
+    assert block.actual is not None
+    actual = lanes(block.actual)
+    axes = (0,) * actual.shape[1]
+    path = block.path
+    if path is None:  # without operations: nothing that asks where on the path takes part
+        nowhere = np.empty((0, len(axes)))
+        chords = _Chords(
+            _NO_NUMBERS, _NO_NUMBERS, nowhere, nowhere, _NONE, np.ones(len(axes)), axes
+        )
+    else:
+        _, begin, end = block.window()
+        way, length = chord_ways(path.vertices)
+        chords = _Chords(begin, end, path.vertices, way, length, path.radius_m, axes)
+    _sweep_fast(
+        actual,
+        None if path is None else block.shares,
+        None if path is None else path.shares,
+        block.time_s,
+        chords,
+        _that(parts, _NO_CONTOUR),
+        _that(parts, _NO_PROGRESS._replace(axes=axes)),
+        _that(parts, _NO_TURNING),
+        _that(parts, _NO_TRACKING),
+        max(_AT_ONCE // actual.shape[2], 1),
+    )
+
+
+def feed(measures: Sequence[Measure], block: Block) -> None:
+    """Feed measures with a block, those that are swept after one sweep for all of them."""
+    swept = (one for one in measures if isinstance(one, SweptMeasure))
+    waiting = [part for one in swept if (part := one.part(block)) is not None]
+    while waiting:  # of two of a kind each needs a sweep of its own
+        parts = {type(part): part for part in reversed(waiting)}
+        _over(block, parts)
+        waiting = [part for part in waiting if parts[type(part)] is not part]
+    for one in measures:
+        one.feed(block)

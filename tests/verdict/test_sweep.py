@@ -1,0 +1,84 @@
+"""The sweep of all measures over samples: however few are brought in at once, the same is found.
+
+The reference is a sweep that brings in all samples of a block together, in which every measure goes
+over all of them before the next one does.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import options_of
+from threadline.pipeline import plan_job
+from threadline.plan import Plan
+from threadline.plant.values import Values
+from threadline.signals import tick_table
+from threadline.twin import simulate_runs
+from threadline.verdict import load_spec, sweep
+from threadline.verdict.finding import Finding
+from threadline.verdict.intended_runs import open_run
+from threadline.verdict.one_pass import Pass, read_all
+from threadline.verdict.registry import MEASURES
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+RUNS = 24
+PROGRAM = """%
+O 1;
+N 10 G01 F 1500;
+N 15 G91;
+N 20 X 20 Y 10 A 10;
+N 25 X 20 Y -10 A -10;
+N 30 X 20 Y 10 A 10;
+N 35 X 10;
+N 40 M30;
+%
+"""
+CONE = """[axes.A.profile]
+along = "X"
+at = ["-500 mm exact, measured", "500 mm exact, measured"]
+radius = ["20 mm exact, measured", "90 mm exact, measured"]
+"""
+SWEPT = ("contour_error", "progress_error", "turning_point_error", "tracking_error")
+
+
+def found(plan: Plan, names: tuple[str, ...]) -> list[Finding]:
+    """Return the finding of every run, axis and measure, with its place."""
+    random = np.random.default_rng(1994)
+    phases = random.random((256, 3))[:RUNS]
+    own = plan.machine.bodies["x"].inertia.si
+    numbers = {"bodies.x.inertia": own * random.uniform(0.95, 1.05, 256)[:RUNS]}
+    values = Values.of(plan.machine, numbers)
+    recording = simulate_runs(tick_table(plan.commands), values, encoder_phase=phases)
+    run = open_run(recording, plan, load_spec(None, plan.machine).lag_s)
+    one = Pass(run, {(name, ()): MEASURES[name] for name in names}, together=False)
+    read_all([one], [])
+    rows = one.found()
+    assert set(rows) == {(name, ()) for name in names}
+    return [row.of(k) for same in rows.values() for row in same for k in range(RUNS)]
+
+
+@pytest.mark.parametrize("profile", ["", CONE], ids=["one radius", "a profile"])
+def test_findings_and_places_are_the_same_however_few_samples_are_brought_in(
+    tmp_path, monkeypatch, profile
+) -> None:
+    """Of corners that are cut: between two samples the tool is farther from both chords."""
+    (tmp_path / "machine.toml").write_text(f'base = "lathe-winder"\nname = "own"\n{profile}')
+    (tmp_path / "job.prg").write_text(PROGRAM)
+    machine = load_machine(tmp_path / "machine.toml")
+    job = read_job(tmp_path / "job.prg", machine)
+    plan = plan_job(job, machine, options_of("linear", None, "0.1 mm"))
+    monkeypatch.setattr(sweep, "_AT_ONCE", 1 << 24)
+    whole = found(plan, SWEPT)
+    monkeypatch.setattr(sweep, "_AT_ONCE", 7 * RUNS)
+    assert found(plan, SWEPT) == whole
+    # A measure finds alone what it finds in company.
+    alone = [finding for name in SWEPT for finding in found(plan, (name,))]
+    assert alone == whole
+    # Somewhere the worst is between two samples, which are whole ticks.
+    ticks = np.array([finding.time_s for finding in whole[:RUNS]]) / machine.tick_clock.period_s
+    assert (np.abs(ticks.astype(float) - np.rint(ticks.astype(float))) > 1e-3).any()
