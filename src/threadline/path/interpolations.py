@@ -12,7 +12,7 @@ from threadline.foreign_messages import nearest
 from threadline.machine import Machine
 from threadline.machine.within_path import within_path
 from threadline.path import bspline, straight
-from threadline.path.auto import auto_pieces
+from threadline.path.auto import CUTTING_ENDS, auto_pieces
 from threadline.path.blends import blended_pieces
 from threadline.path.polynomial import polynomial_pieces
 from threadline.path.pulled import PULLS, Pull
@@ -216,7 +216,7 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
         interpolation=OPTIMAL,
         timing=Timing.FASTEST,
         historical=False,
-        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m),
+        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, CUTTING_ENDS),
     )
     return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
 

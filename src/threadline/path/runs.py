@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,6 +15,7 @@ COINCIDENT_M = 1e-10
 """A vertex nearer than this at the tool to the one before is left out: atoms are as far apart."""
 ROUNDING = 1e-14
 """Or nearer than this share of where it is: of so short a way hardly a digit is left."""
+_LEAST = 2  # vertices of a run
 _AT_A_TIME = 4096  # vertices; their control points and pieces stay in a cache
 
 
@@ -100,10 +101,14 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
     ----------
     near_m
         Vertices no farther than this from the last one that was kept are left out, but for those
-        at which the motion rests. Distances are the largest difference of an axis, at the tool.
+        at which the motion rests; there the last one that was kept gives way, so that no curve
+        ends in so short a chord. Its move is then the last one of the run, and ends at the rest.
+        Distances are the largest difference of an axis, at the tool.
     """
     radius = programmed.radius_m
     last: Vertices | None = None
+    held: Vertices | None = None  # of the run under way, the last that is in no chunk yet
+    begun = 0  # vertices of the run that were yielded, with the one at which it begins
     for own, rest, dwell_s in _bites(programmed):
         before = own.positions[:1] if last is None else last.positions
         new = _away(own.positions, before[0], radius, rest, near_m)
@@ -117,14 +122,32 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
             stops = np.flatnonzero(rest)
             for vertex in np.unique(at[stops]):
                 pause_s = float(dwell_s[stops[at[stops] == vertex]].sum())
-                part = distinct.take(slice(first, vertex + 1))
+                part = join_vertices(held, distinct.take(slice(first, vertex + 1)))
+                if begun + len(part) > _LEAST:
+                    part = _without_near_end(part, radius, near_m)
                 yield Chunk(vertices=part, ends=True, dwell_s=pause_s)
-                first = int(vertex) + 1
-        part = distinct.take(slice(first, None))
-        if len(part):
-            yield Chunk(vertices=part, ends=False, dwell_s=0.0)
+                first, held, begun = int(vertex) + 1, None, 1
+        part = join_vertices(held, distinct.take(slice(first, None)))
+        if len(part) > 1:
+            begun += len(part) - 1
+            yield Chunk(vertices=part.take(slice(None, -1)), ends=False, dwell_s=0.0)
+        held = part.take(slice(-1, None)) if len(part) else None
         if len(distinct):
             last = distinct.take(slice(-1, None))
+    if held is not None:
+        yield Chunk(vertices=held, ends=False, dwell_s=0.0)
+
+
+def _without_near_end(part: Vertices, radius_m: FloatArray, near_m: float) -> Vertices:
+    """Return the last vertices of a run without the one before the last, where that is near it."""
+    if len(part) < _LEAST:
+        return part
+    way_m = np.abs((part.positions[-1] - part.positions[-2]) * radius_m).max()
+    if not way_m <= near_m:
+        return part
+    positions = part.positions[:-1].copy()
+    positions[-1] = part.positions[-1]
+    return replace(part.take(slice(None, -1)), positions=positions)
 
 
 def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, FloatArray]]:

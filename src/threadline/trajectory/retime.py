@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from threadline.arrays import FloatArray, IntArray, read_only, real_numbers
 from threadline.errors import PlanError
-from threadline.path.auto import auto_pieces
+from threadline.path.auto import CUTTING_ENDS, auto_pieces
 from threadline.path.turning_back import reversals
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
 from threadline.signals import Stream
@@ -125,7 +125,9 @@ def retime(
         interpolation="optimal",
         timing=Timing.FASTEST,
         historical=False,
-        blocks=Stream(auto_pieces, programmed, (1.0 - _NEAR_SHARE) * width, _NEAR_SHARE * width),
+        blocks=Stream(
+            auto_pieces, programmed, (1.0 - _NEAR_SHARE) * width, _NEAR_SHARE * width, CUTTING_ENDS
+        ),
     )
     # It will be read many times: the motion is worked out once and kept.
     motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))

@@ -31,6 +31,7 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 MOST_PIECES = 20_000
 """Pieces of one run that are solved together; where a run has more, the motion rests between."""
 GAP = 1e-4
+_TURNED = 1e-8  # of a line: by how much it may turn at its joint
 _AT_SPEED = 0.1  # of the time until the axes have their speed: a lead-in lasts so long at it
 
 
@@ -168,6 +169,25 @@ def _beyond_rounding(run: PieceBlock, moves: BoolArray, radius_m: FloatArray) ->
     return moves & inner if inner.any() else moves
 
 
+def _reach_ends(c: FloatArray, start: FloatArray, end: FloatArray) -> None:
+    """Move the start of the first piece and the end of the last, in place: by 0.1 nm at most.
+
+    A piece is bent by the third power of the way to its other end, so that it joins the next one as
+    smoothly as before. A line that hardly turns by it is moved at its end and stays a line.
+    """
+    began, ended = start - c[0, 0], end - c[-1].sum(axis=0)
+    for k, way, cubic in (
+        (-1, ended, np.array([0.0, 0.0, 0.0, 1.0])),
+        (0, began, np.array([1.0, -3.0, 3.0, -1.0])),
+    ):
+        if not way.any():
+            continue
+        line = not c[k, 2:].any()
+        hardly = len(c) == 1 or np.abs(way).max() < _TURNED * np.abs(c[k, 1]).max()
+        bend = np.array([cubic[0], 1.0 - 2.0 * cubic[0], 0.0, 0.0]) if line and hardly else cubic
+        c[k] += bend[:, None] * way
+
+
 def _elements(run: PieceBlock, radius_m: FloatArray, limits: Limits) -> Elements:
     """Return the elements of a run; with limits along the path, the way gone is their last axis."""
     if limits.along is not None:
@@ -175,14 +195,9 @@ def _elements(run: PieceBlock, radius_m: FloatArray, limits: Limits) -> Elements
     moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
     moves = _beyond_rounding(run, moves, radius_m)
     c = run.coefficients[moves].copy()
-    # What lies beyond the first and the last of these pieces is less than a rounding of theirs.
-    end = run.coefficients[-1].sum(axis=0) - c[-1].sum(axis=0)
-    start = run.coefficients[0, 0] - c[0, 0]
-    c[-1, 1] += end
-    c[0, 0] += start
-    c[0, 1] -= start
     if c.shape[1] < 4:
         c = np.pad(c, ((0, 0), (0, 4 - c.shape[1]), (0, 0)))
+    _reach_ends(c, run.coefficients[0, 0], run.coefficients[-1].sum(axis=0))
     ratio, last = 1.0 / np.sqrt(factors(c, radius_m)[:-1]), slope(c[-1:])[0]
     if limits.along is not None:
         c = with_length(c, limits.along.radius_m)
