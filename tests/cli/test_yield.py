@@ -101,3 +101,27 @@ def test_what_goes_one_by_one_is_not_asked_of_thousands(variants: int) -> None:
     hangs = why.why_of(OneByOne(), variants, 1, lambda stage, share: None)
     assert hangs.machines == variants
     assert sum(asked) == 3 * variants + 4 * 16
+
+
+def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Over the table and under it, with what is proven of all machines rounded down."""
+    machine, job = tmp_path / "mine.toml", tmp_path / "turn.prg"
+    machine.write_text(
+        'base = "lathe-winder"\nname = "mine"\n[tolerances]\nexclude = ["drives.*"]\n',
+        encoding="utf-8",
+    )
+    job.write_text("G91\nG1 X25.714 F1000\nG1 X-25.714\nM30\n", encoding="utf-8")
+    words = ["yield", str(job), "-m", str(machine), "--variants", "8"]
+    for more, level in ([], "over tolerances"), (["--at-least", "50 %"], "yield over tolerances"):
+        with pytest.raises(SystemExit) as ended:
+            main([*words, *more])
+        told = capsys.readouterr().out
+        # 0.025 ** (1 / 8) is 0.630583
+        line = f"8 of 8 machines in spec, at least 63.058 % of all ({level}: one run of each)"
+        plain = " ".join(told.split())
+        assert plain.count(line) == 2 and told.endswith(f"{line}\n")
+        assert ended.value.code == 0
+        assert "the same in every machine, excluded by the machine file: drives.x.torque" in plain
+        assert "the same in every machine, only plans go by it: axes.A.acceleration," in plain

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binom
+from scipy.stats import binom, sobol_indices, uniform
 
 from threadline import pipeline
 from threadline.cli.main import main
@@ -92,6 +92,10 @@ def test_the_worst_machine_is_no_better_than_any_drawn_and_can_be_proved(
     assert ended.value.code == 1
     content = json.loads(capsys.readouterr().out)
     assert content["variants"] == 300
+    assert (content["level"], content["runs"]) == ("over tolerances", 1)
+    undrawn = content["not_drawn"]
+    assert undrawn["axes.X.acceleration"] == "only plans go by it"
+    assert {number.name for number in uncertain(plan.machine)}.isdisjoint(undrawn)
     assert content["interval"][0] < content["yield"] < content["interval"][1]
     contour = next(c for c in content["criteria"] if c["name"] == "contour_error")
     bad = content["worst"]
@@ -249,6 +253,22 @@ def test_indices_are_those_of_ishigami() -> None:
         (found.total, found.total_interval),
     ):
         assert (ends[0] <= values).all() and (values <= ends[1]).all()
+    # The same seed gives the same bits, ends of the intervals included.
+    again = influence(ishigami, [False] * 3, 2**6, 1)
+    other = influence(ishigami, [False] * 3, 2**6, 1)
+    np.testing.assert_array_equal(again.first_interval, other.first_interval)
+    np.testing.assert_array_equal(again.total_interval, other.total_interval)
+    # The true shares lie in most of the intervals of other seeds, and none is a matter of course.
+    within = []
+    for seed in range(12):
+        few = influence(ishigami, [False] * 3, 2**7, seed)
+        for ends, true in (
+            (few.first_interval, [one / whole, two / whole, 0.0]),
+            (few.total_interval, [(one + both) / whole, two / whole, both / whole]),
+        ):
+            within += ((ends[0] <= true) & (true <= ends[1])).tolist()
+            assert (ends[1] - ends[0] < 0.8).all()
+    assert np.mean(within) >= 0.8
 
 
 def test_a_normal_number_is_cut_off_at_three_deviations() -> None:
@@ -263,6 +283,21 @@ def test_a_normal_number_is_cut_off_at_three_deviations() -> None:
     assert np.abs(parts[:, 0]).max() <= 1.5 < 10 * np.abs(parts[:, 0]).max()
     assert parts[:, 0].std() == pytest.approx(0.4933, abs=0.02)  # of a normal cut off at 3
     assert np.abs(parts[:, 1]).max() <= 1.0
+
+
+def test_shares_are_those_of_scipy() -> None:
+    """Its own estimates, of samples of the same seed."""
+
+    def bowl(parts: np.ndarray) -> np.ndarray:
+        return parts[:, 0] ** 2 + parts[:, 0] * parts[:, 1] + 0.3 * parts[:, 2]
+
+    own = influence(bowl, [False] * 3, 2**6, 5)
+    theirs = sobol_indices(
+        func=lambda x: bowl(x.T)[None], n=2**6, dists=[uniform(-1.0, 2.0)] * 3,
+        rng=np.random.default_rng(5),
+    )  # fmt: skip
+    np.testing.assert_allclose(own.first, theirs.first_order, rtol=1e-12)
+    np.testing.assert_allclose(own.total, theirs.total_order, rtol=1e-12)
 
 
 def test_a_number_that_does_nothing_has_no_share_and_no_spread() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import ceil, floor
 from typing import Any
 
 from threadline.cli.output import print_table, say
@@ -10,10 +11,23 @@ from threadline.search.cheapest_set import CheapestSet
 from threadline.search.machine_yield import MachineYield
 
 
+def share_words(interval: tuple[float, float]) -> str:
+    """Return between which shares a yield lies, rounded outwards: it never reads better than it is.
+
+    >>> share_words((0.989979, 0.99742)), share_words((0.025 ** (1 / 10_000), 1.0))
+    ('98.99 to 99.75 %', 'at least 99.963 %')
+    """
+    low, high = interval
+    if high == 1.0:
+        return f"at least {floor(1e5 * low) / 1e3:.5g} %"
+    return f"{floor(1e4 * low) / 1e2:.4g} to {ceil(1e4 * high) / 1e2:.4g} %"
+
+
 def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
     """Print which tolerances to halve, and the yield of machines with these tolerances."""
-    low, high = found.interval
-    words = f"{found.passed} of {found.tried} machines in spec, {low:.2%} to {high:.2%} of all"
+    words = (
+        f"{found.passed} of {found.tried} machines in spec, {share_words(found.interval)} of all"
+    )
     if not found.reached:
         say(f"no set of tolerances was found that reaches {wished}; the best of them: {words}")
         return

@@ -81,16 +81,23 @@ def show_why(hangs: Why, judged: MachineYield) -> None:
     rows = [
         [
             number.name,
-            f"{indices.first[k]:.2f}",
-            f"{indices.total[k]:.2f}",
+            _within(indices.first[k], indices.first_interval[:, k]),
+            _within(indices.total[k], indices.total_interval[:, k]),
             f"{100.0 * hangs.halved[k]:.2f} %",
         ]
         for k, number in enumerate(judged.numbers)
     ]
-    rows.sort(key=lambda row: -float(row[2]))
+    rows = [rows[k] for k in np.argsort(-indices.total, kind="stable")]
     head = ["number", "alone", "with others", "yield if halved"]
     own = f"of {hangs.machines} machines {hangs.own:.2%} in spec"
     print_table(f"what the yield depends on; {own}", head, rows)
+
+
+def _within(share: float, ends: FloatArray) -> str:
+    """Return an index with the ends of its 95 % interval."""
+    # Adding zero makes a zero of minus zero.
+    low, high = (f"{round(float(end), 2) + 0.0:.2f}" for end in ends)
+    return f"{round(float(share), 2) + 0.0:.2f} ({low} to {high})"
 
 
 def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:

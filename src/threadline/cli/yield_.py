@@ -11,7 +11,7 @@ import numpy as np
 import typer
 
 from threadline import __version__
-from threadline.cli.cheapest import set_content, show_set
+from threadline.cli.cheapest import set_content, share_words, show_set
 from threadline.cli.found import command_line
 from threadline.cli.level import parse_yield
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -41,6 +41,7 @@ from threadline.cli.shared_options import (
 from threadline.cli.warn import tell, warn
 from threadline.cli.why import Why, counted, show_why, why_content, why_of
 from threadline.errors import OptionError
+from threadline.machine.variants import not_drawn
 from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.plan import Plan
 from threadline.proof_file import spec_sha256
@@ -56,6 +57,7 @@ from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, Spec, load_spec, percent_used
 from threadline.verdict.binomial import CONFIDENCE, clopper_pearson
 from threadline.verdict.rendering import shown
+from threadline.verdict.types import Level
 from threadline.writing import together
 
 
@@ -147,7 +149,8 @@ def yield_(
             told_set = counted(progress, "looking for the cheapest set of tolerances")
             machines = MACHINES if judged.together else min(MACHINES, variants)
             better = cheapest_set(judged, wished, seed, machines=machines, done=told_set)
-        title = f"{plan.job.name} on {chosen.name}: {_words(found)}"
+        level = Level.TOLERANCES if wished is None else Level.YIELD
+        title = f"{plan.job.name} on {chosen.name}: {_words(found, level)}"
         drawn = None
         with together(worst):
             if worst is not None:
@@ -179,9 +182,10 @@ def yield_(
             told["command"] = again
         if better is not None:
             told |= {"cheapest": set_content(better, judged)}
-        print_json(_content(found, bad, judged, hangs) | told)
+        print_json(_content(found, bad, judged, hangs, level) | told)
     else:
         _show(found, bad, judged, hangs, title)
+        say(_words(found, level))
         if better is not None:
             show_set(better, judged, at_least or "")
         if worst is not None:
@@ -246,12 +250,22 @@ def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:
     }
 
 
-def _words(found: Yield) -> str:
-    low, high = found.interval
-    text = f"{found.passed} of {found.found.runs} machines in spec"
-    if found.passed == found.found.runs:
-        return f"{text}, at least {100.0 * low:.5g} % of all"
-    return f"{text}, {100.0 * low:.4g} to {100.0 * high:.4g} % of all"
+def _words(found: Yield, level: Level) -> str:
+    """Return how many machines are in spec, between which shares all are, and the level of it."""
+    text = f"{found.passed} of {found.found.runs} machines in spec, {share_words(found.interval)}"
+    return f"{text} of all ({level}: one run of each)"
+
+
+def grouped(reasons: dict[str, str]) -> dict[str, list[str]]:
+    """Return names by their reason.
+
+    >>> grouped({"a": "exact", "b": "far", "c": "exact"})
+    {'exact': ['a', 'c'], 'far': ['b']}
+    """
+    found: dict[str, list[str]] = {}
+    for name, why in reasons.items():
+        found.setdefault(why, []).append(name)
+    return found
 
 
 def _row(row: CriterionRow) -> list[str]:
@@ -281,7 +295,8 @@ def _show(
     if np.isfinite(bad.share):
         uses = f"{percent_used(bad.share, 1)} of {bad.binding}"
     say(f"worst machine, {how}: {uses}")
-    say(_words(found))
+    for why, names in grouped(not_drawn(judged.plan.machine)).items():
+        say(f"the same in every machine, {why}: {', '.join(names)}")
 
 
 def _content(
@@ -289,15 +304,19 @@ def _content(
     bad: Worst,
     judged: MachineYield,
     hangs: Why | None,
+    level: Level,
 ) -> dict[str, Any]:
     low, high = found.interval
     content: dict[str, Any] = {
+        "level": level.value,
+        "runs": 1,
         "variants": found.found.runs,
         "seed": found.seed,
         "passed": found.passed,
         "yield": found.share,
         "interval": [low, high],
         "confidence": 0.95,
+        "not_drawn": not_drawn(judged.plan.machine),
         "criteria": [
             {
                 "name": row.name,

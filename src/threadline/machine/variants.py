@@ -98,6 +98,19 @@ def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     )
 
 
+def not_drawn(machine: Machine) -> dict[str, str]:
+    """Return the numbers with a tolerance that are the same in every variant, and why each is."""
+    found = {}
+    for path, quantity in _numbers(machine):
+        if quantity.tolerance_si == 0.0:
+            continue
+        if matches(path, machine.tolerances.exclude):
+            found[path] = "excluded by the machine file"
+        elif matches(path, _PLANNED):
+            found[path] = "only plans go by it"
+    return found
+
+
 def check_uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     """Return the numbers and groups of ``machine`` that vary, of which there must be one at least.
 
