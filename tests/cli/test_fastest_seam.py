@@ -45,3 +45,22 @@ def test_intervals_are_of_the_needle(capsys: pytest.CaptureFixture[str], tmp_pat
     code, _, err = run(capsys, str(file), "--low", "3 mm/s")
     assert code == 2
     assert "stitch/s" in err
+
+
+def test_a_search_that_finds_nothing_says_at_which_level(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The line under its verdict is that of ``prove``, of feeds as of needle speeds."""
+    seam, program = tmp_path / "short.seam.toml", tmp_path / "turn.prg"
+    seam.write_text(SEAM)
+    program.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n")
+    for words in (
+        [str(seam), "-m", "stitcher", "-s", str(PLACE), "--low", "110 stitch/s"],
+        [str(program), "-m", "lathe-winder", "--interpolation", "linear", "--low", "200 mm/s"],
+    ):
+        high = "111 stitch/s" if words[0] == str(seam) else "201 mm/s"
+        with pytest.raises(SystemExit) as stopped:
+            main(["fastest", *words, "--high", high, "--nominal"])
+        assert stopped.value.code == 1
+        last = capsys.readouterr().out.splitlines()[-1]
+        assert last.startswith("OUT OF SPEC (nominal: 1 run; ")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import pytest
 from threadline.cli import why, yield_
 from threadline.cli.main import main
 from threadline.machine.variants import Uncertain
+from threadline.report.machine_yield import quantile
+from threadline.search import machine_yield
 from threadline.search.cheapest_set import cheapest_set
 from threadline.search.machine_yield import Yield
 from threadline.verdict import CriterionRow, EachRun
@@ -125,3 +128,53 @@ def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
         assert ended.value.code == 0
         assert "the same in every machine, excluded by the machine file: drives.x.torque" in plain
         assert "the same in every machine, only plans go by it: axes.A.acceleration," in plain
+
+
+CONTOUR = '[[criteria]]\nname = "contour_error"\nlimit = "0.6 mm"\n'
+REQUIRED = '[[criteria]]\nname = "{}"\nlimit = "0.1 mm"\nrequired = {}\n'
+
+
+@pytest.mark.parametrize(
+    ("name", "required", "status", "said"),
+    [
+        # Of many runs of one machine: a yield has one of each.
+        ("repeatability", "true", 2, "repeatability is required, and is of many runs of one"),
+        ("repeatability", "false", 0, "compares runs of one machine: repeatability"),
+        # Of stitches, of which a part program has none.
+        ("seam_error", "true", 1, "seam_error is required, and was not measured"),
+        ("seam_error", "false", 0, "4 of 4 machines in spec"),
+    ],
+)  # fmt: skip
+def test_what_is_not_measured_is_not_passed_over(
+    name: str,
+    required: str,
+    status: int,
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(machine_yield, "_ROUNDS", 0)
+    spec, job = tmp_path / "spec.toml", tmp_path / "turn.prg"
+    spec.write_text(f'name = "s"\n{CONTOUR}{REQUIRED.format(name, required)}', encoding="utf-8")
+    job.write_text("G91\nG1 X25.714 F1000\nG1 X-25.714\nM30\n", encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        main(["yield", str(job), "-m", "lathe-winder", "-s", str(spec), "--variants", "4"])
+    told = capsys.readouterr()
+    assert ended.value.code == status
+    assert said in " ".join((told.out + told.err).split())
+    rows = [line.split() for line in told.out.splitlines() if line.split()[:1] == ["seam_error"]]
+    assert rows == ([["seam_error", "-", "-", "-", "0.1", "mm", "4"]] if status == 1 else [])
+
+
+def test_machines_that_ring_without_bound_count_in_the_distribution() -> None:
+    """One of four: half of all come to 2 at most, and no number is what 99 % of them come to."""
+    values = np.array([1.0, np.inf, 3.0, 2.0])
+    row = CriterionRow(
+        name="contour_error", axis="", step="", limit=4.0, unit="m", required=True, hard=False,
+        of_plan=False, values=values, failed=np.isinf(values),
+    )  # fmt: skip
+    assert (quantile(row, 0.5), quantile(row, 0.75)) == (2.0, 3.0)
+    assert quantile(row, 0.99) == quantile(row, 1.0) == np.inf
+    assert quantile(replace(row, values=np.array([1.0, 3.0, np.nan])), 0.5) == 2.0
+    assert yield_._row(row)[1:4] == ["2000 mm", "unbounded", "unbounded"]

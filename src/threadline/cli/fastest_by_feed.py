@@ -286,6 +286,7 @@ def _show(result: FastestJob, title: str, high: float | None) -> None:
     if best.found.best is None:
         say(f"no feed is in spec ({tried} tried): {best.found.limited_by} fails at all")
         print_table("verdict where the search came closest", head, body)
+        say(closing(best.found.verdict))
         return
     say(
         f"fastest: {best.duration_s:.3f} s at {_feed_text(result.by, best.found.best)} with "

@@ -201,8 +201,9 @@ def _show(found: FastestCycle, table: Printed, ended: str) -> None:
     for move in found.moves:
         if " for " in move.how:
             say(f"{move.step}, {move.axis}: {move.how}")
+    beside = found.unshaped.verdict
     unshaped = f"unshaped it takes {cycle_s(found.unshaped):.3f} s and is " + (
-        "in spec" if found.unshaped.verdict.passed else "out of spec"
+        f"{'in spec' if beside.passed else 'out of spec'} ({beside.level})"
     )
     saved_s = cycle_s(found.unshaped) - cycle_s(found.base)
     if saved_s > 0.0:
@@ -211,6 +212,7 @@ def _show(found: FastestCycle, table: Printed, ended: str) -> None:
     if found.cycle_s is None:
         say(f"no cycle in spec was found ({found.tried} tried): {limits} fails; {unshaped}")
         print_table("verdict where the search came closest", *verdict_rows(found.proof.verdict))
+        say(closing(found.proof.verdict))
         return
     before = "" if found.limited_by == RANGE else f" (a faster one fails {limits})"
     say(

@@ -178,6 +178,7 @@ def _show(found: FastestJob, title: str) -> None:
     if best.duration_s is None:
         say(f"no plan is in spec ({len(rows)} proved): {best.found.limited_by} fails at all")
         print_table("verdict where the search came closest", head, body)
+        say(closing(best.found.verdict))
         return
     say(
         f"fastest: {best.duration_s:.3f} s, limited by {limit_words(best.found.limited_by)}; "

@@ -137,6 +137,7 @@ def _show(found: Fastest, title: str) -> None:
     if found.best is None:
         say(f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all")
         print_table("verdict where the search came closest", *verdict_rows(found.verdict))
+        say(closing(found.verdict))
         return
     rows = [[typed(i.low), "alone" if i.alone else typed(i.high)] for i in found.intervals]
     print_table(f"{title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows)

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from threadline import __version__
+from threadline.arrays import finite
 from threadline.cli.cheapest import set_content, share_words, show_set
 from threadline.cli.found import command_line
 from threadline.cli.level import parse_yield
@@ -45,7 +46,7 @@ from threadline.machine.variants import not_drawn
 from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.plan import Plan
 from threadline.proof_file import spec_sha256
-from threadline.report.machine_yield import limited_rows, write_yield
+from threadline.report.machine_yield import limited_rows, quantile, write_yield
 from threadline.search.cheapest_set import MACHINES, cheapest_set
 from threadline.search.machine_yield import (
     MachineYield,
@@ -269,14 +270,11 @@ def grouped(reasons: dict[str, str]) -> dict[str, list[str]]:
 
 
 def _row(row: CriterionRow) -> list[str]:
-    known = row.values[np.isfinite(row.values)]
-    middle, late, most = (
-        (shown(float(np.quantile(known, q)), row.unit) for q in (0.5, 0.99, 1.0))
-        if len(known)
-        else ("-", "-", "-")
-    )
     assert row.limit is not None
-    return [row.text, middle, late, most, shown(row.limit, row.unit), f"{int(row.failed.sum())}"]
+    values = [quantile(row, share) for share in (0.5, 0.99, 1.0)]
+    told = ["-" if np.isnan(value) else shown(value, row.unit) for value in values]
+    out = f"{int((row.failed | row.missed).sum())}"
+    return [row.text, *told, shown(row.limit, row.unit), out]
 
 
 def _show(
@@ -292,9 +290,13 @@ def _show(
         show_why(hangs, judged)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"
     uses = "it cannot be simulated, or never ends what it waits for"
-    if np.isfinite(bad.share):
+    if any(row.text == bad.binding and row.missed.any() for row in found.found.rows):
+        uses = f"{bad.binding} is required, and was not measured"
+    elif np.isfinite(bad.share):
         uses = f"{percent_used(bad.share, 1)} of {bad.binding}"
     say(f"worst machine, {how}: {uses}")
+    if judged.left_out:
+        say(f"not judged, for it compares runs of one machine: {', '.join(judged.left_out)}")
     for why, names in grouped(not_drawn(judged.plan.machine)).items():
         say(f"the same in every machine, {why}: {', '.join(names)}")
 
@@ -316,6 +318,7 @@ def _content(
         "yield": found.share,
         "interval": [low, high],
         "confidence": 0.95,
+        "not_judged": list(judged.left_out),
         "not_drawn": not_drawn(judged.plan.machine),
         "criteria": [
             {
@@ -324,11 +327,11 @@ def _content(
                 "limit": row.limit,
                 "unit": row.unit,
                 "failed": int(row.failed.sum()),
+                "not_measured": int(np.isnan(row.values).sum()),
                 "quantiles": {
-                    str(q): float(np.quantile(row.values[np.isfinite(row.values)], q))
-                    for q in (0.5, 0.9, 0.99, 0.999, 1.0)
+                    str(q): finite(quantile(row, q)) for q in (0.5, 0.9, 0.99, 0.999, 1.0)
                 }
-                if np.isfinite(row.values).any()
+                if not np.isnan(row.values).all()
                 else {},
             }
             for row in limited_rows(found)

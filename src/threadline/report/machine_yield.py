@@ -29,7 +29,7 @@ def draw_yield(found: Yield, title: str) -> Figure:
             scale = row.limit or 1.0
             panel.step(100.0 * values / scale, 100.0 * share, where="post", **ACTUAL)
             panel.axvline(100.0 if row.limit else 0.0, **LIMIT)
-            panel.axhline(100.0 * (1.0 - row.failed.mean()), **PLANNED)
+            panel.axhline(100.0 * (1.0 - (row.failed | row.missed).mean()), **PLANNED)
             panel.set_title(row.text)
             panel.set_xlabel("share of the limit [%]")
             panel.set_ylabel("machines up to [%]")
@@ -41,13 +41,30 @@ def draw_yield(found: Yield, title: str) -> Figure:
 
 
 def limited_rows(found: Yield) -> list[CriterionRow]:
-    """Return the criteria with a limit that depend on the machine, not on the plan alone."""
+    """Return the criteria with a limit that depend on the machine, not on the plan alone.
+
+    One that is required and was not measured is among them.
+    """
     return [
         row
         for row in found.found.rows
-        if row.limit is not None and not row.of_plan and not np.isnan(row.values).all()
-        and np.nanmax(row.values) > 0.0
+        if row.limit is not None and not row.of_plan
+        and ((row.values > 0.0).any() or row.missed.any())
     ]  # fmt: skip
+
+
+def quantile(row: CriterionRow, share: float) -> float:
+    """Return what ``share`` of the machines that were measured come to at most; NaN if none was.
+
+    A machine whose motion grows without bound comes to infinity.
+    """
+    known = row.values[~np.isnan(row.values)]
+    if not len(known):
+        return float("nan")
+    if np.isfinite(known).all():
+        return float(np.quantile(known, share))
+    # Between a number and infinity nothing can be interpolated.
+    return float(np.quantile(known, share, method="inverted_cdf"))
 
 
 def _up_to(values: FloatArray) -> tuple[FloatArray, FloatArray]:

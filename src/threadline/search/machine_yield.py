@@ -34,6 +34,7 @@ from threadline.signals import tick_table
 from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
 from threadline.verdict.binomial import clopper_pearson
+from threadline.verdict.registry import MEASURES
 
 AT_ONCE = 4096
 """Machines that are judged, and kept in a state, as one part; results do not depend on it."""
@@ -109,17 +110,30 @@ class Yield:
 class MachineYield:
     """Judges machines within the tolerances of a plan's, all under its commands.
 
+    ``left_out`` are the criteria with a limit that it does not judge: they compare runs of one
+    machine.
+
     Encoders stand as in a nominal run, so that ``prove --nominal`` of a machine says the same.
 
     Raises
     ------
     OptionError
-        If no number of the machine varies, or its file has no dynamics.
+        If no number of the machine varies, its file has no dynamics, or a criterion is required
+        that compares runs of one machine.
     """
 
     def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
         check_dynamics("what varies from machine to machine", plan.machine)
+        asked = [c for c in spec.criteria if MEASURES[c.name].compares_runs]
+        for criterion in asked:
+            if criterion.required:
+                raise OptionError(
+                    f"{criterion.name} is required, and is of many runs of one machine: a yield is "
+                    "of one run of each",
+                    remedy="Let it not be required; prove --yield measures it in 20 runs.",
+                )
         self.plan = plan
+        self.left_out = tuple(dict.fromkeys(c.name for c in asked if c.limit is not None))
         self.numbers = check_uncertain(plan.machine)
         self._many: RunsJudge | None = None
         self._alone = AloneJudge(plan, spec)

@@ -47,6 +47,11 @@ class CriterionRow:
     of_plan: bool = False
 
     @property
+    def missed(self) -> NDArray[np.bool_]:
+        """(runs,) whether it is required, and could not be measured."""
+        return np.isnan(self.values) & self.required
+
+    @property
     def text(self) -> str:
         """What it is called, for people."""
         return " ".join(filter(None, (self.name, self.axis, self.step)))
@@ -75,9 +80,7 @@ class EachRun:
         """(runs,) whether nothing failed and everything required was measured."""
         found = np.full(self.runs, not self.incomplete)
         for row in self.rows:
-            found &= ~row.failed
-            if row.required:
-                found &= ~np.isnan(row.values)
+            found &= ~(row.failed | row.missed)
         return found
 
     def row(self, name: str, axis: str = "") -> CriterionRow:

@@ -295,6 +295,11 @@ class MeasureKind:
         """Whether it follows the motion in time."""
         return any(reading.follows for reading in self.reads)
 
+    @property
+    def compares_runs(self) -> bool:
+        """Whether it reads many runs of one machine together, and nothing of a single one."""
+        return any(isinstance(reading, OfRuns) for reading in self.reads)
+
     def of_run(self, run: object) -> RunReading | None:
         """Return how it reads such a run, or None where it reads none."""
         for reading in self.reads:
