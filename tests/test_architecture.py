@@ -186,3 +186,13 @@ def test_the_count_sees_every_way_to_ask() -> None:
     assert asks("rows = found.tables") == []
     assert asks("found = REPORTS[type(plan.intent)]") == []
     assert asks("try:\n    plan.motion\nexcept OSError:\n    pass") == []
+
+
+def test_a_report_draws_and_simulates_nothing() -> None:
+    """Of the pipeline it knows the proof alone; that it imports no twin is a contract."""
+    taken = set()
+    for file in (ROOT / "src" / "threadline" / "report").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module == "threadline.pipeline":
+                taken |= {name.name for name in node.names}
+    assert taken == {"Proof"}

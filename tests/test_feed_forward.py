@@ -24,6 +24,7 @@ from threadline.report.motion import feed_forward_lines, motion_lines
 from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest
+from threadline.search.studied import studied
 from threadline.signals.files import read_recording
 from threadline.targets import feedforward as targets
 from threadline.trajectory import averaged
@@ -268,7 +269,7 @@ def test_titles_say_what_was_asked_for(capsys, proof, tmp_path):
     show_proof(proof)
     out = capsys.readouterr().out
     assert "corner.seam.toml on stitcher, auto, feed-forward" in out
-    page = write_report(proof, tmp_path / "report").read_text(encoding="utf-8")
+    page = write_report(studied(proof), tmp_path / "report").read_text(encoding="utf-8")
     assert "interpolation auto, feed-forward, feed programmed" in page
     assert "chords" not in out
     assert "interpolation chords" not in page

@@ -13,6 +13,7 @@ from threadline.machine import Machine, library_names, load_machine
 from threadline.options import Options
 from threadline.pipeline import open_job, plan_job, prove, prove_plan, simulate, write
 from threadline.report.proof import REPORTS
+from threadline.search.studied import STUDIES
 from threadline.verdict import judge, load_spec
 from threadline.verdict.intended_runs import RUNS
 from threadline.verdict.measure import OfPlan
@@ -29,7 +30,8 @@ WORK = {
 def test_every_table_has_a_row_for_every_kind() -> None:
     """What the judge and the reports keep of a kind in their own rooms is there."""
     assert set(KINDS) == set(WORK)
-    assert {kind.intent for kind in KINDS.values()} == set(RUNS) == set(REPORTS)
+    assert {kind.intent for kind in KINDS.values()} == set(RUNS)
+    assert set(RUNS) == set(REPORTS) == set(STUDIES)
     assert {kind_of(load_machine(name)).name for name in library_names()} <= set(KINDS)
     names = [name for kind in KINDS.values() for name in kind.targets]
     assert len(names) == len(set(names))

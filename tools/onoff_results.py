@@ -16,7 +16,7 @@ from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, REPEATED, Proof, plan_job, prove, try_plan
-from threadline.report.onoff import break_sweeps, move_sweep
+from threadline.search.broken_beam import break_sweeps, move_sweep
 from threadline.search.machine_yield import MachineYield
 from threadline.targets.schedule import compile_schedule
 from threadline.targets.schedule_options import shaping_of

@@ -74,8 +74,9 @@ class Proved(Answer):
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
         from threadline.report import write_report
+        from threadline.search.studied import studied
 
-        return write_report(self.of, Path(folder))
+        return write_report(studied(self.of), Path(folder))
 
     def write(self, file: PathLike) -> Written:
         """Write the proof as a file, see ``docs/files.md``."""

@@ -348,3 +348,30 @@ def test_the_word_comes_before_the_command_is_loaded(tmp_path: Path) -> None:
     assert b"lathe-winder" in out
     assert os.read(ours, 100).decode().strip() == ""
     os.close(ours)
+
+
+def test_a_recording_and_a_report_are_stages_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was judged is simulated again to be written: that is not nearly done."""
+    said: dict[str, float] = {}
+
+    def noted(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
+        said.setdefault(stage, fraction)
+
+    def drawn(*_: object) -> Path:
+        return tmp_path / "report.html"
+
+    monkeypatch.setattr(output, "at_work", noted)
+    monkeypatch.setattr(watched, "_LONG_S", -1.0)
+    monkeypatch.setattr(prove, "write_report", drawn)
+    words = ["--nominal", "--interpolation", "linear", "--recording", tmp_path / "x.npz"]
+    with pytest.raises(SystemExit):
+        main([str(word) for word in [*PROVE, *words, "--report", tmp_path / "report"]])
+    assert list(said) == [
+        "planning",
+        "simulating and judging",
+        "simulating and writing the recording",
+        "drawing the report",
+    ]
+    assert said["drawing the report"] == 0.0

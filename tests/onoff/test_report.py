@@ -15,17 +15,18 @@ from threadline.options import Options
 from threadline.pipeline import prove
 from threadline.plant.pneumatic import flow_mode, step_ringing
 from threadline.report import write_report
-from threadline.report.onoff import (
-    break_figure,
+from threadline.report.onoff import break_figure
+from threadline.report.petri_net import petri_figures
+from threadline.report.style import figure_style
+from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
+from threadline.search.broken_beam import (
     break_on_twin,
     break_sweep,
     break_sweeps,
     move_sweep,
     train_of,
 )
-from threadline.report.petri_net import petri_figures
-from threadline.report.style import figure_style
-from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
+from threadline.search.studied import studied
 from threadline.shaping import FlexibleMode
 from threadline.targets.plc_home import home_places
 from threadline.targets.schedule import Scheduled, ScheduledMove, compile_schedule
@@ -171,7 +172,7 @@ def test_report_of_a_proof_shows_both_with_and_without_a_shaper(tmp_path: Path) 
     assert lanes == list(machine.outputs)
     scheduled = replace(proof.plan.scheduled, warnings=("X is told 50.1 mm instead",))
     proof = replace(proof, plan=replace(proof.plan, intent=scheduled))
-    page = write_report(proof, tmp_path / "report").read_text(encoding="utf-8")
+    page = write_report(studied(proof), tmp_path / "report").read_text(encoding="utf-8")
     assert "X is told 50.1 mm instead" in page
     assert "IN SPEC" in page
     hertz, ratio = flow_mode(machine, "X")

@@ -51,7 +51,7 @@ def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
     for speed, passes in ((found.best, True), (found.best * 1.02, False)):
         job = read_job(file, machine, needle_speed=f"{speed!r} stitch/s")
         assert prove_plan(plan_job(job, machine, Options()), spec).verdict.passed is passes
-    with pytest.raises(OptionError, match="between 50 and 40"):
+    with pytest.raises(OptionError, match=r"from 50 stitch/s to 40 stitch/s.*--low below"):
         fastest_needle(file, machine, spec, Options(), low=50.0, high=40.0)
 
 

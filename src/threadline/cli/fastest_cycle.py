@@ -32,6 +32,7 @@ from threadline.search.cycle_robust import robust_cycle
 from threadline.search.fastest import RANGE
 from threadline.search.mismatch import CYCLE, cycle_over_tolerances
 from threadline.search.move_list import move_list
+from threadline.search.studied import studied
 from threadline.targets.schedule_options import UNSHAPED_WORD
 from threadline.verdict import closing, criteria_json, verdict_rows
 from threadline.writing import together
@@ -84,7 +85,7 @@ def fastest_moves(asked: Asked) -> NoReturn:
     banded = None if robust is None or band is None else robust_table(robust, title, band)
     drawn = drawn_of(cells, title, CYCLE, asked)
     if drawn is None and asked.report is not None:
-        drawn = write_switching(fastest, asked.report, [banded or moves, cycles])
+        drawn = write_switching(studied(fastest), asked.report, [banded or moves, cycles])
     chosen = found.job if robust is None else robust.job
     written = None
     if asked.out is not None and chosen is not None:

@@ -16,6 +16,7 @@ from threadline.plan import Plan
 from threadline.report import write_report
 from threadline.report.mismatch import write_mismatch
 from threadline.search.mismatch import Mismatch, Searched
+from threadline.search.studied import studied
 
 ABOVE = 1.1
 """Highest feed that is tried, over the nominal best: other machines are rarely faster."""
@@ -48,7 +49,7 @@ def report_of(plan: Plan, asked: Asked) -> Path | None:
     if asked.report is None:
         return None
     proof = prove_plan(plan, asked.spec, trials=asked.trials, actual=asked.actual)
-    return write_report(proof, asked.report)
+    return write_report(studied(proof), asked.report)
 
 
 def mismatch_json(cells: list[Mismatch], drawn: Path | None) -> dict[str, Any]:

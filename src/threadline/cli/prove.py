@@ -48,11 +48,13 @@ from threadline.cli.shared_options import (
 )
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
+from threadline.kinds.watched import WRITING, Share
 from threadline.machine import Machine
 from threadline.pipeline import Proof, with_shaping
 from threadline.pipeline import prove as prove_job
 from threadline.proof_file import write_proof
 from threadline.report import about, write_report
+from threadline.search.studied import studied
 from threadline.signals.files import write_recording
 from threadline.verdict import (
     Verdict,
@@ -142,10 +144,14 @@ def prove(
         proof = prove_job(job, chosen, asked, options, progress, trials, other)
         with together(recording, proof_file):
             if recording is not None:
-                write_recording(proof.recording, recording, plot_every=plot_every(chosen))
+                # A recording is a recipe: to write it is to simulate that run again.
+                watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
+                write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
                 write_proof(proof, proof_file)
-            written = None if report is None else write_report(proof, report)
+            if report is not None:
+                progress("drawing the report", 0.0)
+            written = None if report is None else write_report(studied(proof), report)
     tell(doubts(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)

@@ -17,6 +17,7 @@ from threadline.pipeline import Proof
 from threadline.proof_file import read_proof, spec_sha256
 from threadline.recorded import judge_files
 from threadline.report import write_report
+from threadline.search.studied import studied
 from threadline.signals.files import write_recording
 from threadline.store.index import REFUSED
 from threadline.store.run_store import INPUTS, PROOF, TRACE, opened
@@ -90,7 +91,7 @@ def report(
     with together(csv):
         if csv is not None:
             write_recording(recording, csv)
-        written = write_report(proof, pages)
+        written = write_report(studied(proof), pages)
     if json:
         content = verdict_json(judged.verdict, judged.plan)
         print_json({**content, "run": folder.name, "judged_with": before, "report": str(written)})

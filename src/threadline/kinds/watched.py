@@ -1,4 +1,4 @@
-"""How far the runs of a proof are: told while the judge reads them, one by one or in step."""
+"""How far the runs of a proof are: told while they are read, one by one or in step."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from threadline.signals import Recording, RecordingBlock
 
 _LONG_S = 1.0  # of simulating, after which progress is reported
 _DOING = "simulating and judging"
+WRITING = "simulating and writing the recording"
 
 
 class Share:
@@ -25,12 +26,18 @@ class Share:
         Is told what is done, and the share of it; None to tell nobody.
     runs
         How many runs there are.
+    doing
+        What is done with them, in words.
     """
 
     def __init__(
-        self, plan: Plan, progress: Callable[[str, float], None] | None, runs: int
+        self,
+        plan: Plan,
+        progress: Callable[[str, float], None] | None,
+        runs: int,
+        doing: str = _DOING,
     ) -> None:
-        self._plan, self._progress = plan, progress
+        self._plan, self._progress, self._doing = plan, progress, doing
         self._done = [0.0] * runs
         self._began = time.monotonic()
 
@@ -54,7 +61,7 @@ class Share:
             clock = self._plan.commands.clock
             done_s = clock.time_s(block.first_tick.get(clock.name, 0))
             self._done[number] = min(done_s / max(self._plan.duration_s, 1e-9), 1.0)
-        self._progress(_DOING, sum(self._done) / len(self._done))
+        self._progress(self._doing, sum(self._done) / len(self._done))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

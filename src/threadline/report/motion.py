@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from threadline.control import Demand
 from threadline.doubts import doubts
@@ -28,15 +29,19 @@ from threadline.trajectory.optimal.binding import BINDS
 from threadline.units import without_noise
 from threadline.verdict import closing, verdict_rows
 
+if TYPE_CHECKING:
+    from threadline.search.studied import Studied
 
-def write_motion(proof: Proof, folder: Path) -> Path:
-    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+
+def write_motion(studied: Studied, folder: Path) -> Path:
+    """Write the report of a proof into ``folder``; return the path of the HTML page.
 
     Raises
     ------
     OSError
         If the folder cannot be written.
     """
+    proof = studied.proof
     plan = proof.plan
     with figure_style():
         traces = collect(proof)

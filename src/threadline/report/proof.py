@@ -25,6 +25,7 @@ from threadline.report.switching import (
 
 if TYPE_CHECKING:
     from threadline.search import Comparison
+    from threadline.search.studied import Studied
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +42,7 @@ class KindReport:
         Writes the report of a comparison, with the tables that were printed, into a folder.
     """
 
-    write: Callable[[Proof, Path], Path]
+    write: Callable[[Studied, Path], Path]
     about: Callable[[Proof], list[str]]
     compare: Callable[[Comparison, Path, Sequence[Printed]], Path]
 
@@ -58,15 +59,17 @@ REPORTS: Mapping[type, KindReport] = {
 """By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``threadline.kinds.KINDS``."""
 
 
-def write_report(proof: Proof, folder: Path) -> Path:
-    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+def write_report(studied: Studied, folder: Path) -> Path:
+    """Write the report of a proof into ``folder``; return the path of the HTML page.
+
+    ``threadline.search.studied`` says what stands beside the proof.
 
     Raises
     ------
     OSError
         If the folder cannot be written.
     """
-    return REPORTS[type(proof.plan.intent)].write(proof, folder)
+    return REPORTS[type(studied.proof.plan.intent)].write(studied, folder)
 
 
 def about(proof: Proof) -> list[str]:

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from threadline.search import Comparison
+    from threadline.search.studied import Studied
 
 _CAPTIONS = {
     "design": "The design as it is sewn. The more of the limit a stitch uses, the thicker and the "
@@ -55,14 +56,15 @@ _LEFT_OUT = ("feed-mode", "limits", "interpolation")
 """Options without a meaning for a frame that moves from stitch to stitch by a law."""
 
 
-def write_stitched(proof: Proof, folder: Path) -> Path:
-    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+def write_stitched(studied: Studied, folder: Path) -> Path:
+    """Write the report of a proof into ``folder``; return the path of the HTML page.
 
     Raises
     ------
     OSError
         If the folder cannot be written.
     """
+    proof = studied.proof
     plan, run = proof.plan, drawn_run(proof, _DRAWN)
     header, rows = verdict_rows(proof.verdict)
     with figure_style():

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from threadline.doubts import doubts, doubts_of_all
 from threadline.foreign_messages import grouped
-from threadline.options import OF_AXES, Options
-from threadline.pipeline import Proof, plan_job, prove_plan
+from threadline.options import OF_AXES
+from threadline.pipeline import Proof
 from threadline.plan import Plan
 from threadline.report.document import (
     Document,
@@ -19,7 +19,7 @@ from threadline.report.document import (
     origin_facts,
 )
 from threadline.report.drawn_run import drawn_run
-from threadline.report.onoff import break_figure, break_sweeps, move_sweep
+from threadline.report.onoff import break_figure
 from threadline.report.petri_net import petri_figures
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
@@ -35,6 +35,7 @@ from threadline.verdict import closing, closing_of_all, step_rows, verdict_rows
 
 if TYPE_CHECKING:
     from threadline.search import Comparison
+    from threadline.search.studied import Studied
 
 _DRAWN = ("residual_vibration",)
 _CAPTIONS = {
@@ -57,8 +58,8 @@ _CAPTIONS = {
 }
 
 
-def write_switching(proof: Proof, folder: Path, tables: Sequence[Printed] = ()) -> Path:
-    """Write the report of ``proof`` into ``folder``; return the path of the HTML page.
+def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = ()) -> Path:
+    """Write the report of a proof into ``folder``; return the path of the HTML page.
 
     ``tables`` come behind those of the proof: of the search that found its job.
 
@@ -67,11 +68,9 @@ def write_switching(proof: Proof, folder: Path, tables: Sequence[Printed] = ()) 
     OSError
         If the folder cannot be written.
     """
+    proof, unshaped = studied.proof, studied.unshaped
     plan = proof.plan
     shaper = plan.options.get("shaper")
-    unshaped = None
-    if shaper is not None:
-        unshaped = prove_plan(plan_job(plan.job, plan.machine, Options()), proof.spec)
     header, rows = verdict_rows(proof.verdict, every_axis=False)
     how = shaper_words(plan) if shaper is None else f"shaper {shaper}"
     steps = [_step_table(proof, how)]
@@ -84,13 +83,10 @@ def write_switching(proof: Proof, folder: Path, tables: Sequence[Printed] = ()) 
             "frame": frame_figure(proof, run.recording, unshaped),
             "cycle": cycle_figure(proof, run.recording),
         }
-        # Every cylinder starts retracted, so its first move is forward.
-        forward = [move for move in plan.scheduled.moves if move.forward]
-        if forward:
-            longest = max(forward, key=lambda move: move.levels.wanted_m)
-            sweep, twin = move_sweep(plan.scheduled, longest)
-            sweeps = [sweep, *break_sweeps(plan.machine, longest.axis)]
-            figures["broken-beam"] = break_figure(sweeps, twin)
+        if studied.beam is not None:
+            beam = studied.beam
+            twin = beam.instants_s, beam.simulated_m
+            figures["broken-beam"] = break_figure(beam.sweeps, twin)
         captions = dict(_CAPTIONS)
         beside = "" if unshaped is None else ", as planned and without a shaper"
         for name in ("residual", "frame"):

@@ -85,8 +85,6 @@ def fastest_needle(
     """
     lowest, highest = needle_range_hz(read_job(seam, machine), machine)
     begin, end = lowest if low is None else low, highest if high is None else high
-    if not 0.0 < begin < end:
-        raise OptionError(f"there is no needle speed between {begin:g} and {end:g} stitch/s")
 
     def judged(speed_hz: float) -> Verdict:
         job = read_job(seam, machine, needle_speed=f"{speed_hz!r} stitch/s")
