@@ -107,8 +107,9 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     book
         (BOOK_SIZE,) names and values of tags, see ``comments``; updated.
     out_tag, tagged
-        (names, room), (names,): tags of the moves, NaN where a move has none, and how many moves
-        have each; updated with FOLLOW not 0. Rows of tags that no move has are not written.
+        (names, room), (names,): tags of the moves, NaN where a move has none, and the number of
+        moves up to the last that has each, 0 where none has; updated with FOLLOW not 0. Nothing is
+        written behind that move.
     """
     # ruff: noqa: PLR1714, SIM109 - the compiler makes two comparisons of these, not a search
     n_axes = exact.shape[0]
@@ -299,12 +300,16 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             out_feed[moves] = value_f if at_feed else -1.0
             for k in range(book[IN_BLOCK]):
                 which, decimals = book[WHICH + k], book[DECIMALS + k]
-                # Up to 15 digits and powers of ten to 1e15 are exact: this rounds once.
-                if tagged[which] == 0:
-                    out_tag[which] = np.nan
-                number = book[DIGITS + k] / POWERS[decimals if decimals >= 0 else ~decimals]
-                out_tag[which, moves] = number if decimals >= 0 else -number
-                tagged[which] += 1
+                number = float(book[DIGITS + k])
+                if decimals != 0:  # a division takes as long as reading a digit or two
+                    # Up to 15 digits and powers of ten to 1e15 are exact: this rounds once.
+                    number /= POWERS[decimals if decimals > 0 else ~decimals]
+                    if decimals < 0:
+                        number = -number
+                for lacking in range(tagged[which], moves):
+                    out_tag[which, lacking] = np.nan
+                out_tag[which, moves] = number
+                tagged[which] = moves + 1
         if has_axes:
             if motion == 0 and f_word != -1 and state[RAPID_F] == 0:
                 state[RAPID_F] = state[LINE]

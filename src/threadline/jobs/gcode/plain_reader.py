@@ -57,6 +57,7 @@ class PlainReader:
         self._book = np.zeros(BOOK_SIZE, np.int64)
         self._out_tag = np.empty((NAMES, _ROOM))
         self._tagged = np.zeros(NAMES, np.int64)
+        self._names: dict[int, str] = {}
         self.usable = True
         self._pause = self._patience = 0
 
@@ -83,9 +84,17 @@ class PlainReader:
     def columns(self, count: int) -> Mapping[str, Column]:
         """Return the tags of the ``count`` moves just read, (count,) values each by name."""
         found: dict[str, Column] = {}
-        for which in np.flatnonzero(self._tagged).tolist():
-            found[name_of(self._book, which)] = self._out_tag[which, :count].copy()
-            self._tagged[which] = 0
+        for which, end in enumerate(self._tagged.tolist()):
+            if end == 0:
+                continue
+            if which not in self._names:
+                self._names[which] = name_of(self._book, which)
+            column = self._out_tag[which, :count].copy()
+            if end < count:
+                column[end:] = np.nan
+            found[self._names[which]] = column
+        if found:
+            self._tagged[:] = 0
         return found or NO_COLUMNS
 
 
