@@ -154,6 +154,27 @@ def test_a_line_is_the_one_under_way_when_its_operation_began() -> None:
         )
 
 
+def test_a_spindle_that_ran_runs_again_before_anything_moves(tmp_path: Path) -> None:
+    """The rest of a job behind M3 begins with M3, and behind M5 with M5; before both with none."""
+    job = tmp_path / "spindle.gcode"
+    job.write_text("G1 F3000\nA20 X10\nM3\nA40 X20\nM5\nA80 X40\nM30\n", "utf-8")
+    options = Options(dialect="grbl")
+    plan = plan_job(open_job(job, MACHINE, options), MACHINE, options)
+    program, _ = written_program(plan)
+    last = int(program.operations[-1])
+    begins = [rest_of_program(program, plan, k)[1].lines for k in range(last + 1)]
+    switched = [
+        [line.strip() for line in lines[: next(k for k, one in enumerate(lines) if b"X" in one)]]
+        for lines in begins
+    ]
+    assert {lines[-1] for lines in switched} == {b"G21 G90 G94 G17", b"M3", b"M5"}
+    assert switched[0] == [b"G21 G90 G94 G17"]
+    for lines, before in zip(begins, switched, strict=True):
+        left = program.lines[-(len(lines) - len(before)) :]
+        done = [line for line in program.lines[: -len(left)] if line in {b"M3\n", b"M5\n"}]
+        assert before[-1:] == [line.strip() for line in done[-1:]] or not done
+
+
 @pytest.mark.parametrize("answer", [False, None])
 def test_nothing_is_sent_until_somebody_confirms(answer: bool | None) -> None:
     plan, looks = helix(), list[int]()

@@ -19,20 +19,24 @@ from tests.live import (
     test_hold_deviation,
     test_homing,
     test_jog,
+    test_loads_follow,
     test_many_ticks,
+    test_scans,
     test_tail,
 )
 from tests.live.bench import winder
 from threadline.cli import continued
 from threadline.errors import LinkFaultError
-from threadline.live import continuing, executor, guards, lateness, states, supervised
+from threadline.live import braking, continuing, executor, guards, lateness, states, supervised
 from threadline.live.ahead import Ahead
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.far_end import FarEnd
 from threadline.live.guards import Guards
 from threadline.live.jogging import JogAhead
+from threadline.live.scans_ahead import ScansAhead
 from threadline.live.sim_machine import SimMachine
+from threadline.live.sim_rows import SimRows
 from threadline.live.states import Cause, State
 from threadline.live.wire import Message
 from threadline.options import Options
@@ -42,6 +46,7 @@ from threadline.signals import Commands
 from threadline.verdict import load_spec
 
 _extend, _start, _approached = JogAhead.extend, Executor.start, supervised.approached
+_start_again = Ahead.start_again
 Take = Callable[[pytest.MonkeyPatch], None]
 BY_LATENESS = ("late-ticks", "", "3 ticks in a row came late", 15)
 BY_ONE_TICK = ("one-late-tick", "", "a tick came 6 periods late", 5)
@@ -108,6 +113,12 @@ def with_patch(test: Callable[..., None]) -> Callable[[], None]:
     return call
 
 
+def inner(test: Callable[..., None]) -> Callable[..., None]:
+    """Return the test of one example of a test of many, none of which is looked for."""
+    found: Callable[..., None] = test.hypothesis.inner_test  # type: ignore[attr-defined]
+    return found
+
+
 def with_folder(test: Callable[[Path], None]) -> Callable[[], None]:
     """Return a call of a test with a folder of its own."""
 
@@ -117,6 +128,17 @@ def with_folder(test: Callable[[Path], None]) -> Callable[[], None]:
 
     call.__module__ = test.__module__
     return call
+
+
+def ends_unseen(one: Executor, _why: str) -> None:
+    """Take a link that is gone for the end of a run."""
+    one.over = True
+
+
+def from_a_whole_row(one: Ahead) -> None:
+    """Start again at the row behind the place where it stands."""
+    one._places[-1] = np.floor(one._places[-1]) + 1.0
+    _start_again(one)
 
 
 def nothing(*_: object, **__: object) -> str:
@@ -246,6 +268,30 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
         with_folder(
             test_continued.test_another_job_a_completed_run_and_nobody_there_are_refused
         ),
+    ),
+    "the end of a link": (
+        attribute(Executor, "_lost", ends_unseen),
+        lambda: test_guards.test_a_link_that_is_gone_is_a_fault_at_once("lost-link"),
+    ),
+    "what is held at the emergency stop": (
+        attribute(SimRows, "_drop", nothing),
+        test_guards.test_a_pressed_emergency_stop_is_told_and_nothing_starts_while_it_is,
+    ),
+    "homing of cylinders that stopped short": (
+        attribute(ScansAhead, "keeps_home", True),
+        lambda: test_scans.test_a_stop_switches_everything_off_at_the_next_scan(160),
+    ),
+    "the place at which a hold stands": (
+        attribute(Ahead, "start_again", from_a_whole_row),
+        lambda: inner(test_tail.test_hold_and_resume_skip_no_row_and_repeat_none)([75], False),
+    ),
+    "the limit of motors": (
+        attribute(braking, "fastest", lambda *_: np.inf),
+        test_loads_follow.test_no_row_is_faster_than_a_motor_can_turn,
+    ),
+    "the loops that settle before a jog is over": (
+        attribute(JogAhead, "settled", lambda *_: True),
+        lambda: test_jog.test_who_is_idle_after_it_stands_where_it_is_told("X", "let go"),
     ),
     "the stop of homing": (
         attribute(FarEnd, "home", lambda one, _wakes, _stopped: np.zeros(3, np.int64)),

@@ -163,6 +163,29 @@ def test_a_move_ends_on_its_count(count: int) -> None:
     assert bench.executor.state is State.IDLE
 
 
+@pytest.mark.parametrize("how", ["move", "stop", "let go", "lease"])
+@pytest.mark.parametrize("axis", ["A", "X", "Y"])
+def test_who_is_idle_after_it_stands_where_it_is_told(axis: str, how: str) -> None:
+    """The loop lags by 29 ms, 20 counts at the manual feed: what is taught then is the place.
+
+    The 0.01 N of friction that hold the simulated loops back are less than a count of any axis.
+    """
+    bench, k = Bench().ready(), winder().axis_names.index(axis)
+    if how == "move":
+        to_count(bench, axis, 555)  # 10 mm of X
+    else:
+        bench.executor.jog(axis, manual_feed(winder())[k] / winder().counts_per_unit[k] / 0.005)
+        bench.go_on(40)
+        if how == "stop":
+            bench.desk.ask(Cause.STOP)
+        elif how == "let go":
+            bench.executor.let_go()
+        bench.go_on()
+    assert bench.executor.state is State.IDLE
+    shown = bench.executor.latest[f"{axis}.measured"] * winder().counts_per_unit[k]
+    assert abs(shown - bench.wire.machine.position[k]) <= 1.5
+
+
 @settings(max_examples=15)
 @given(st.integers(1, 120), st.sampled_from(["stop", "let go", "lease", "dead"]))
 def test_a_move_ends_as_a_jog_does(tick: int, how: str) -> None:

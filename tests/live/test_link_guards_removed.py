@@ -4,16 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import gc
+import re
 import warnings
 from collections.abc import Callable
 from contextlib import ExitStack
 
+import numpy as np
 import pytest
 
-from tests.live import test_grbl, test_hal, test_scans, test_turns, test_wire
+from tests.live import (
+    test_continued_grbl,
+    test_grbl,
+    test_hal,
+    test_hal_rows,
+    test_scans,
+    test_turns,
+    test_wire,
+)
 from tests.live.hal_bench import hal_alone, unhurried
 from tests.live.test_guards_removed import Take, attribute, nothing, with_folder
-from threadline.live import executor, grbl_run, grbl_words, lateness, scan_guards, wire
+from threadline.live import (
+    executor,
+    grbl_program,
+    grbl_run,
+    grbl_words,
+    hal_rows,
+    lateness,
+    scan_guards,
+    wire,
+)
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import CharacterCount, Status
@@ -22,6 +41,7 @@ from threadline.live.lateness import Lateness
 from threadline.live.scan_guards import ScanGuards
 from threadline.live.scans_ahead import ScansAhead
 from threadline.live.turns_ahead import TurnsAhead
+from threadline.twin.session_part import Part
 from threadline.twin.stitching_session import StitchingSession
 from threadline.twin.switching_session import SwitchingSession
 
@@ -62,6 +82,13 @@ def silence_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for a silent controller for ever; a test does not."""
     monkeypatch.setattr(grbl_run, "SILENCE_S", 1e9)
     monkeypatch.setattr(test_grbl, "PATIENCE_S", 2.5)
+
+
+def trusting(one: hal_rows._Played, part: Part) -> dict[str, np.ndarray]:
+    """Take what comes back from HAL for what it was sent."""
+    found = one._sampled(len(part.travelled))
+    one._tick += len(part.travelled)
+    return {"told": found.told, "read": np.rint(found.read)}
 
 
 def of_scans(told: str, said: str) -> Callable[[], None]:
@@ -167,6 +194,18 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     "a stop while grbl homes": (
         attribute(Controller, "ask", deaf),
         test_grbl.test_a_stop_while_it_homes_resets_it_at_once,
+    ),
+    "a spindle that ran": (
+        attribute(grbl_program, "_SPINDLE", re.compile(rb"(?!)")),
+        with_folder(test_continued_grbl.test_a_spindle_that_ran_runs_again_before_anything_moves),
+    ),
+    "counts that come back from HAL": (
+        attribute(hal_rows._Played, "_read", trusting),
+        test_hal_rows.test_a_count_that_was_not_sent_is_a_fault,
+    ),
+    "a HAL that is silent": (
+        attribute(hal_rows, "SILENT_S", 1e9),
+        lambda: test_hal_rows.test_a_hal_that_is_silent_is_a_fault("in motion"),
     ),
     "samples that HAL lost": (
         attribute(HalSession, "lost", property(lambda _: 0)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from threadline.options import options_of
 from threadline.pipeline import open_job, plan_job, simulate
 from threadline.plan import Plan
 from threadline.plant.actuator import fastest
-from threadline.signals import Ended, Stream, TickBlock, tick_table
+from threadline.signals import Ended, Stream, TickBlock, TickTable, tick_table
 from threadline.verdict import judge, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -85,20 +84,22 @@ def of_one_motor(machine: Machine) -> float:
 
 
 def test_no_row_is_faster_than_a_motor_can_turn() -> None:
-    plan = planned()
-    machine = plan.machine
+    machine = load_machine("stitcher")
     expected = of_one_motor(machine)
     # Both are closed forms of the same constants; what differs is rounding.
     assert fastest(machine, "X") == pytest.approx(expected, rel=1e-6)
-    table = tick_table(plan.commands)
-    tick_s = float(machine.tick_clock.period_s)
+    tick_s, start = float(machine.tick_clock.period_s), np.zeros(2, np.int64)
     most = int(expected * machine.counts_per_unit[0] * tick_s)
     for counts, refused in ((most, False), (most + 4, True)):
         rows = np.zeros((40, 2), np.int64)
         rows[20, 0] = counts
         block = TickBlock(first_tick=0, counts=rows, operation=np.zeros(40, np.int64))
-        other = replace(table, blocks=Stream.of([block]))
-        bench = Bench(start=table.start_counts, other=machine, same=True).ready()
+        other = TickTable(
+            clock=machine.tick_clock, axes=machine.axis_names,
+            counts_per_unit=machine.counts_per_unit, start_counts=start,
+            blocks=Stream.of([block]), job_sha256="", machine_sha256=machine.sha256,
+        )  # fmt: skip
+        bench = Bench(start=start, other=machine, same=True).ready()
         if refused:
             with pytest.raises(LimitError, match=f"{counts} counts in a tick, the limit is {most}"):
                 bench.executor.start(other, loads_follow=True)

@@ -111,6 +111,20 @@ def stands(page: Page) -> float:
     ))  # fmt: skip
 
 
+def looks(page: Page, number: int) -> None:
+    """Look at what is fresh, a number of times: whatever was asked for before has begun then."""
+    page.evaluate(
+        """async (number) => {
+          for (let seen = 0; seen < number;) {
+            await new Promise((come) => setTimeout(come, 60));
+            const age = /^data ([0-9]+) ms/.exec(document.getElementById("age").textContent);
+            if (age && Number(age[1]) <= 200) seen++;
+          }
+        }""",
+        number,
+    )
+
+
 def jog_until(page: Page, key: str, enough: Callable[[], bool]) -> None:
     """Hold a key until it is enough; let it go, and stay until the machine is idle.
 

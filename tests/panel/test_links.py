@@ -33,6 +33,7 @@ from threadline.machine import load_machine
 from threadline.store.run_store import opened
 
 STEPPER = load_machine("stepper-winder")
+PATIENCE_S = 60.0  # on a busy computer
 MANUAL_MM_S = 40.0
 """A tenth of the limit of X, for the machine has no manual feed of its own."""
 
@@ -64,7 +65,7 @@ def grbl(project: Path, model: GrblModel, *, ready: bool = True) -> Iterator[Ope
 
 
 def wait(anna: Operator, until: Callable[[], bool]) -> None:
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + PATIENCE_S
     while not until():
         assert time.monotonic() < end, anna.state
         if anna.hear()["type"] == "state" and anna.lease:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
 import sys
 import threading
@@ -13,7 +14,17 @@ from typing import Any
 
 import pytest
 
-from tests.panel.bench import PROGRAM, Operator, operator, proven, served
+from tests.live.bench import winder
+from tests.panel.bench import (
+    PROGRAM,
+    Operator,
+    machine_thread,
+    operator,
+    own_here,
+    proven,
+    served,
+)
+from threadline.live.wire import Connection, Message
 from threadline.panel import kept_runs
 from threadline.panel.owner import Owner
 from threadline.store.run_store import opened
@@ -187,18 +198,26 @@ def test_steps_are_as_long_as_asked_and_need_somebody_to_the_end(project: Path) 
     with served(project, SPEED) as client, operator(client) as anna:
         anna.ready()
         for by, at_mm in ((1e-3, 1.0), (-1e-3, 0.0)):
+            before = anna.x_mm()
             assert anna.act("step", axis="X", by=by) == ""
-            anna.see("idle")
-            while anna.until("state")["state"] != "idle":
-                pass
+            moved(anna, before)
             assert anna.x_mm() == pytest.approx(at_mm, abs=0.5 / 55.358)  # a count
+            # Idle is said once the loop stands, at any speed of the simulation.
+            assert 1e3 * anna.state["axes"]["X"]["measured"] == pytest.approx(at_mm, abs=0.03)
         assert anna.act("step", axis="X", by=0.05) == ""
-        anna.see("idle")
+        moved(anna, anna.x_mm())
         assert 5.0 < anna.x_mm() < 26.0
         assert "beyond its travel" in why_of(anna, by=0.9)
         while "step" not in anna.until("state")["allowed"]:
             pass  # what was refused is put aside
         assert "there is no axis" in anna.act("step", axis="Q", by=1e-3)
+
+
+def moved(anna: Operator, from_mm: float) -> None:
+    """Wait until X stands elsewhere: a step is answered before it begins."""
+    end = time.monotonic() + 60.0
+    while anna.until("state")["state"] != "idle" or anna.x_mm() == from_mm:
+        assert time.monotonic() < end, anna.state
 
 
 def why_of(anna: Operator, by: float) -> str:
@@ -216,6 +235,33 @@ def test_a_program_that_was_changed_since_is_not_run(project: Path) -> None:
         (project / "there.prg").write_text(PROGRAM.replace("X 60", "X 61"), "utf-8")
         assert "it is no proof of what is to be run: job" in anna.act("start", proof=proof)
         assert anna.until("state")["state"] == "idle"
+
+
+def test_a_silent_server_is_one_that_could_not_stop_it(project: Path) -> None:
+    """A jog at a fifth of real time has a lease of 1.25 s; the server is silent after 1 s."""
+    (server, theirs), (link, far) = socket.socketpair(), socket.socketpair()
+    threads = [
+        threading.Thread(target=machine_thread, args=(far, 0.2, winder())),
+        threading.Thread(target=own_here, args=(theirs, link, project, 0.2, winder())),
+    ]
+    for thread in threads:
+        thread.start()
+    to, said, states = Connection(server), [""], [""]
+    for number, (what, words) in enumerate(
+        (("enable", {}), ("home", {}), ("jog", {"axis": "X", "velocity": 0.01}))
+    ):
+        to.send(Message(what, {"number": number, **words}))
+    while not said[-1] and states[-2:] != ["jogging", "idle"]:
+        message = to.receive(60.0)
+        assert message is not None
+        if message.kind == "said":
+            said.append(message.head["text"])
+        elif message.kind == "now" and message.head["state"] != states[-1]:
+            states.append(message.head["state"])
+    to.close()
+    for thread in threads:
+        thread.join(20.0)
+    assert said[-1] == "the web server is silent: stopped"
 
 
 def test_a_stop_before_it_begins_ends_a_start(

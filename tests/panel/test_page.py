@@ -7,15 +7,18 @@ import os
 import signal
 import time
 import urllib.request
+from typing import Any, cast
 
 import pytest
 
 from tests.panel.browsing import (
     Browser,
+    Page,
     begin_jog,
     expect,
     held_and_let_go,
     jog_until,
+    looks,
     moved_on,
     opened,
     part,
@@ -83,9 +86,9 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     page = opened(browser, plant)
     ready(page)
     page.keyboard.down("ArrowRight")
-    page.wait_for_timeout(300)
+    looks(page, 10)
     page.keyboard.up("ArrowRight")
-    assert x_mm(page) == 0.0
+    assert stands(page) == 0.0
     page.get_by_label("Jog by keys").check()
     jog_until(page, "ArrowRight", lambda: told_mm(plant) > 2.0)
     there = told_mm(plant)
@@ -114,6 +117,29 @@ def test_jogs_by_keys_while_they_are_held(browser: Browser, plant: Plant) -> Non
     expect(page.get_by_label("Jog by keys")).not_to_be_checked()
     shot(page, "7-keys")
     page.close()
+
+
+class Armed:
+    """A browser in whose pages jogs by keys are always on."""
+
+    def __init__(self, browser: Browser) -> None:
+        self._browser = browser
+
+    def new_page(self, **options: Any) -> Page:
+        page = self._browser.new_page(**options)
+        page.add_init_script(
+            """setInterval(() => {
+              const box = document.getElementById("by-keys");
+              if (box && !box.disabled) box.checked = true;
+            }, 20)"""
+        )
+        return page
+
+
+def test_keys_that_were_not_armed_would_move_it(browser: Browser, plant: Plant) -> None:
+    """Without that guard the test above fails at its first key."""
+    with pytest.raises(AssertionError, match=r"assert \d+\.\d+ == 0\.0"):
+        test_jogs_by_keys_while_they_are_held(cast(Browser, Armed(browser)), plant)
 
 
 def test_any_key_stops_a_run_and_h_holds_it(browser: Browser, plant: Plant) -> None:

@@ -17,6 +17,12 @@ def data(page: Page, shape: int) -> str:
     return page.locator(f"#paper path[data-at='{shape}']").get_attribute("d") or ""
 
 
+def seen(page: Page) -> list[float]:
+    """Return x, y, width and height of the view, in mm with y downwards."""
+    told = page.locator("#paper svg").get_attribute("viewBox") or ""
+    return [float(one) for one in told.split()]
+
+
 def width(page: Page, shape: int) -> float:
     found: float = page.locator(f"#paper path[data-at='{shape}']").evaluate(
         "path => path.getBBox().width"
@@ -143,9 +149,13 @@ def test_a_click_is_no_change_and_a_pull_snaps(browser: Browser, plant: Plant) -
     assert data(page, 0) == before
     press(page, "Undo")
     expect(page.locator("#drawn")).to_contain_text("0 shapes")
+    before = seen(page)
     press(page, "Line")
     typed(page, (-300, 20), (300, 30))
     press(page, "Finish")
+    x, y, wide, high = seen(page)  # it has grown by itself, and what was seen still is
+    assert x <= -300 and x + wide >= 300
+    assert y <= before[1] and y + high >= before[1] + before[3]
     press(page, "Fit")
     x, _, wide, _ = map(float, (paper.get_attribute("viewBox") or "").split())
     assert x < -300.0 < 300.0 < x + wide

@@ -18,8 +18,9 @@ from tests.panel import (
 )
 from tests.panel.bench import PROGRAM, proven, served
 from threadline.live import grbl_by_hand, supervised
+from threadline.live.grbl_operated import GrblOperated
 from threadline.live.states import Cause
-from threadline.panel import project_programs
+from threadline.panel import owner, project_programs
 from threadline.panel.admission import Admission
 from threadline.panel.clients import Client
 from threadline.panel.control import ControlLease
@@ -35,6 +36,12 @@ def leaves_it_moving(panel: Panel, client: Client) -> None:
 def stops_and_forgets(one: Owner) -> None:
     """Stop what moves, and nothing that was asked for."""
     one._desk.ask(Cause.STOP)
+
+
+def alarm_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Note where a controller at rest is, whatever else it tells; a test waits less then."""
+    monkeypatch.setattr(GrblOperated, "_report_at_rest", GrblOperated._note)
+    monkeypatch.setattr(test_links, "PATIENCE_S", 2.0)
 
 
 def of_another_site(folder: Path) -> None:
@@ -90,6 +97,14 @@ GUARDS: dict[str, tuple[Take, Test]] = {
     "the little that grbl is sent ahead": (
         attribute(grbl_by_hand, "AHEAD_S", 2.0),
         test_links.test_a_jog_on_grbl_ends_where_nobody_renews_it,
+    ),
+    "a server that is silent": (
+        attribute(owner, "SILENT_S", 1e9),
+        test_operator.test_a_silent_server_is_one_that_could_not_stop_it,
+    ),
+    "a controller in alarm at rest": (
+        alarm_is_well,
+        test_links.test_an_alarm_at_rest_is_a_fault_and_a_reset_leaves_it,
     ),
 }
 

@@ -26,6 +26,10 @@ from threadline.twin import simulate
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
+    return short_recording()
+
+
+def short_recording() -> Recording:
     whole = simulate(table_of_counts(there_and_back(cruise=20)), winder(), settle_s=0.1)
     blocks = []
     for block in whole:

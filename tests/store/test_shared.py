@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 import sqlite3
 from pathlib import Path
+from typing import Any
 
 import pytest
+from sqlalchemy import create_engine
 from sqlalchemy.dialects import postgresql
 from sqlalchemy.schema import CreateTable
 
 from threadline.cli.main import main
 from threadline.errors import StoreError
+from threadline.store import index
 from threadline.store.index import _RUNS, RunIndex, RunRecord
 from threadline.store.run_store import INDEX, INDEX_URL, RunStore, opened
 
@@ -83,7 +86,15 @@ def test_the_table_is_one_of_postgresql() -> None:
         assert f"{column} {kind}" in told
 
 
-def test_a_locked_index_is_one_line_before_anything_moves(tmp_path: Path) -> None:
+def at_once(url: Any) -> Any:
+    """Wait no five seconds for a lock that nobody takes off."""
+    return create_engine(url, connect_args={"timeout": 0.05})
+
+
+def test_a_locked_index_is_one_line_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(index, "create_engine", at_once)
     RunIndex(tmp_path / INDEX).add(record("first"))
     other = sqlite3.connect(tmp_path / INDEX)
     other.execute("BEGIN EXCLUSIVE")

@@ -15,6 +15,8 @@ const MOST_UNDONE = 100;
 
 type Tool = Kind | "select";
 
+const counted = (number: number, what: string): string => `${number} ${what}${number === 1 ? "" : "s"}`;
+
 export class Draw {
   private shapes: Shape[] = [];
   private chosen = new Set<number>(); // groups
@@ -44,7 +46,7 @@ export class Draw {
     this.choose("select");
     this.svg.onpointerdown = (event) => this.down(event);
     this.svg.onpointermove = (event) => this.move(event);
-    this.svg.onpointerup = () => { this.dragged = null; };
+    this.svg.onpointerup = () => { if (this.dragged) { this.dragged = null; this.grow(); this.draw(); } };
     this.svg.ondblclick = () => this.finish();
     this.svg.onkeydown = (event) => this.key(event);
     by<HTMLInputElement>("typed-point").onkeydown = (event) => { if (event.key === "Enter") this.typed(); };
@@ -129,6 +131,8 @@ export class Draw {
     if (this.tool === "select") { say("choose what to draw first", true); return; }
     field.value = "";
     this.add([x, y]);
+    this.grow(); // what is put by the pointer is seen already
+    this.draw();
   }
 
   private add(at: Point): void {
@@ -147,6 +151,7 @@ export class Draw {
       const group = this.last() + 1;
       this.shapes.push({ kind: this.tool, points, style: value("line-style") as Style, fill: value("fill") as Fill, label: this.tool === "leader" ? value("text") : "", group });
       this.chosen = new Set([group]);
+      this.grow();
     }
     this.draw();
   }
@@ -190,6 +195,7 @@ export class Draw {
     this.shapes = this.shapes.flatMap((one) => this.chosen.has(one.group) ? into(one) : [one]);
     const fresh = this.shapes.map((one) => one.group).filter((group) => !before.has(group));
     if (fresh.length) this.chosen = new Set(fresh);
+    this.grow();
     this.draw();
   }
 
@@ -254,6 +260,7 @@ export class Draw {
     const group = this.last();
     this.shapes.push(...foreignShapes((await answer.json()) as Shape[], group));
     this.chosen = new Set([group + 1]);
+    this.grow();
     this.draw();
   }
 
@@ -287,11 +294,23 @@ export class Draw {
   // --- the picture ----------------------------------------------------------------------------
 
   private fit(): void {
-    if (this.shapes.length) {
-      const [low, high] = bounds(this.shapes), wide = Math.max(high[0] - low[0], (high[1] - low[1]) * 1.57, 20) * 1.2, [x, y] = middle(this.shapes);
-      this.svg.setAttribute("viewBox", `${x - wide / 2} ${-y - wide * 0.318} ${wide} ${wide * 0.636}`);
-    }
+    if (this.shapes.length) this.see(...bounds(this.shapes));
     this.draw();
+  }
+
+  /** Have two corners and what lies between them in the view, with a margin. */
+  private see(low: Point, high: Point): void {
+    const wide = Math.max(high[0] - low[0], (high[1] - low[1]) * 1.57, 20) * 1.2, x = (low[0] + high[0]) / 2, y = (low[1] + high[1]) / 2;
+    this.svg.setAttribute("viewBox", `${x - wide / 2} ${-y - wide * 0.318} ${wide} ${wide * 0.636}`);
+  }
+
+  /** Let the view grow where something was put beyond it; what was seen stays in it. */
+  private grow(): void {
+    const next: Shape[] = this.pending.length ? [{ kind: "line", points: this.pending, style: "solid", fill: "none", label: "", group: 0 }] : [], all = [...this.shapes, ...next];
+    if (all.length === 0) return;
+    const box = this.svg.viewBox.baseVal, [low, high] = bounds(all), left = box.x, right = box.x + box.width, lowest = -box.y - box.height, highest = -box.y;
+    if (low[0] >= left && high[0] <= right && low[1] >= lowest && high[1] <= highest) return;
+    this.see([Math.min(low[0], left), Math.min(low[1], lowest)], [Math.max(high[0], right), Math.max(high[1], highest)]);
   }
 
   private draw(): void {
@@ -310,6 +329,6 @@ export class Draw {
     const fills = part("g", {});
     fills.innerHTML = patterns(0.4);
     this.svg.replaceChildren(fills, ...lines, ...shapes, ...labels, ...handles);
-    by("drawn").textContent = `${this.shapes.length} shapes${this.pending.length ? `, ${this.pending.length} points of the next` : ""}${this.pointer ? `, ${this.pointer.map((v) => v.toFixed(1)).join(", ")} mm` : ""}`;
+    by("drawn").textContent = `${counted(this.shapes.length, "shape")}${this.pending.length ? `, ${counted(this.pending.length, "point")} of the next` : ""}${this.pointer ? `, ${this.pointer.map((v) => v.toFixed(1)).join(", ")} mm` : ""}`;
   }
 }

@@ -65,6 +65,11 @@ class AtRest:
         """Commanded position, (axes,) in the units of the commands; known once it is homed."""
         return self._stands
 
+    @property
+    def time_s(self) -> float:
+        """Time of the machine since the beginning of the run, in s."""
+        return self.tick * float(self._machine.command_clock.period_s)
+
     def connect(self) -> None:
         """Receive the greeting of the machine.
 

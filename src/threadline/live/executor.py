@@ -214,11 +214,6 @@ class Executor(AtRest):
             and ahead.halt is None
         )
 
-    @property
-    def time_s(self) -> float:
-        """Time of the machine since the beginning of the run, in s."""
-        return self.tick * float(self._machine.command_clock.period_s)
-
     def step(self) -> None:
         """Wait for a report or a command and act on it; to be called until ``over`` is True."""
         if self._owes_go:  # the machine's time waits for us: what was asked comes before it
@@ -298,10 +293,12 @@ class Executor(AtRest):
             self._stands = self._began + np.array(head["position"], dtype=np.int64)
             self.late_ticks += int(head["late"])
             why = _STARVED if head["starved"] else ""
-            if not isinstance(self._ahead, JogAhead | None):
+            samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
+            if isinstance(self._ahead, JogAhead):
+                self._ahead.measured(self.tick, samples)
+            elif self._ahead is not None:
                 why = self._ahead.hear(head) or why
             now = self._keep_latest(message)
-            samples = {name: np.asarray(a, np.float64) for name, a in message.arrays.items()}
             if why and self.state in _SENDING:
                 self._fault(why)
             told = [one[3] for one in head["events"] if one[1] == "fault"]
@@ -345,6 +342,8 @@ class Executor(AtRest):
             self._brake_again = False
             self._brake()
         played = standing and self.tick >= ahead.end
+        if isinstance(ahead, JogAhead):  # where it stands is what is taught
+            played = played and ahead.settled(self.tick)
         if self.ended is not None:
             if played:
                 ended, text = self.ended

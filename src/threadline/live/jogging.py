@@ -6,6 +6,7 @@ acceleration and jerk. All numbers are in counts and ticks.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from math import ceil
 
@@ -15,6 +16,7 @@ from ruckig import ControlInterface, InputParameter, Ruckig, Trajectory
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import CommandError
 from threadline.live.braking import CountLimits
+from threadline.live.stillness import Stillness
 from threadline.live.wire import Message
 from threadline.machine import Machine
 
@@ -79,6 +81,7 @@ class JogAhead:
         self._first = 0  # tick of the first state that is kept
         self._states = [_At(float(stands[self._column]), 0.0, 0.0)]
         self._before_cut: tuple[int, list[_At], float] | None = None
+        self._still = Stillness(machine)
         self.why = ""
         """Reason of an end before the operator let go; empty where there is none."""
 
@@ -91,6 +94,14 @@ class JogAhead:
     def complete(self) -> bool:
         """Whether the rows that were sent end at rest."""
         return self._target == 0.0 and self._states[-1].velocity == 0.0
+
+    def measured(self, tick: int, samples: Mapping[str, FloatArray]) -> None:
+        """Learn from a report that ends at a tick what the encoders say; see ``Stillness``."""
+        self._still.hear(tick, samples)
+
+    def settled(self, tick: int) -> bool:
+        """Whether the loops have come to rest at a tick, at the end of what was sent."""
+        return self._still.settled(tick, self.end)
 
     def forget(self, tick: int) -> None:
         """Delete the states before ``tick``."""

@@ -19,7 +19,8 @@ from threadline.arrays import FloatArray
 from threadline.doubts import doubts
 from threadline.errors import ThreadlineError
 from threadline.input_files import noting_inputs
-from threadline.jobs.operations import Job, Move, MoveRun
+from threadline.jobs.circuit import begins_circuit
+from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source
 from threadline.live.ways import way_of
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
@@ -120,33 +121,29 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
     Where there is but one pass, or none, the first is None.
     """
     circuits, points, least = 0, 0, 0
-    before: tuple[tuple[int, ...], int] = ((), 0)
+    before: Source | None = None
     for item, times, _ in job.folded():
         if times == 0:  # where repeated passes end
             continue
-        if isinstance(item, MoveRun):
-            now = (item.passes, int(item.line[0]))
-        else:
-            now = (item.source.passes, item.source.line)
-        if _begins(before, now):
+        first, last = _ends(item)
+        if begins_circuit(before, first):
             # Of the moves of a pass those that no call inside it repeats happen least often.
             circuits, least = circuits + least, times
-        elif now[0]:
+        elif first.passes:
             least = min(least, times)
-        before = now if not isinstance(item, MoveRun) else (item.passes, int(item.line[-1]))
+        before = last
         if isinstance(item, MoveRun | Move):
             points += times * (len(item) if isinstance(item, MoveRun) else 1)
     circuits += least
     return (circuits if circuits > 1 else None), points
 
 
-def _begins(before: tuple[tuple[int, ...], int], now: tuple[tuple[int, ...], int]) -> bool:
-    """Say whether a pass of an outermost call begins between two passes and lines."""
-    (was, line), (passes, next_line) = before, now
-    if not passes or not was or was[0] != passes[0]:
-        return bool(passes)
-    # Two calls of one pass each, one after the other: the lines begin again.
-    return len(was) == len(passes) == 1 and next_line < line
+def _ends(item: Operation | MoveRun) -> tuple[Source, Source]:
+    """Return where the first and the last move of a run come from, or an operation twice."""
+    if not isinstance(item, MoveRun):
+        return item.source, item.source
+    first, last = (Source(item.file, int(item.line[k]), item.passes) for k in (0, -1))
+    return first, last
 
 
 def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:

@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from threadline.jobs.circuit import begins_circuit
 from threadline.jobs.operations import Job, Source
 from threadline.plan import Plan
 from threadline.signals import TickTable, tick_table
@@ -135,16 +136,6 @@ def _by_circuit(table: TickTable, job: Job) -> Iterator[tuple[int, int]]:
             while index < wanted:
                 index, operation = next(operations, (wanted, None))
                 before, source = source, None if operation is None else operation.source
-                entered += _enters(before, source)
+                entered += source is not None and begins_circuit(before, source)
             circuit = entered if source is not None and source.passes else 0
             yield circuit, rows
-
-
-def _enters(before: Source | None, now: Source | None) -> bool:
-    """Say whether a pass of an outermost subroutine call begins between two operations."""
-    if now is None or not now.passes:
-        return False
-    if before is None or not before.passes or before.passes[0] != now.passes[0]:
-        return True
-    # Two calls of one pass each, one after the other: the lines begin again.
-    return len(before.passes) == len(now.passes) == 1 and now.line < before.line

@@ -16,6 +16,7 @@ from threadline.jobs.gcode.curved_blocks import CURVED, Curves
 from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.f_words import FRule
 from threadline.jobs.gcode.frames import Frame, KeptText
+from threadline.jobs.gcode.kept_feeds import KeptFeeds, value_of
 from threadline.jobs.gcode.plain_reader import PlainReader, plain_reader
 from threadline.jobs.gcode.program_zero import Zeros
 from threadline.jobs.gcode.subprograms import Program, Structure
@@ -35,7 +36,6 @@ from threadline.jobs.operations import (
     ToolEvent,
 )
 
-_KEPT_FEEDS = 1000
 _STEADY_PASS = 3
 _RAPID = Feed(FeedMode.RAPID, 0.0)
 _MM_PER_M = 1000 * ONE
@@ -126,7 +126,7 @@ class Interpreter:
         self._passes: tuple[int, ...] = ()
         self._plain = plain_reader(program.reading, program.linear, follow=True)
         self._text = KeptText(program.file, program.reading)
-        self._feeds: dict[tuple[FeedMode, float], Feed] = {}
+        self._feeds = KeptFeeds(program.rule)
 
     def run(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
         """Return the operations, moves in runs where the kernel has read them.
@@ -253,7 +253,8 @@ class Interpreter:
         if block.settings:
             self._set(block.settings)
         if block.feed is not None:
-            self._feed = self._feed_of(self._speed(block.feed))
+            told = value_of(block.feed, self._tenth_mm, inverse_time=self._inverse_time)
+            self._feed = self._feed_of(told)
             self._feed_tenth_mm = self._tenth_mm
         if block.motion >= 0:
             self._motion = -1 if block.motion == CANCEL else block.motion
@@ -289,23 +290,9 @@ class Interpreter:
             elif code in (170, 180, 190):
                 self._curves.plane = code
 
-    def _speed(self, exact: int) -> float:
-        """Return F in m/s, in G93 in 1/s."""
-        if self._inverse_time:
-            return exact / (60 * ONE)
-        return exact * self._tenth_mm / (10 * 60 * _MM_PER_M)
-
     def _feed_of(self, value: float) -> Feed:
-        """Return the feed with ``value`` in the present mode; equal feeds are one object."""
-        rule = self._program.rule
-        mode = FeedMode.INVERSE_TIME if self._inverse_time else rule.mode
-        feed = self._feeds.get((mode, value))
-        if feed is None:
-            if len(self._feeds) >= _KEPT_FEEDS:
-                self._feeds.clear()
-            feed = Feed(mode, value, rule.base_axes if mode is FeedMode.BASE_AXES else ())
-            self._feeds[mode, value] = feed
-        return feed
+        """Return the feed with ``value`` in the present mode."""
+        return self._feeds.feed(value, inverse_time=self._inverse_time)
 
     def _scaled(self, index: int, value: int) -> int:
         """Return the word of an axis in mm or degrees."""
