@@ -24,8 +24,10 @@ from tests.panel.bench import (
     proven,
     served,
 )
+from threadline.live.states import Cause, State
 from threadline.live.wire import Connection, Message
 from threadline.panel import kept_runs
+from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 from threadline.store.run_store import opened
 
@@ -262,6 +264,15 @@ def test_a_silent_server_is_one_that_could_not_stop_it(project: Path) -> None:
     for thread in threads:
         thread.join(20.0)
     assert said[-1] == "the web server is silent: stopped"
+
+
+def test_a_stop_does_not_take_the_reason_of_a_fault_away(tmp_path: Path) -> None:
+    runs = KeptRuns(tmp_path, winder(), None, tmp_path / "runs", "sim", "", 1.0, lambda *_: None)
+    runs.state(3, State.FAULT, Cause.FAULT, "a tick came 6 periods late")
+    runs.state(9, State.FAULT, Cause.STOP, "")
+    assert runs.why == "a tick came 6 periods late"
+    runs.state(9, State.DISABLED, Cause.RESET, "")
+    assert runs.why == ""
 
 
 def test_a_stop_before_it_begins_ends_a_start(

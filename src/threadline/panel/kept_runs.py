@@ -131,6 +131,7 @@ class KeptRuns:
         self._held = 0  # ticks of the run that it was held
         self._held_from: int | None = None  # when the hold that lasts began
         self.why = ""
+        self._state: State | None = None
 
     # --- the sink of the executor ----------------------------------------------------------
 
@@ -145,7 +146,9 @@ class KeptRuns:
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
         """Keep the reason of a change of state, and write the change into the open run."""
-        self.why = text
+        if text or state is not self._state:  # a stop in a fault does not take its reason away
+            self.why = text
+        self._state = state
         if self._open is not None:
             self._open[0].state(tick, state, cause, text)
         if state is State.HOLDING:
