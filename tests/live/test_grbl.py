@@ -262,7 +262,7 @@ def test_a_run_begins_where_the_machine_stands_and_stays_in_its_travel() -> None
     model.at[0] = 3.0
     with (
         meeting(model) as (one, _, _),
-        pytest.raises(CommandError, match=r"axis X stands at 0\.003, the run begins at 0"),
+        pytest.raises(CommandError, match="axis X stands at 3 mm, the run begins at 0"),
     ):
         ready(one, program())
     model = GrblModel(settings())

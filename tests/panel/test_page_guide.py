@@ -14,6 +14,7 @@ def test_the_guide_is_shown_and_printed_alone(browser: Browser, plant: Plant) ->
     )
     expect(page.locator("#guide-tables")).to_contain_text("Connector CN1")
     expect(page.get_by_role("button", name="STOP")).to_be_visible()
+    expect(page.get_by_role("button", name="Print")).to_be_enabled()
     shot(page, "17-guide")
     with page.expect_download() as download:
         page.get_by_role("button", name="PDF").click()

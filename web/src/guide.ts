@@ -11,6 +11,7 @@ export class Guide {
 
   constructor(private readonly session: Session) {
     by("print-guide").onclick = () => window.print();
+    by<HTMLButtonElement>("print-guide").disabled = true; // nothing but an empty sheet yet
     by("guide-pdf").onclick = () => void this.save();
   }
 
@@ -22,6 +23,7 @@ export class Guide {
     if (!answer.ok) { say((await answer.text()).trim(), true); by("guide-said").textContent = "there is no guide: see Operate, What happened"; return; }
     const { machine, tables } = (await answer.json()) as { machine: string; tables: Table[] };
     by("guide-tables").replaceChildren(made("h2", `Guide to ${machine}`), ...tables.flatMap((one) => this.table(one)));
+    by<HTMLButtonElement>("print-guide").disabled = false;
     this.there = true;
   }
 

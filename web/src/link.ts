@@ -47,9 +47,11 @@ export class Link {
 
   control(word: "take" | "give" | "keep" | "release"): void { this.say({ type: "control", word }); }
 
-  act(command: { what: string; [key: string]: unknown }): void {
-    if (!this.state || !this.lease) return;
+  /** Give a command; return the number that its answer will have, 0 where none was sent. */
+  act(command: { what: string; [key: string]: unknown }): number {
+    if (!this.state || !this.lease) return 0;
     this.number += 1;
     this.say({ type: "act", lease: this.lease, seen: this.state.seq, number: this.number, command });
+    return this.number;
   }
 }

@@ -50,7 +50,9 @@ function heard(message: FromPanel): void {
     program.tell(message);
     view?.show(message, message.mandrel);
   } else if (message.type === "answer") {
-    if (!message.ok) { if (session.moves) session.letGo(); else say(message.text, true); }
+    const renewal = session.renewal(message.number);
+    if (!message.ok && session.moves) session.letGo();
+    if (!message.ok && !renewal) say(message.text, true);
   } else if (message.type === "said") say(message.text, message.wrong);
 }
 

@@ -16,10 +16,11 @@ export class Session {
   figures: Figures | null = null;
   /** Number of the state before the figures came. */
   figuresAt = 0;
+  private readonly renewals = new Set<number>(); // that were not answered yet
   private renews = 0; // of the timer that renews a motion; 0 where there is none
 
   constructor(heard: (message: FromPanel) => void, lost: () => void) {
-    this.link = new Link(`${navigator.platform || "browser"}`.slice(0, 40), this.token, heard, () => { this.letGo(); lost(); });
+    this.link = new Link(`${navigator.platform || "browser"}`.slice(0, 40), this.token, heard, () => { this.letGo(); this.renewals.clear(); lost(); });
   }
 
   get state(): State | null { return this.link.state; }
@@ -35,9 +36,12 @@ export class Session {
     this.link.act(command);
     this.renews = window.setInterval(() => {
       if (document.hidden || !this.mine()) { this.letGo(); return; }
-      this.link.act({ what: "renew" });
+      this.renewals.add(this.link.act({ what: "renew" }));
     }, RENEW_MS);
   }
+
+  /** Whether an answer is that of a renewal: one that is refused says that the motion is over. */
+  renewal(number: number): boolean { return this.renewals.delete(number); }
 
   letGo(): void {
     if (this.endsRenewing()) this.link.act({ what: "let-go" });

@@ -14,6 +14,7 @@ from threadline.compiled import njit
 from threadline.errors import CommandError, LimitError
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import PathWindow
+from threadline.live.place_words import place_words
 from threadline.live.wire import Message, event_told
 from threadline.machine import Machine
 from threadline.signals import Commands, Event, tick_table
@@ -318,7 +319,7 @@ def refuse_start_elsewhere(machine: Machine, stands: IntArray, starts: IntArray)
     for k, (here, begins) in enumerate(zip(stands, starts, strict=True)):
         if here != begins:
             raise CommandError(
-                f"axis {names[k]} stands at {here / scale[k]:.5g}, the run begins at "
-                f"{begins / scale[k]:.5g}",
+                f"axis {names[k]} stands at {place_words(machine, names[k], here / scale[k])}, "
+                f"the run begins at {place_words(machine, names[k], begins / scale[k])}",
                 remedy="Home the machine, or move it there.",
             )

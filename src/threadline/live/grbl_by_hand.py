@@ -15,6 +15,7 @@ from threadline.errors import CommandError
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_words import JOG_CANCEL, Status
 from threadline.live.jogging import manual_feed
+from threadline.live.place_words import place_words, speed_words
 
 AHEAD_S = 0.2
 """Motion that is sent ahead of what was reported, s at its speed."""
@@ -69,19 +70,20 @@ class GrblJog:
     def __init__(
         self, controller: Controller, at: float, axis: str, velocity: float, end: float | None
     ) -> None:
-        most = fastest_by_hand(controller, axis)
+        machine, most = controller.machine, fastest_by_hand(controller, axis)
         if not 0.0 < abs(velocity) <= most * (1.0 + 1e-9):
             raise CommandError(
-                f"axis {axis}: {abs(velocity):g} is no speed up to the manual feed, {most:.4g}",
+                f"axis {axis}: {speed_words(machine, axis, abs(velocity))} is no speed up to the "
+                f"manual feed, {speed_words(machine, axis, most)}",
                 remedy="Jog more slowly, or change operator.manual_feed in the machine file.",
             )
-        machine = controller.machine
         self.column = machine.axis_names.index(axis)
         travel = machine.axes[axis].travel
         low, high = (-math.inf, math.inf) if travel is None else (travel[0].si, travel[1].si)
         if end is not None and not low <= end <= high:
             raise CommandError(
-                f"axis {axis}: {end:.5g} is beyond its travel, {low:.5g} to {high:.5g}",
+                f"axis {axis}: {place_words(machine, axis, end)} is beyond its travel, "
+                f"{place_words(machine, axis, low)} to {place_words(machine, axis, high)}",
                 remedy="Move the position where the job starts.",
             )
         self._port, self._axis, self._speed = controller.port, axis, abs(velocity)

@@ -29,6 +29,7 @@ from threadline.live.grbl_words import (
     status_of,
 )
 from threadline.live.kept import Sink
+from threadline.live.place_words import place_words
 from threadline.live.states import MOVING, Cause, State, next_state
 from threadline.signals import Ended
 
@@ -157,10 +158,13 @@ class GrblRun:
         """Refuse a program that begins elsewhere, or leaves the travel; see ``start``."""
         away = np.abs(self._at - starts) * self._machine.radius_m
         if away.max() > _OFF_PATH_M:
-            k = int(away.argmax())
+            k, machine = int(away.argmax()), self._machine
+            here, there = (
+                place_words(machine, machine.axis_names[k], float(at[k]))
+                for at in (self._at, starts)
+            )
             raise CommandError(
-                f"axis {self._machine.axis_names[k]} stands at {self._at[k]:.5g}, the run begins "
-                f"at {starts[k]:.5g}",
+                f"axis {machine.axis_names[k]} stands at {here}, the run begins at {there}",
                 remedy="Home the machine, or move it there.",
             )
         for end in program.ends:

@@ -16,6 +16,7 @@ from ruckig import ControlInterface, InputParameter, Ruckig, Trajectory
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import CommandError
 from threadline.live.braking import CountLimits
+from threadline.live.place_words import place_words, speed_words
 from threadline.live.stillness import Stillness
 from threadline.live.wire import Message
 from threadline.machine import Machine
@@ -67,8 +68,8 @@ class JogAhead:
         most = manual_feed(machine)[self._column]
         if not abs(velocity) * counts <= most * (1.0 + 1e-9):
             raise CommandError(
-                f"axis {axis}: {abs(velocity):g} is faster than the manual feed, "
-                f"{most / counts:.4g}",
+                f"axis {axis}: {speed_words(machine, axis, abs(velocity))} is faster than the "
+                f"manual feed, {speed_words(machine, axis, most / counts)}",
                 remedy="Jog more slowly, or change operator.manual_feed in the machine file.",
             )
         self._target = velocity * counts
@@ -193,10 +194,12 @@ class MoveAhead(JogAhead):
     def __init__(self, machine: Machine, stands: IntArray, axis: str, to_counts: int) -> None:
         super().__init__(machine, stands, axis, 0.0)
         if not self._low <= to_counts <= self._high:
-            to_unit = 1.0 / machine.counts_per_unit[self._column]
+            told, low, high = (
+                place_words(machine, axis, counts / machine.counts_per_unit[self._column])
+                for counts in (to_counts, self._low, self._high)
+            )
             raise CommandError(
-                f"axis {axis}: {to_counts * to_unit:.5g} is beyond its travel, "
-                f"{self._low * to_unit:.5g} to {self._high * to_unit:.5g}",
+                f"axis {axis}: {told} is beyond its travel, {low} to {high}",
                 remedy="Move the position where the job starts.",
             )
         asked = InputParameter(1)
