@@ -43,7 +43,15 @@ along = "X"
 at = ["-500 mm exact, measured", "500 mm exact, measured"]
 radius = ["20 mm exact, measured", "90 mm exact, measured"]
 """
-SWEPT = ("contour_error", "progress_error", "turning_point_error", "tracking_error")
+SWEPT = (
+    "contour_error",
+    "progress_error",
+    "turning_point_error",
+    "tracking_error",
+    "current_peak",
+    "current_rms",
+    "dac_saturation",
+)
 
 
 def found(plan: Plan, names: tuple[str, ...]) -> list[Finding]:

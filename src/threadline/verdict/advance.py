@@ -283,15 +283,17 @@ class _Progress(SweptMeasure):
         keep = max(int(self._places[0]) - 1, 0)
         self._places -= keep
         self._command, self._heading = self._command[keep:], self._heading[keep:]
-        index = np.maximum(self._at - self._number, 0)
-        sides = np.where(self._side > 0.0, "ahead", np.where(self._side < 0.0, "behind", ""))
-        self._worst.offer(
-            np.sqrt(self._squared),
-            time_s=block.time_s[index],
-            operation=block.operations_at(index),
-            position=block.positions_at(index),
-            note=sides.astype(object),
-        )
+        distance_m = np.sqrt(self._squared)
+        if self._worst.is_beaten(distance_m):
+            index = np.maximum(self._at - self._number, 0)
+            sides = np.where(self._side > 0.0, "ahead", np.where(self._side < 0.0, "behind", ""))
+            self._worst.offer(
+                distance_m,
+                time_s=block.time_s[index],
+                operation=block.operations_at(index),
+                position=block.positions_at(index),
+                note=sides.astype(object),
+            )
         self._number += len(block)
 
     def finish(self) -> Sequence[Found]:

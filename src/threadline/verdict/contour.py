@@ -142,15 +142,17 @@ class Contour(SweptMeasure):
         """Take what the sweep found: what is no larger than before is of no interest."""
         found, path = self._part, block.path
         assert found is not None and path is not None and self._left is not None
-        at, part, time_s = found.at, found.part, found.time_s
-        sample = np.maximum(np.where(part <= 0.5, at - 1, at), 0)
-        self._worst.offer(
-            np.sqrt(self._squared),
-            time_s=time_s[at] + part * (time_s[at + 1] - time_s[at]),
-            operation=block.operations_at(sample),
-            line=path.line[found.nearest],
-            position=block.positions_at(sample),
-        )
+        distance_m = np.sqrt(self._squared)
+        if self._worst.is_beaten(distance_m):
+            at, part, time_s = found.at, found.part, found.time_s
+            sample = np.maximum(np.where(part <= 0.5, at - 1, at), 0)
+            self._worst.offer(
+                distance_m,
+                time_s=time_s[at] + part * (time_s[at + 1] - time_s[at]),
+                operation=block.operations_at(sample),
+                line=path.line[found.nearest],
+                position=block.positions_at(sample),
+            )
         self._settle(self._left)
         self._chord += path.first
 

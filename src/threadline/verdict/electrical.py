@@ -5,18 +5,54 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine.controllers import Dac
 from threadline.verdict.finding import Finding, Found, Worst
-from threadline.verdict.largest import add_squares, count_beyond, largest
-from threadline.verdict.measure import Measure
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.measure import SweptMeasure
+from threadline.verdict.samples import Block, Setting, lanes
 
 
-class _CurrentPeak:
+class PeakPart(NamedTuple):
+    """What a sweep over a block takes from the peak current and brings back.
+
+    ``current`` and ``between``, (n, axes, runs), are held against ``zero``, (n, axes); ``between``
+    may be empty. ``size`` and ``at``, (2, axes, runs), are raised to the largest of each and to the
+    first sample that has it, -1 of none.
+    """
+
+    current: FloatArray
+    between: FloatArray
+    zero: FloatArray
+    size: FloatArray
+    at: IntArray
+
+
+class RmsPart(NamedTuple):
+    """What a sweep takes from the mean current: to ``total``, (axes, runs), squares are added."""
+
+    current: FloatArray
+    total: FloatArray
+
+
+class DacPart(NamedTuple):
+    """What a sweep takes from the clamped samples and brings back.
+
+    ``beyond``, (axes, runs), grows by the (n, axes, runs) values of at least (axes,) ``limit``;
+    ``first`` is set to the number of the first of all, the first of the block being ``begin``.
+    """
+
+    voltage: FloatArray
+    limit: FloatArray
+    beyond: IntArray
+    first: IntArray
+    begin: int
+
+
+class _CurrentPeak(SweptMeasure):
     """Per axis: the largest absolute current of its motor, in A.
 
     Between samples too where the recording has a channel ``AXIS.current_peak``. The note says which
@@ -29,15 +65,34 @@ class _CurrentPeak:
         self._drives = [machine.controller_of(axis).drive for axis in setting.axes]
         count = len(setting.axes)
         self._worst = [Worst(setting.runs, count, axis) for axis in setting.axes]
+        self._part: PeakPart | None = None
+
+    def part(self, block: Block) -> PeakPart:
+        """Return what the sweep needs: samples, and the largest between them where it is known."""
+        assert block.current is not None
+        current = lanes(block.current)
+        # Of some axes it may be recorded, of others not.
+        between = current[:0] if block.current_peak is None else lanes(block.current_peak)
+        shape = 2, *current.shape[1:]
+        self._part = PeakPart(
+            current=current,
+            between=between,
+            zero=np.zeros(current.shape[:2]),
+            size=np.full(shape, -np.inf),
+            at=np.full(shape, -1, dtype=np.int64),
+        )
+        return self._part
 
     def feed(self, block: Block) -> None:
-        assert block.current is not None
-        sizes, at = largest(block.current)
-        if block.current_peak is not None:  # of some axes it may be recorded, of others not
-            between, at_peak = largest(block.current_peak)
-            sooner = (between > sizes) | ((between == sizes) & (at_peak < at))
-            sizes, at = np.where(sooner, between, sizes), np.where(sooner, at_peak, at)
+        """Take what the sweep found; of equals the sooner one."""
+        assert self._part is not None
+        (sizes, between), (at, at_peak) = self._part.size, self._part.at
+        self._part = None
+        sooner = (between > sizes) | ((between == sizes) & (at_peak < at))
+        sizes, at = np.where(sooner, between, sizes), np.where(sooner, at_peak, at)
         for column, worst in enumerate(self._worst):
+            if not worst.is_beaten(sizes[column]):
+                continue
             worst.offer(
                 sizes[column],
                 time_s=block.time_s[at[column]],
@@ -46,6 +101,7 @@ class _CurrentPeak:
             )
 
     def finish(self) -> Sequence[Found]:
+        """Return what was found of every axis."""
         found = [worst.found() for worst in self._worst]
         limits = [np.nan if limit is None else limit.si for limit in self._limits]
         shares = np.array([f.value / limit for f, limit in zip(found, limits, strict=True)])
@@ -70,7 +126,7 @@ class _CurrentPeak:
         return replace(finding, note=note)
 
 
-class _CurrentRms:
+class _CurrentRms(SweptMeasure):
     """Per axis: the root mean square of the motor's current over the recording, in A."""
 
     def __init__(self, setting: Setting) -> None:
@@ -78,12 +134,17 @@ class _CurrentRms:
         self._sum: FloatArray = np.zeros((len(setting.axes), setting.runs))
         self._count = 0
 
-    def feed(self, block: Block) -> None:
+    def part(self, block: Block) -> RmsPart:
+        """Return what the sweep needs."""
         assert block.current is not None
-        add_squares(block.current, self._sum)
+        return RmsPart(lanes(block.current), self._sum)
+
+    def feed(self, block: Block) -> None:
+        """Count the samples that the sweep has added."""
         self._count += len(block)
 
     def finish(self) -> Sequence[Found]:
+        """Return what was found of every axis."""
         mean = self._sum / max(self._count, 1)
         return [
             _plain(axis, np.sqrt(row))
@@ -99,7 +160,7 @@ def _plain(axis: str, values: FloatArray) -> Found:
     return found.found()
 
 
-class _DacSaturation:
+class _DacSaturation(SweptMeasure):
     """Per axis: the fraction of samples at which the controller's output is at its clamp.
 
     At the clamp the loop is open. The clamp is ``range`` minus one level on the positive side
@@ -120,9 +181,13 @@ class _DacSaturation:
         self._where = [Worst(setting.runs, shape[0], axis) for axis in setting.axes]
         self._count = 0
 
-    def feed(self, block: Block) -> None:
+    def part(self, block: Block) -> DacPart:
+        """Return what the sweep needs."""
         assert block.voltage is not None
-        count_beyond(block.voltage, self._clamp, self._clamped, self._first, self._count)
+        return DacPart(lanes(block.voltage), self._clamp, self._clamped, self._first, self._count)
+
+    def feed(self, block: Block) -> None:
+        """Note where the first samples at the clamp were."""
         for column, where in enumerate(self._where):
             at = self._first[column] - self._count
             fresh = at >= 0
@@ -137,6 +202,7 @@ class _DacSaturation:
         self._count += len(block)
 
     def finish(self) -> Sequence[Found]:
+        """Return what was found of every axis."""
         if not self._count:
             return []
         return [
@@ -155,16 +221,16 @@ class _DacSaturation:
         return replace(first, value=clamped / self._count, note=note)
 
 
-def start_current_peak(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
+def start_current_peak(setting: Setting, options: Mapping[str, float]) -> SweptMeasure:  # noqa: ARG001
     """Begin measuring the peak current."""
     return _CurrentPeak(setting)
 
 
-def start_current_rms(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
+def start_current_rms(setting: Setting, options: Mapping[str, float]) -> SweptMeasure:  # noqa: ARG001
     """Begin measuring the root mean square current."""
     return _CurrentRms(setting)
 
 
-def start_dac_saturation(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
+def start_dac_saturation(setting: Setting, options: Mapping[str, float]) -> SweptMeasure:  # noqa: ARG001
     """Begin counting the samples at the clamp."""
     return _DacSaturation(setting)

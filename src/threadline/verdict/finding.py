@@ -229,6 +229,10 @@ class Worst:
             self._position[at] = position if position.ndim == 1 else position[at]
         self._note[at] = _of(note, at)
 
+    def is_beaten(self, value: FloatArray) -> bool:
+        """Say whether any of (runs,) values is worse than the one that is kept."""
+        return bool((value > self.value).any())
+
     def say(self, note: str) -> None:
         """Say of every run without a value why it has none."""
         self._note[np.isneginf(self.value)] = note

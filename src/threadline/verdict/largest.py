@@ -58,8 +58,8 @@ def _count_beyond(
 
 
 raise_to_farthest = njit(nogil=True)(_largest)
-_add_squares_fast = njit(nogil=True)(_add_squares)
-_count_beyond_fast = njit(nogil=True)(_count_beyond)
+add_squares = njit(nogil=True)(_add_squares)
+count_beyond = njit(nogil=True)(_count_beyond)
 
 
 def largest(values: FloatArray, reference: FloatArray | None = None) -> tuple[FloatArray, IntArray]:
@@ -77,18 +77,3 @@ def largest(values: FloatArray, reference: FloatArray | None = None) -> tuple[Fl
     against = np.zeros((samples, axes)) if reference is None else np.ascontiguousarray(reference)
     raise_to_farthest(rows, against, best, at, 0)
     return best, at
-
-
-def add_squares(values: FloatArray, total: FloatArray) -> None:
-    """Add the squares of (n, runs, axes) values to (axes, runs) ``total``, in their order."""
-    _add_squares_fast(lanes(values), total)
-
-
-def count_beyond(
-    values: FloatArray, limit: FloatArray, count: IntArray, first: IntArray, begin: int
-) -> None:
-    """Count the (n, runs, axes) values of at least (axes,) ``limit`` in (axes, runs) ``count``.
-
-    ``first`` is set to the number of the first of them, the block's first sample being ``begin``.
-    """
-    _count_beyond_fast(lanes(values), limit, count, first, begin)

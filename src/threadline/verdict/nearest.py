@@ -129,6 +129,38 @@ def _most_between(
     return float((0.5 * (np.sqrt(first) + np.sqrt(second) + np.sqrt(squared))) ** 2)
 
 
+_most_between_fast = njit(nogil=True)(_most_between)
+
+
+def _none_farther(
+    here: FloatArray,
+    there: FloatArray,
+    known: int,
+    chord: int,
+    vertices: FloatArray,
+    share: FloatArray,
+    least: float,
+) -> bool:
+    """Say whether it is plain that no place between two points is farther than ``least``, squared.
+
+    ``known`` is a chord near the first point, ``chord`` one near the second.
+    """
+    # One chord that is near both ends is enough: no place of the way is farther from it.
+    second = weighed_to_segment(there, vertices[chord - 1], vertices[chord], share)
+    other = weighed_to_segment(here, vertices[chord - 1], vertices[chord], share)
+    if max(other, second) <= least:
+        return True
+    # Nor is any farther than half of the way and of the distances of both ends.
+    first = weighed_to_segment(here, vertices[known - 1], vertices[known], share)
+    if _most_between_fast(first, second, here, there, share) <= least:
+        return True
+    if abs(chord - known) != 1:
+        return False
+    # The vertex between the chords parts the way: each part is near its own chord at both ends.
+    joint = weighed_to_segment(vertices[min(known, chord)], here, there, share)
+    return max(first, second, joint) <= least
+
+
 def _alike(first: IntArray, second: IntArray) -> bool:
     """Say whether all numbers are the same; makes no array of it."""
     others = 0
@@ -137,7 +169,7 @@ def _alike(first: IntArray, second: IntArray) -> bool:
     return others == 0
 
 
-_most_between_fast = njit(nogil=True)(_most_between)
+_none_farther_fast = njit(nogil=True)(_none_farther)
 _alike_fast = njit(nogil=True)(_alike)
 
 
@@ -181,16 +213,9 @@ def _between(
                 if share is not None:
                     of[a] = share[i, a, r]
             least = max(worst[r], _NOTHING_M2)
-            # One chord that is near both ends is enough: no place of the way is farther from it.
-            c = chord[i, r]
-            first = weighed_to_segment(here, vertices[c - 1], vertices[c], of)
-            second = weighed_to_segment(there, vertices[c - 1], vertices[c], of)
-            if max(first, second) <= least:
-                continue
-            # Nor is any farther than half of the way and of the distances of both ends.
-            c = max(known[r], low)
-            first = weighed_to_segment(here, vertices[c - 1], vertices[c], of)
-            if _most_between_fast(first, second, here, there, of) <= least:
+            if _none_farther_fast(
+                here, there, max(known[r], low), chord[i, r], vertices, of, least
+            ):
                 continue
             left = 1
             lows[0], highs[0] = 0.0, 1.0

@@ -108,6 +108,12 @@ class Block:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    @property
+    def runs(self) -> int:
+        """How many runs stand side by side."""
+        of_runs = (self.actual, self.own, self.voltage, self.current)
+        return next((values.shape[1] for values in of_runs if values is not None), 1)
+
     def window(self) -> tuple[PathWindow, IntArray, IntArray]:
         """Return the path, and ``begin`` and ``end`` counted within what it holds."""
         assert self.path is not None and self.begin is not None and self.end is not None

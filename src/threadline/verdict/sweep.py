@@ -16,7 +16,8 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.verdict.advance import ProgressPart, move_on
 from threadline.verdict.contour import ContourPart, raise_to_samples
-from threadline.verdict.largest import raise_to_farthest
+from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
+from threadline.verdict.largest import add_squares, count_beyond, raise_to_farthest
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.nearest import (
     between,
@@ -30,6 +31,7 @@ from threadline.verdict.turning import TurningPart, follow_turnings
 
 PartT = TypeVar("PartT", bound=NamedTuple)
 
+_OF_DRIVES = {PeakPart, RmsPart, DacPart}
 _AT_ONCE = 1 << 12
 """Samples times runs that are brought in together."""
 
@@ -130,7 +132,24 @@ def _sweep(
         contour.point[:], contour.chord[:] = points[0], chord[0]
 
 
+def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> None:
+    """Let every measure of drives take its samples; one without samples is not there."""
+    samples = max(len(peak.current), len(rms.current), len(dac.voltage))
+    for low in range(0, samples, at_once):
+        own = slice(low, low + at_once)
+        if len(peak.current):
+            zero = peak.zero[own]
+            raise_to_farthest(peak.current[own], zero, peak.size[0], peak.at[0], low)
+            if len(peak.between):
+                raise_to_farthest(peak.between[own], zero, peak.size[1], peak.at[1], low)
+        if len(rms.current):
+            add_squares(rms.current[own], rms.total)
+        if len(dac.voltage):
+            count_beyond(dac.voltage[own], dac.limit, dac.beyond, dac.first, dac.begin + low)
+
+
 _sweep_fast = njit(nogil=True)(_sweep)
+_sweep_drives_fast = njit(nogil=True)(_sweep_drives)
 
 
 _NONE, _NO_NUMBERS = np.empty(0), np.empty(0, dtype=np.int64)
@@ -151,6 +170,15 @@ _NO_TURNING = TurningPart(
     closed=_NO_NUMBERS,
 )  # fmt: skip
 _NO_TRACKING = TrackingPart(command=_NO_ROWS, size=_NO_ROWS, at=_NO_ROWS_OF_NUMBERS)
+_NO_SAMPLES = np.empty((0, 0, 0))
+_NO_PEAK = PeakPart(
+    current=_NO_SAMPLES, between=_NO_SAMPLES, zero=_NO_ROWS, size=_NO_SAMPLES,
+    at=np.empty((0, 0, 0), dtype=np.int64),
+)  # fmt: skip
+_NO_RMS = RmsPart(current=_NO_SAMPLES, total=_NO_ROWS)
+_NO_DAC = DacPart(
+    voltage=_NO_SAMPLES, limit=_NONE, beyond=_NO_ROWS_OF_NUMBERS, first=_NO_ROWS_OF_NUMBERS, begin=0
+)
 """Parts of measures that take no part: compiled code is the same with and without them."""
 
 
@@ -163,6 +191,16 @@ def _that(parts: Mapping[type, NamedTuple], none: PartT) -> PartT:
 
 def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     """Sweep over a block for one part of each kind at most."""
+    at_once = max(_AT_ONCE // block.runs, 1)
+    if not parts.keys().isdisjoint(_OF_DRIVES):
+        peak, rms, dac = _that(parts, _NO_PEAK), _that(parts, _NO_RMS), _that(parts, _NO_DAC)
+        _sweep_drives_fast(peak, rms, dac, at_once)
+    if not parts.keys() <= _OF_DRIVES:
+        _over_places(block, parts, at_once)
+
+
+def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -> None:
+    """Sweep over the places of a block."""
     assert block.actual is not None
     actual = lanes(block.actual)
     axes = (0,) * actual.shape[1]
@@ -186,7 +224,7 @@ def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
         _that(parts, _NO_PROGRESS._replace(axes=axes)),
         _that(parts, _NO_TURNING),
         _that(parts, _NO_TRACKING),
-        max(_AT_ONCE // actual.shape[2], 1),
+        at_once,
     )
 
 

@@ -66,7 +66,7 @@ class _Tracking(SweptMeasure):
 
     def _offer(self, block: Block, size: FloatArray, at: IntArray, *, own: bool) -> None:
         for column, mine in enumerate(self._own):
-            if mine == own:
+            if mine == own and self._worst[column].is_beaten(size[column]):
                 self._worst[column].offer(
                     size[column],
                     time_s=block.time_s[at[column]],
