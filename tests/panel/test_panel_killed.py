@@ -261,6 +261,7 @@ def test_a_server_that_hangs_is_a_server_that_is_gone(project: Path, tmp_path: P
         os.kill(plant.server, signal.SIGCONT)
         seen: dict[str, Any] = anna.see("idle")
         assert seen["progress"]["ended"] == "stopped"
+        assert seen["progress"]["why"] == "stopped by the panel, whose web server was silent"
         assert anna.x_mm() - at_mm <= 36.2 * SPEED * (1.0 + 1.0) + 5.0
         os.kill(plant.server, signal.SIGKILL)
         os.waitpid(plant.server, 0)

@@ -17,6 +17,8 @@ from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 from threadline.signals import Ended
 
+OPERATOR = "the operator"
+
 
 class AtRest:
     """What an executor does between motions.
@@ -38,6 +40,8 @@ class AtRest:
         Last sample of each channel that the machine has reported.
     stops
         Number of stops that were heard, in any state.
+    stopped_by
+        Who is said to have stopped what moves, where it is stopped.
     """
 
     def __init__(self, link: Connection, machine: Machine, desk: Desk, sink: Sink) -> None:
@@ -53,6 +57,7 @@ class AtRest:
         self._stands = np.zeros(len(machine.axes), dtype=np.int64)
         self._began = self._stands  # where the run began
         self.stops = 0
+        self.stopped_by = OPERATOR
         self._number = 0  # of runs and jogs since the machine greeted
 
     @property

@@ -246,7 +246,7 @@ class Executor(AtRest):
         self._go(cause)
         if cause is Cause.STOP and moving:
             self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
-            self.ended = self.ended or (Ended.STOPPED, "stopped by the operator")
+            self.ended = self.ended or (Ended.STOPPED, f"stopped by {self.stopped_by}")
             self._brake()
         elif cause is Cause.HOLD:
             if self._hold_at_rest and not isinstance(self._ahead, JogAhead | None):

@@ -14,6 +14,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import CommandError, LinkFaultError
+from threadline.live.at_rest import OPERATOR
 from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_trace import ReportTrace
@@ -72,7 +73,7 @@ class GrblRun:
         self.controller, self._desk, self._sink = controller, desk, sink
         self._port, self._machine = controller.port, controller.machine
         machine = self._machine
-        self.state, self.stops = State.DISABLED, 0
+        self.state, self.stops, self.stopped_by = State.DISABLED, 0, OPERATOR
         self._at: FloatArray = np.zeros(len(machine.axes))
         self._asked_s = self._heard_s = 0.0
         self._none = program_of(b"", machine.axis_names, np.ones(len(machine.axes)), self._at)
@@ -222,7 +223,7 @@ class GrblRun:
         moving = self.state in MOVING
         self._go(cause)
         if cause is Cause.STOP and moving:
-            self.ended = (Ended.STOPPED, "stopped by the operator")
+            self.ended = (Ended.STOPPED, f"stopped by {self.stopped_by}")
             self._brake()
         elif cause is Cause.HOLD:
             self._port.send(HOLD)

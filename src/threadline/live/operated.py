@@ -52,6 +52,8 @@ class Operated(Protocol):
     over: bool
     late_ticks: int
     latest: Mapping[str, float]
+    stopped_by: str
+    """Who is said to have stopped what moves, where it is stopped."""
     meanwhile: Callable[[], None]
     """Called again and again while the machine homes, where that is waited for here."""
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from threadline.errors import CommandError, LinkFaultError, ThreadlineError
+from threadline.live.at_rest import OPERATOR
 from threadline.live.desk import Desk
 from threadline.live.operated import Operated
 from threadline.live.states import TRANSITIONS, Cause, State
@@ -114,11 +115,17 @@ class Owner:
                 break
             self._heard_s = time.monotonic()
             if message.kind == "stop":
+                self._executor.stopped_by = OPERATOR
                 self._stop()
             elif message.kind != "alive":
                 self._asked.append(_Asked(message.kind, message.head, self._stops))
                 self._desk.wake()
         self._leaving = True
+        self._stop_for("the panel, whose web server has ended")
+
+    def _stop_for(self, whom: str) -> None:
+        """Stop, and have it recorded that no operator did."""
+        self._executor.stopped_by = whom
         self._stop()
 
     def _stop(self) -> None:
@@ -129,7 +136,7 @@ class Owner:
         silent_s = time.monotonic() - self._heard_s
         if silent_s > SILENT_S and self._executor.under_way:
             self._heard_s = time.monotonic()
-            self._stop()
+            self._stop_for("the panel, whose web server was silent")
             self._say("said", text="the web server is silent: stopped", wrong=True)
 
     def _take_requests(self) -> None:
