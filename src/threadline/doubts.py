@@ -5,13 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import islice
 
-import numpy as np
-
 from threadline.described import PROGRAMMED
-from threadline.errors import Place
-from threadline.jobs.operations import FeedMode, Job, MoveRun, move_runs
-from threadline.machine import Machine
-from threadline.machine.motion_planner import LinuxCncPlanner
+from threadline.jobs.operations import FeedMode, Job, MoveRun
 from threadline.option_words import parse_tolerance_m
 from threadline.path.interpolations import KEEPING_TOLERANCE, on_chords
 from threadline.pipeline import Proof
@@ -24,7 +19,6 @@ LIMIT = 0.05
 """Relative error of the time of a stitch up to which no warning is given, where the specification
 has no limit of ``stitch_length_error``."""
 _RUNS = 16
-_BEND = 1e-6  # of a direction: less is straight on
 _ROUNDING = 1e-6  # relative: of what is measured on points of the path
 
 
@@ -54,53 +48,7 @@ def tolerance_warnings(plan: Plan) -> list[str]:
 
 
 def proof_warnings(proof: Proof) -> list[str]:
-    """Return warnings of a proof's plan: it leaves the program, or its planner is not all there."""
-    if proof.plan.options.get("interpolation") == "firmware":
-        return arc_warnings(proof.plan.job, proof.plan.machine)
-    return _leaves(proof)
-
-
-def arc_warnings(job: Job, machine: Machine) -> list[str]:
-    """Return a line where LinuxCNC passes a corner faster than its planner here does.
-
-    Moves of X, Y and Z alone meet so, two of them that follow each other: where they bend it rounds
-    the corner by an arc, and after G61 it goes on where they do not; measured in
-    ``docs/interpolations.md``.
-    """
-    planner = machine.planner
-    if not isinstance(planner, LinuxCncPlanner):
-        return []
-    others = [axis not in "XYZ" for axis in job.axes]
-    place = np.array(job.start)
-    for run in move_runs(job):
-        if not isinstance(run, MoveRun):
-            continue
-        way = np.diff(run.targets, axis=0, prepend=place[None])
-        place = run.targets[-1]
-        moves = way.any(axis=1)
-        way, line = way[moves], run.line[moves]
-        alone = np.asarray((way[:, others] == 0.0).all(axis=1))
-        along = way / np.linalg.norm(way, axis=1)[:, None]
-        bends = np.asarray(np.linalg.norm(np.diff(along, axis=0), axis=1) > _BEND)
-        faster = ~bends if planner.exact_stop else bends
-        corners = np.flatnonzero(alone[1:] & alone[:-1] & faster)
-        if len(corners):
-            where = Place(run.file, int(line[corners[0] + 1]))
-            if planner.exact_stop:
-                return [
-                    f"{where}: LinuxCNC does not stop between moves of X, Y and Z alone that go "
-                    "straight on, after G61 neither; its planner here does: it takes less time "
-                    "than is told"
-                ]
-            return [
-                f"{where}: LinuxCNC rounds corners between moves of X, Y and Z alone by arcs, "
-                "which its planner here has not: it takes less time than is told, down to half "
-                "where moves are short"
-            ]
-    return []
-
-
-def _leaves(proof: Proof) -> list[str]:
+    """Return the line of ``tolerance_warnings`` for a proof, whose verdict has the deviation."""
     found = [r for r in proof.verdict.results if r.name == "path_deviation"]
     if not found or found[0].measured is None or _keeps(proof.plan):
         return []

@@ -20,7 +20,7 @@ from threadline.machine import Machine
 _DEBIANS = "/usr/bin/python3"  # which has the module of LinuxCNC
 _CYCLE_S = 1e-3
 _REST = 300  # cycles: the pause before the moves that count
-_BEFORE = "G0 X0 A0\nG4 P0.4\n"
+_BEFORE = "G0 {first}0 {second}0\nG4 P0.4\n"
 _INI = """[EMC]
 MACHINE = measured
 VERSION = 1.1
@@ -40,7 +40,7 @@ CYCLE_TIME = 0.005
 HALFILE = measured.hal
 [TRAJ]
 SPINDLES = 1
-COORDINATES = X A
+COORDINATES = {first} {second}
 LINEAR_UNITS = mm
 ANGULAR_UNITS = degree
 MAX_LINEAR_VELOCITY = 1e4
@@ -50,7 +50,7 @@ MAX_LINEAR_ACCELERATION = 1e5
 EMCIO = io
 CYCLE_TIME = 0.100
 [KINS]
-KINEMATICS = trivkins coordinates=XA
+KINEMATICS = trivkins coordinates={first}{second}
 JOINTS = 2
 """
 _AXIS = """[AXIS_{axis}]
@@ -120,20 +120,23 @@ for program in sorted(folder.glob("*.ngc")):
 
 
 def times_on_linuxcnc(programs: dict[str, str], machine: Machine, folder: Path) -> dict[str, float]:
-    """Return the time of each program, in s, on axes with the limits of X and A of ``machine``.
+    """Return the time of each program, in s, on the two axes of ``machine``.
 
     Parameters
     ----------
     programs
         Moves from zero on, by name.
     """
-    text = _INI.format(folder=folder)
-    for joint, (axis, scale) in enumerate((("X", 1e3), ("A", float(np.degrees(1.0))))):
+    first, second = machine.axis_names
+    text = _INI.format(folder=folder, first=first, second=second)
+    for joint, axis in enumerate((first, second)):
         own = machine.axes[axis]
+        turns = axis in machine.rotary
+        scale = float(np.degrees(1.0)) if turns else 1e3
         limits = _LIMITS.format(
             velocity=own.velocity.si * scale, acceleration=own.acceleration.si * scale
         )
-        kind = "LINEAR" if axis == "X" else "ANGULAR"
+        kind = "ANGULAR" if turns else "LINEAR"
         text += _AXIS.format(axis=axis, joint=joint, kind=kind, limits=limits)
     (folder / "measured.ini").write_text(text)
     (folder / "measured.hal").write_text(_HAL)
@@ -142,7 +145,8 @@ def times_on_linuxcnc(programs: dict[str, str], machine: Machine, folder: Path) 
     drive.write_text(_DRIVE.format(python=_DEBIANS, folder=str(folder)))
     drive.chmod(0o755)
     for name, moves in programs.items():
-        (folder / f"{name}.ngc").write_text(f"G21 G90 G94\n{_BEFORE}{moves}M2\n")
+        before = _BEFORE.format(first=first, second=second)
+        (folder / f"{name}.ngc").write_text(f"G21 G90 G94\n{before}{moves}M2\n")
     # Its real-time part refuses to be of root without another user to fall back on, who then needs
     # a folder of his own.
     with tempfile.TemporaryDirectory() as theirs, one_hal():

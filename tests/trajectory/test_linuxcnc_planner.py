@@ -17,7 +17,6 @@ import pytest
 
 from tests.jobs.made_machines import made_machine
 from tests.trajectory.linuxcnc_headless import times_on_linuxcnc
-from threadline.doubts import arc_warnings
 from threadline.errors import MachineError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
@@ -25,7 +24,6 @@ from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.path import plan_path, programmed_path
 from threadline.trajectory import plan_trajectory
-from threadline.trajectory.firmware import moves_in_hand
 from threadline.trajectory.types import Trajectory
 
 FEW = "G1 X20 A100 F1800\nX40 A250\nX60 A350\nX40 A450\nX0 A500\n"
@@ -69,7 +67,7 @@ MEASURED_S = {
     ("short", "G64 P0.1"): 7.034,
     ("short", "G64"): 5.929,
     ("short", "G64 P0.01"): 7.543,
-    ("to and fro", "G64"): 8.107,  # with ARC_BLEND_ENABLE = 0
+    ("to and fro", "G64"): 9.400,  # of its planner alone, as in test_linuxcnc_plane
 }
 PROGRAMS = {"few": FEW, "circuits": circuits(), "short": short_moves(), "to and fro": to_and_fro()}
 
@@ -116,14 +114,16 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 
 def planner(words: str) -> LinuxCncPlanner:
-    """The planner after G61, G64 or G64 P."""
+    """The planner after G61, G64, G64 P or G64 P Q."""
     if words == "G61":
         return LinuxCncPlanner(kind="linuxcnc", exact_stop=True)
     if words == "G64":
         return LinuxCncPlanner(kind="linuxcnc")
-    p_mm = words.removeprefix("G64 P")
+    p_mm, _, q_mm = words.removeprefix("G64 P").partition(" Q")
     return LinuxCncPlanner(
-        kind="linuxcnc", tolerance=parse_machine_quantity(f"{p_mm} mm exact, assumed", ("m",))
+        kind="linuxcnc",
+        tolerance=parse_machine_quantity(f"{p_mm} mm exact, assumed", ("m",)),
+        cam_tolerance=parse_machine_quantity(f"{q_mm} mm exact, assumed", ("m",)) if q_mm else None,
     )
 
 
@@ -166,12 +166,9 @@ STOPS_S = {"square": 5.554, "bends": 2.621}  # LinuxCNC
 
 @pytest.mark.parametrize("name", STOPS)
 def test_moves_of_a_plane_take_longer_after_g61(tmp_path: Path, plane: Machine, name: str) -> None:
-    """By the tenth of their acceleration that corners take: without it they are 1 to 5 % off.
-
-    Every stop costs it half a cycle more, which are 0.5 % of the short moves.
-    """
+    """By the tenth of their acceleration that corners take: without it they are 1 to 5 % off."""
     found = planned(tmp_path, plane, STOPS[name], "G61").duration_s
-    assert found == pytest.approx(STOPS_S[name], rel=6e-3)
+    assert found == pytest.approx(STOPS_S[name], rel=1e-3)
 
 
 def test_speeds_do_not_step_and_accelerations_are_kept(tmp_path: Path, machine: Machine) -> None:
@@ -182,7 +179,7 @@ def test_speeds_do_not_step_and_accelerations_are_kept(tmp_path: Path, machine: 
     leaves = (c[:, 1] + 2.0 * c[:, 2]) / lasts
     assert np.abs(leaves[:-1] - (c[:, 1] / lasts)[1:]).max() < 1e-9
     limits = np.array([machine.axes[axis].acceleration.si for axis in ("X", "A")])
-    assert (np.abs(2.0 * c[:, 2] / lasts**2) <= limits * (1.0 + 1e-9)).all()
+    assert (np.abs(2.0 * c[:, 2] / lasts**2) <= limits * (1.0 + 1e-6)).all()
 
 
 def test_a_corner_is_left_within_the_tolerance(tmp_path: Path, machine: Machine) -> None:
@@ -190,40 +187,7 @@ def test_a_corner_is_left_within_the_tolerance(tmp_path: Path, machine: Machine)
     for p_mm in (0.5, 0.1, 0.02):
         motion = planned(tmp_path, machine, "G1 F3000 X20 A100\nX0 A200\n", f"G64 P{p_mm}")
         x = motion(np.linspace(0.0, motion.duration_s, 20_001))[:, 0] * 1e3
-        assert 0.2 * p_mm < 20.0 - x.max() <= p_mm
-
-
-def test_moves_in_parts_are_those_of_the_whole(
-    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole = planned(tmp_path, machine, PROGRAMS["short"], "G64 P0.1")
-    times = np.linspace(0.0, whole.duration_s, 3001)
-    places = whole(times)
-    monkeypatch.setattr(moves_in_hand, "AT_ONCE", 3)
-    again = planned(tmp_path, machine, PROGRAMS["short"], "G64 P0.1")
-    assert again.duration_s == pytest.approx(whole.duration_s, rel=1e-12)
-    assert np.abs(again(times) - places).max() < 1e-12
-
-
-@pytest.mark.parametrize(
-    ("program", "words", "line"),
-    [
-        ("G1 F3000 X20 A100\nX10\nX30\nX40 A300\n", "G64 P0.1", 4),
-        ("G1 F3000 X20\nX30\nX40 A9\nX0 A20\n", "G64", None),  # straight on, then A turns
-        ("G1 F3000 X20\nG4 P1\nA10\nX0\n", "G64", None),
-        ("G1 F3000 X20 A100\nX10\nX30\n", "G61", None),
-        ("G1 F3000 X20 A100\nX10\nX30\nX40\n", "G61", 5),
-    ],
-)
-def test_a_corner_that_linuxcnc_passes_faster_is_told(
-    tmp_path: Path, machine: Machine, program: str, words: str, line: int | None
-) -> None:
-    """It passes such corners faster than its planner here does."""
-    path = tmp_path / "job.ngc"
-    path.write_text(f"G21 G90 G94\n{program}M2\n")
-    chosen = replace(machine, planner=planner(words))
-    told = arc_warnings(read_job(path, chosen), chosen)
-    assert [said.partition(": ")[0] for said in told] == ([f"job.ngc:{line}"] if line else [])
+        assert 0.2 * p_mm < 20.0 - x.max() <= p_mm * (1.0 + 1e-6)
 
 
 def test_a_tolerance_and_stops_do_not_go_together(tmp_path: Path, machine: Machine) -> None:

@@ -37,7 +37,7 @@ from threadline.cli.shared_options import (
 )
 from threadline.cli.told import note
 from threadline.cli.warn import warn
-from threadline.doubts import arc_warnings, tolerance_warnings
+from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.pipeline import open_job, plan_job, target_of, write
@@ -142,8 +142,7 @@ def compile_(
             remedy=f"Use {' or '.join(name for name in own if own[name].takes_shaped)}.",
         )
     plan = plan_job(open_job(job, chosen, options), chosen, options)
-    arcs = arc_warnings(plan.job, chosen) if target == "linuxcnc" else []
-    more = [*plan.intent.warnings, *tolerance_warnings(plan), *arcs]
+    more = [*plan.intent.warnings, *tolerance_warnings(plan)]
     warn(chosen, plan.job, more, own_feed=options.feed is None)
     with together(out):
         files = write(plan, target, out)

@@ -134,26 +134,37 @@ class RepRapPlanner:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class LinuxCncPlanner:
-    """LinuxCNC's trajectory planner: moves that overlap, without look-ahead.
+    """LinuxCNC's trajectory planner: arcs in corners, moves that overlap, 50 moves of look-ahead.
 
-    ``tolerance`` is P of G64; without it moves overlap as far as their accelerations allow. With
-    ``exact_stop`` (G61) every move ends at rest.
+    ``tolerance`` is P of G64; without it corners are left as far as accelerations allow.
+    ``cam_tolerance`` is Q, within which moves become one: P when left out, 0 for none. With
+    ``exact_stop`` (G61) every move ends at rest, unless the next goes straight on.
     """
 
     kind: Literal["linuxcnc"]
     tolerance: Deviation | None = None
+    cam_tolerance: Deviation | None = None
     exact_stop: StrictBool = False
 
     @model_validator(mode="after")
     def _one_mode(self) -> LinuxCncPlanner:
         if self.exact_stop and self.tolerance is not None:
             raise ValueError("with exact_stop (G61) there is no tolerance (G64 P): take one out")
+        if self.exact_stop and self.cam_tolerance is not None:
+            raise ValueError(
+                "with exact_stop (G61) there is no cam_tolerance (G64 Q): take one out"
+            )
         return self
 
     @property
     def tolerance_m(self) -> float:
         """P, 0 for none."""
         return 0.0 if self.tolerance is None else self.tolerance.si
+
+    @property
+    def cam_tolerance_m(self) -> float:
+        """Q, 0 for none."""
+        return self.tolerance_m if self.cam_tolerance is None else self.cam_tolerance.si
 
 
 FirmwarePlanner = Annotated[

@@ -80,7 +80,7 @@ class MovesInHand(ABC):
         return TrajectoryBlock(
             start_s=begin[:-1],
             duration_s=duration,
-            coefficients=coefficients.reshape(parts * count, 3, -1)[lasts],
+            coefficients=coefficients.reshape(parts * count, *coefficients.shape[2:])[lasts],
             operation=np.repeat(operation, parts)[lasts],
         )
 

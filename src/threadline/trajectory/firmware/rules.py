@@ -28,8 +28,7 @@ from threadline.trajectory.firmware.junctions import (
 )
 
 MM = 1e3  # firmwares count in mm and degrees
-_LINEAR, _SECOND, _TURNING = "XYZ", "UVW", "ABC"
-_SERVO_S, _SHARP_DEG, _KINK = 1e-3, 2.0, 0.1  # as LinuxCNC comes
+LINEAR, _SECOND, _TURNING = "XYZ", "UVW", "ABC"
 _INSTANT = 1.0  # mm/s or deg/s: Klipper's own default for axes beside X Y Z
 
 
@@ -126,40 +125,6 @@ class Rules:
         top = np.minimum(moves.speed[1:], moves.speed[:-1]) ** 2
         return np.concatenate(([0.0], np.minimum(between, top)))
 
-    def half_angles(self, way: FloatArray) -> FloatArray:
-        """Return (n - 1,) cos(theta) of the corners of (n, axes) ``way``, as LinuxCNC has them.
-
-        2 theta is the angle between the moves in X, Y, Z, pi where they go straight on. A move that
-        leaves these at rest counts as one along X.
-        """
-        straight = way[:, [axis in _LINEAR for axis in self.axes]]
-        length = np.linalg.norm(straight, axis=1)
-        rests = length == 0.0
-        tangent = np.zeros((len(way), len(_LINEAR)))
-        columns = [_LINEAR.index(axis) for axis in self.axes if axis in _LINEAR]
-        tangent[:, columns] = straight / np.where(rests, 1.0, length)[:, None]
-        tangent[rests, 0] = 1.0
-        along = (tangent[1:] * tangent[:-1]).sum(axis=1)
-        return np.asarray(np.sqrt(np.maximum(0.5 * (1.0 - along), 0.0)))
-
-    def kinks(self, moves: Moves, rapid: NDArray[np.bool_]) -> FloatArray:
-        """Return by which (n - 1,) shares LinuxCNC takes acceleration from both moves of a corner.
-
-        After G61 it still measures, at each corner between moves of X, Y and Z alone, the
-        acceleration of turning within a servo cycle of 1 ms, as a share of what its axes have, and
-        takes that off theirs, a tenth at most (``[TRAJ]ARC_BLEND_KINK_RATIO``). It does not where
-        a rapid move and one at a feed meet, and where a move goes back within 2 degrees.
-        """
-        plane = self._plane
-        alone = ((moves.direction != 0.0) <= (plane > 0.0)).all(axis=1)
-        meets = alone[1:] & alone[:-1] & (rapid[1:] == rapid[:-1])
-        back = ((moves.direction[1:] + moves.direction[:-1]) ** 2 * plane).sum(axis=1)
-        speed = np.minimum(moves.speed[1:], moves.speed[:-1])
-        turns = np.abs(np.diff(moves.direction, axis=0)) * plane / self.acceleration
-        share = turns.max(axis=1) * (speed / _SERVO_S + moves.acceleration[1:])
-        meets &= back >= np.radians(_SHARP_DEG) ** 2
-        return np.asarray(np.where(meets, np.minimum(share, _KINK), 0.0))
-
     def _of_axes(self, said: Mapping[str, Quantity], default: float = np.inf) -> FloatArray:
         """Return the (axes,) values of ``said``; ``default`` where it has none."""
         return np.array(
@@ -176,7 +141,7 @@ class Rules:
 
     @property
     def _plane(self) -> FloatArray:
-        return np.array([float(axis in _LINEAR) for axis in self.axes])
+        return np.array([float(axis in LINEAR) for axis in self.axes])
 
     def _beside(self, moves: Moves) -> FloatArray:
         """Return the (n - 1,) greatest v^2 at which the axes beside X Y Z may change their share.
@@ -192,10 +157,10 @@ class Rules:
     def _counted(self) -> list[str]:
         """Axes whose length counts, in turn: the first group of which one moves."""
         if isinstance(self.planner, KlipperPlanner):
-            return [_LINEAR]
+            return [LINEAR]
         if isinstance(self.planner, RepRapPlanner):
-            return [_LINEAR + _SECOND, _TURNING]
-        return [_LINEAR, _SECOND, _TURNING]
+            return [LINEAR + _SECOND, _TURNING]
+        return [LINEAR, _SECOND, _TURNING]
 
     def _length(self, way: FloatArray) -> FloatArray:
         if isinstance(self.planner, GrblPlanner):

@@ -16,9 +16,9 @@ from threadline.machine import Machine
 from threadline.machine.motion_planner import FirmwarePlanner, KlipperPlanner, LinuxCncPlanner
 from threadline.path.types import PlannedPath
 from threadline.trajectory.firmware.firmware_moves import Moves
+from threadline.trajectory.firmware.linuxcnc_run import LinkedRun
 from threadline.trajectory.firmware.look_ahead import entries_of_ring, speeds_with_cruise
 from threadline.trajectory.firmware.moves_in_hand import MovesInHand
-from threadline.trajectory.firmware.parabolic_blends import BlendedRun
 from threadline.trajectory.firmware.rules import Rules
 from threadline.trajectory.types import TrajectoryBlock
 
@@ -33,7 +33,7 @@ def firmware_blocks(
     rules = Rules.of(planner, machine, path.axes)
     under_way: MovesInHand = _Run(rules)
     if isinstance(planner, LinuxCncPlanner):
-        under_way = BlendedRun(rules, planner=planner)
+        under_way = LinkedRun(rules, planner=planner)
     for block in path:
         edges = [0, *(np.flatnonzero(block.rest_after) + 1).tolist()]
         for first, stop in zip(edges, [*edges[1:], len(block)], strict=True):
