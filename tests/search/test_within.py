@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import signal
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +20,12 @@ from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
+from threadline.search.fastest import find_fastest
 from threadline.search.gentle import fastest_job
 from threadline.search.needle import fastest_needle
 from threadline.search.shaft import fastest_shaft
-from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until
-from threadline.verdict import load_spec
+from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until, as_far_as
+from threadline.verdict import Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -80,6 +84,48 @@ def test_a_search_that_is_ended_answers_with_what_it_tried(name: str, interrupts
     _, tried = SEARCHES[name](until)
     assert tried == 3
     assert until.ended == (INTERRUPTED if interrupts else OUT_OF_TIME)
+
+
+def test_a_plan_that_outlasts_the_time_is_broken_off() -> None:
+    """The second plan goes on for as long as a day; what was tried before is the answer."""
+    until = Until.within(1000.0)
+    slow: list[float] = []
+
+    def judged(feed: float) -> Verdict:
+        if slow:
+            until.end_s = time.monotonic()  # the time is over now
+            signal.setitimer(signal.ITIMER_REAL, 1e-3)
+            time.sleep(86_400.0)
+        slow.append(feed)
+        return Verdict(results=(), simulated=True)
+
+    found = find_fastest(judged, 1.0, 2.0, until=until)
+    assert slow and found.tried == 1 and not found.complete
+    assert until.ended == OUT_OF_TIME
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+
+
+def test_an_end_that_passed_breaks_off_at_once() -> None:
+    until = Until.within(1e-6)
+    with pytest.raises(HaltError), until.interrupting():
+        time.sleep(86_400.0)
+    assert until.ended == OUT_OF_TIME
+    with as_far_as(until, lambda: True), pytest.raises(HaltError):
+        until.check()
+
+
+def test_outside_the_main_thread_a_search_goes_on() -> None:
+    """There are no signals there; it ends between its plans."""
+    done = []
+
+    def search() -> None:
+        with Until.within(1e-6).interrupting():
+            done.append(True)
+
+    thread = threading.Thread(target=search)
+    thread.start()
+    thread.join()
+    assert done == [True]
 
 
 @pytest.mark.parametrize("name", SEARCHES)

@@ -158,9 +158,12 @@ def find_fastest(
     def verdict_at(feed: float) -> Verdict:
         nonlocal told
         if feed not in seen:
-            if until is not None:
+            if until is None:
+                seen[feed] = judged(feed)
+            else:
                 until.check()
-            seen[feed] = judged(feed)
+                with until.interrupting():
+                    seen[feed] = judged(feed)
             if progress is not None:
                 told = max(told, min(len(seen) / expected, _UNDER_WAY))
                 progress("searching", told)

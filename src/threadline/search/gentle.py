@@ -8,6 +8,7 @@ share of the limits are searched together, and the shortest job wins.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 
 from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
@@ -28,7 +29,7 @@ from threadline.search.fastest import (
 from threadline.search.feed import fastest_feed, feed_range_m_s, searched_by
 from threadline.search.long_moves import LongMoves
 from threadline.search.rungs import FastestJob, Rung
-from threadline.search.until import HaltError, Until, no_answer
+from threadline.search.until import OUT_OF_TIME, HaltError, Until, no_answer
 from threadline.trajectory import Pace
 from threadline.verdict import Spec
 
@@ -96,8 +97,9 @@ def fastest_job(
     check_range(lowest if low is None else low, highest if high is None else high, "m/s")
     if progress is not None:
         progress("looking for what repeats", 0.0)
-    parts = distinct_parts(job, machine)
-    by_feed = ignores_limits(parts[0], machine, options)
+    with nullcontext() if until is None else until.interrupting():
+        parts = distinct_parts(job, machine)
+        by_feed = ignores_limits(parts[0], machine, options)
     rungs: dict[float, Rung] = {}
     expected = 1 if by_feed else len(_LADDER) + 4
 
@@ -149,8 +151,12 @@ def fastest_job(
     if whole and best.duration_s is not None:
         if progress is not None:
             progress("the whole job", 0.0)
-        best = _of_whole(best, job, machine, spec, options, actual, trials, by)
-        rungs[best.share] = best
+        try:
+            with nullcontext() if until is None else until.interrupting():
+                best = _of_whole(best, job, machine, spec, options, actual, trials, by)
+            rungs[best.share] = best
+        except HaltError:
+            whole, ended = False, OUT_OF_TIME
     return FastestJob(
         best=best,
         rungs=_ordered(rungs),

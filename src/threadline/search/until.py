@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import signal as signals
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 
 from threadline.errors import OptionError
@@ -13,8 +15,11 @@ from threadline.errors import OptionError
 INTERRUPTED, OUT_OF_TIME = "interrupted", "out of time"
 
 
-class HaltError(Exception):
-    """A search that stops before its end; what it knows by then is its answer."""
+class HaltError(BaseException):
+    """A search that stops before its end; what it knows by then is its answer.
+
+    It may come in the middle of a plan, so that nothing that handles errors of plans takes it.
+    """
 
 
 @dataclass(slots=True)
@@ -66,6 +71,35 @@ class Until:
         return asks
 
     @contextmanager
+    def interrupting(self) -> Iterator[None]:
+        """End what this block does when the time is over, wherever it is by then.
+
+        Signals come to the main thread alone; in another one, and on systems without timers, the
+        block goes on to its end.
+
+        Raises
+        ------
+        HaltError
+            When the time is over.
+        """
+        able = threading.current_thread() is threading.main_thread()
+        if not able or math.isinf(self.end_s) or not hasattr(signals, "setitimer"):
+            yield
+            return
+        before = signals.signal(signals.SIGALRM, self._halt)
+        signals.setitimer(signals.ITIMER_REAL, max(self.end_s - time.monotonic(), 1e-3))
+        try:
+            yield
+        finally:
+            signals.setitimer(signals.ITIMER_REAL, 0.0)
+            signals.signal(signals.SIGALRM, before)
+
+    def _halt(self, *_: object) -> None:
+        if not self.ended:
+            self.ended = OUT_OF_TIME
+            raise HaltError
+
+    @contextmanager
     def with_answer(self) -> Iterator[None]:
         """Search, and refuse to have been given less time than one plan takes.
 
@@ -97,7 +131,8 @@ def as_far_as(until: Until | None, known: Callable[[], object]) -> Iterator[None
         If nothing is known yet, or the interrupt is one that ends the program.
     """
     try:
-        yield
+        with nullcontext() if until is None else until.interrupting():
+            yield
     except HaltError:
         if not known():
             raise

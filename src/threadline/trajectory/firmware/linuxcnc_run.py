@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray, IntArray
 from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.path.types import PieceBlock
-from threadline.trajectory.firmware.curves import polynomials
 from threadline.trajectory.firmware.junctions import along_axes
 from threadline.trajectory.firmware.linked_moves import Links, link
 from threadline.trajectory.firmware.linked_speeds import AHEAD, motion
 from threadline.trajectory.firmware.linuxcnc_moves import Course, course
 from threadline.trajectory.firmware.moves_in_hand import MovesInHand
+from threadline.trajectory.firmware.piece_curves import polynomials
 from threadline.trajectory.firmware.rules import LINEAR, MM, Rules
 from threadline.trajectory.types import TrajectoryBlock
 
