@@ -23,6 +23,8 @@ from threadline.machine.motion_planner import (
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.path.types import PieceBlock
 from threadline.trajectory.firmware import moves_in_hand, trapezoids
+from threadline.trajectory.firmware.firmware_moves import Moves
+from threadline.trajectory.firmware.junctions import by_junction_deviation
 from threadline.trajectory.firmware.rules import Rules
 
 
@@ -240,6 +242,24 @@ def test_a_corner_is_taken_on_its_circle(planner: FirmwarePlanner) -> None:
             allowed = min(allowed, 500.0 / np.abs(along).max())
         wanted = np.sqrt(allowed * radius)
         assert corner_speed(planner, turn, **limits) == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "angle"),
+    [(0.5, 0.033162), (2, 0.037755), (5, 0.062841), (10, 0.144414), (20, 0.370678), (44, 0.735224)],
+)
+def test_short_moves_of_marlin_bend_by_its_own_measure(turn_deg: float, angle: float) -> None:
+    """The angles are what the expression of its ``planner.cpp`` gives in C, with 24 bits."""
+    turn = np.radians(turn_deg)
+    moves = Moves(
+        length=np.array([50.0, 0.5]),
+        direction=np.array([[1.0, 0.0], [np.cos(turn), np.sin(turn)]]),
+        speed=np.array([1e3, 1e3]),
+        acceleration=np.array([500.0, 500.0]),
+    )
+    free = np.array([1e9, 1e9])
+    (square,) = by_junction_deviation(moves, free, 1e6, most=moves.acceleration, arcs=True)
+    assert square == pytest.approx(0.5 * 500.0 / angle, rel=1e-3)
 
 
 def test_marlin_keeps_its_jumps() -> None:
