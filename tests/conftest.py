@@ -33,6 +33,13 @@ NO_FIRMWARE = "a firmware that is built by hand, from sources that no package in
 """The two reasons to skip that hold in CI, too: not everyone can have those."""
 
 
+@pytest.hookimpl(wrapper=True, optionalhook=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int, int]:
+    """Have a quarter more workers than cores: those at a machine in real time wait for it."""
+    cores = yield
+    return cores + max(1, cores // 4)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[Any]

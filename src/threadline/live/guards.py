@@ -279,15 +279,18 @@ def _in_order(
     whole_told, whole_read = np.empty(n + 1), np.empty(n + 1)
     whole_told[0] = told[0] if np.isnan(last[0]) else last[0]
     whole_read[0] = read[0] if np.isnan(last[1]) else last[1]
-    whole_told[1:], whole_read[1:] = told, read
     acting = np.empty(memory + n)
-    acting[:memory] = speeds
+    # One number after the other: an assignment of an array takes seconds to compile.
+    for k in range(memory):
+        acting[k] = speeds[k]
     for k in range(n):
+        whole_told[k + 1], whole_read[k + 1] = told[k], read[k]
         acting[memory + k] = abs(whole_told[k + 1] - whole_told[k]) / tick_s
     at, _, after = _too_far(whole_told, whole_read, acting, per_speed, room, moves, still)
     if at:
         return False, still
-    speeds[:] = acting[n:]
+    for k in range(memory):
+        speeds[k] = acting[n + k]
     last[0], last[1] = told[n - 1], read[n - 1]
     if len(volts):
         last[2] = volts[len(volts) - 1]

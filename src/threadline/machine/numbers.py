@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 from collections.abc import Mapping
 from fractions import Fraction
+from functools import cache
 from typing import Any, get_args, get_type_hints
 
 from threadline.errors import OptionError
@@ -65,8 +66,19 @@ def is_whole(machine: Machine, path: str) -> bool:
         node = node.get(key) if isinstance(node, Mapping) else getattr(node, key, None)
     if isinstance(node, Mapping) or node is None:
         return False
-    marks = get_args(get_type_hints(type(node), include_extras=True).get(last))
-    return any(isinstance(mark, Units) and mark.whole for mark in marks)
+    kind: Any = type(node)  # mypy takes a type for what cannot be hashed
+    return last in _whole_numbers(kind)
+
+
+@cache
+def _whole_numbers(kind: Any) -> frozenset[str]:
+    """Return the keys of a part of a machine that are whole numbers."""
+    marked = get_type_hints(kind, include_extras=True)  # some ms: the text of every type is read
+    return frozenset(
+        key
+        for key, hint in marked.items()
+        if any(isinstance(mark, Units) and mark.whole for mark in get_args(hint))
+    )
 
 
 def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:

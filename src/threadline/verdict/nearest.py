@@ -35,7 +35,7 @@ def _squared_to_segment(
     return squared, where
 
 
-squared_to_segment = njit(inline="always")(_squared_to_segment)
+squared_to_segment = njit(nogil=True)(_squared_to_segment)
 
 
 def _weighed_to_segment(
@@ -56,7 +56,7 @@ def _weighed_to_segment(
     return squared
 
 
-weighed_to_segment = njit(inline="always")(_weighed_to_segment)
+weighed_to_segment = njit(nogil=True)(_weighed_to_segment)
 
 
 def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -193,7 +193,8 @@ def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: 
                 if least <= _NEAR * way[0]:
                     return found_s, found
         t, nears = then, after
-        state[:] = to
+        for a in range(state.shape[1]):  # an assignment of the whole takes seconds to compile
+            state[0, a], state[1, a] = to[0, a], to[1, a]
         if travelled > way[1] and (nears >= 0.0 or _gap(state[0], point) >= least):
             return found_s, found
 

@@ -22,7 +22,7 @@ def _along(heading: FloatArray, start: FloatArray, end: FloatArray) -> float:
     return along / np.sqrt(length) if length > 0.0 else 0.0
 
 
-_along_fast = njit(inline="always")(_along)
+_along_fast = njit(nogil=True)(_along)
 
 
 def _refine(
@@ -37,7 +37,8 @@ def _refine(
     end = len(vertices) - 1
     heading = np.zeros(points.shape[1])
     for i in range(len(points)):
-        heading[:] = points[i] - (points[i - 1] if i else before)
+        for k in range(len(heading)):  # an assignment of the whole row takes seconds to compile
+            heading[k] = points[i, k] - (points[i - 1, k] if i else before[k])
         own = np.inf
         chord = first[i]
         for c in range(first[i], last[i] + 1):

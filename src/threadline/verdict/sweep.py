@@ -64,6 +64,18 @@ def _scale(actual: FloatArray, radius_m: FloatArray, points: FloatArray) -> None
 _scale_fast = njit(nogil=True)(_scale)
 
 
+def _copy(point: FloatArray, chord: IntArray, to: FloatArray, chord_to: IntArray) -> None:
+    """Copy an (axes, runs) sample and its chords; an assignment takes seconds to compile."""
+    axes, runs = point.shape
+    for r in range(runs):
+        chord_to[r] = chord[r]
+        for a in range(axes):
+            to[a, r] = point[a, r]
+
+
+_copy_fast = njit(nogil=True)(_copy)
+
+
 def _sweep(
     actual: FloatArray,
     share: FloatArray | None,
@@ -82,7 +94,7 @@ def _sweep(
     points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
     squared = np.empty((at_once, runs))
     if len(contour.worst):
-        points[0], chord[0] = contour.point, contour.chord
+        _copy_fast(contour.point, contour.chord, points[0], chord[0])
     for low in range(0, samples, at_once):
         high = min(low + at_once, samples)
         count = high - low
@@ -115,7 +127,7 @@ def _sweep(
                 )  # fmt: skip
         if len(contour.worst):
             if contour.fresh and low == 0:
-                points[0], chord[0] = points[1], chord[1]
+                _copy_fast(points[1], chord[1], points[0], chord[0])
             begin, end = contour.begin[low : high + 1], contour.end[low : high + 1]
             raise_to_samples(away, near, low, contour)
             between(
@@ -127,9 +139,9 @@ def _sweep(
                 here, points[0], contour.time_s[low : high + 1], begin, end, chords.vertices,
                 chords.axes, vertex_share, contour.best, contour.best_time_s,
             )  # fmt: skip
-            points[0], chord[0] = points[count], chord[count]
+            _copy_fast(points[count], chord[count], points[0], chord[0])
     if len(contour.worst):
-        contour.point[:], contour.chord[:] = points[0], chord[0]
+        _copy_fast(points[0], chord[0], contour.point, contour.chord)
 
 
 def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> None:

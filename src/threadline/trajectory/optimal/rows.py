@@ -229,9 +229,13 @@ def demand_rows(c, demand, limit_a, top):
                 rows = _demand_rows(c[i], j, degree, share_v, share_a, own)
                 if used + rows > len(out):
                     grown = np.zeros((2 * len(out) + rows, 7))
-                    grown[:used] = out[:used]
+                    for i_row in range(used):  # no slices: their assignment takes long to compile
+                        for a in range(7):
+                            grown[i_row, a] = out[i_row, a]
                     out = grown
-                out[used : used + rows] = own[:rows]
+                for i_row in range(rows):
+                    for a in range(7):
+                        out[used + i_row, a] = own[i_row, a]
                 used += rows
         first[i + 1] = used
     return out[:used].copy(), first
