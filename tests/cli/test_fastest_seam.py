@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from threadline.cli.main import main
+from threadline.option_words import parse_share
+from threadline.search import gentle
 
 PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"
 
@@ -64,3 +66,22 @@ def test_a_search_that_finds_nothing_says_at_which_level(
         assert stopped.value.code == 1
         last = capsys.readouterr().out.splitlines()[-1]
         assert last.startswith("OUT OF SPEC (nominal: 1 run; ")
+
+
+def test_the_share_of_the_limits_can_be_typed_back(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """17.6777 % was printed as 17.7 %, a plan that nobody had tried."""
+    monkeypatch.setattr(gentle, "_LADDER", (0.176777,))
+    monkeypatch.setattr(gentle, "LEAST_SHARE", 0.17)
+    monkeypatch.setattr(gentle, "_STEP", 0.5)
+    program = tmp_path / "turn.prg"
+    program.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n")
+    words = ["-m", "lathe-winder", "--low", "100 mm/s", "--high", "101 mm/s", "--nominal"]
+    with pytest.raises(SystemExit):
+        main(["fastest", str(program), *words])
+    out = " ".join(capsys.readouterr().out.split())
+    share = out.partition(" with ")[2].partition(" of the acceleration")[0]
+    # 0.353554 is the next one up; whichever is the fastest, both rows have all their digits.
+    assert parse_share(share) in (0.176777, 0.353554)
+    assert " 0.176777 100 " in out

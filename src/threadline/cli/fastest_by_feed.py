@@ -269,7 +269,7 @@ def _show(result: FastestJob, title: str, high: float | None) -> None:
             first = interval is rung.found.fastest
             rows.append(
                 [
-                    f"{rung.share:.1%}",
+                    share_words(rung.share),
                     typed(interval.low * per_m_s),
                     "alone" if interval.alone else typed(interval.high * per_m_s),
                     f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
@@ -290,7 +290,7 @@ def _show(result: FastestJob, title: str, high: float | None) -> None:
         return
     say(
         f"fastest: {best.duration_s:.3f} s at {_feed_text(result.by, best.found.best)} with "
-        f"{best.share:.1%} of the acceleration and jerk limits, limited by "
+        f"{share_words(best.share)} of the acceleration and jerk limits, limited by "
         f"{limit_words(best.found.limited_by, end)}; "
         f"{tried} plans tried"
     )

@@ -201,5 +201,5 @@ def _outcome(rung: Rung) -> str:
 
 def _allowance(rung: Rung) -> str:
     if rung.contour_m is None:
-        return f"{rung.share:.0%}"
+        return share_words(rung.share)
     return NO_CONTOUR if math.isinf(rung.contour_m) else typed(round(rung.contour_m * 1e3, 6))
