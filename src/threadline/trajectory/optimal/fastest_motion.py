@@ -84,7 +84,10 @@ def limited_blocks(
     """Yield the fastest trajectory of ``path`` within limits of its axes, and of their loops."""
     now = 0.0
     past = Past(0.0 if follower is None else follower.memory_s)
-    for run in _runs(path):
+    runs = _runs(path)
+    while (run := next(runs, None)) is not None:
+        dwell_s, operation = float(run.dwell_s[-1]), int(run.operation[-1])
+        end = run.coefficients[-1].sum(axis=0)
         moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
         if moves.any():
             block = None
@@ -95,6 +98,7 @@ def limited_blocks(
             if block is None:
                 within = limits.with_length()
                 elements = _elements(run, path.radius_m, within)
+                del run  # it is no longer needed, and there may be much of it
                 if follower is None:
                     block = in_time(fastest(elements, within, GAP), within, now)
                 else:
@@ -102,10 +106,8 @@ def limited_blocks(
             now = block.end_s
             past.add(block)
             yield block
-        dwell_s = float(run.dwell_s[-1])
         if dwell_s > 0.0:
-            end = run.coefficients[-1].sum(axis=0)
-            still = held_block(end, now, dwell_s, int(run.operation[-1]))
+            still = held_block(end, now, dwell_s, operation)
             past.add(still)
             yield still
             now += dwell_s
@@ -124,10 +126,17 @@ def _runs(path: PlannedPath) -> Iterator[PieceBlock]:
                 count += last - first
                 first = last
                 if block.rest_after[last - 1] or count == MOST_PIECES:
-                    yield _joined(pending)
-                    pending, count = [], 0
+                    count = 0
+                    yield _taken(pending)
     if pending:
-        yield _joined(pending)
+        yield _taken(pending)
+
+
+def _taken(pending: list[PieceBlock]) -> PieceBlock:
+    """Return all pieces and keep none: who reads a run may be done with them before its motion."""
+    run = _joined(pending)
+    pending.clear()
+    return run
 
 
 def _rows(block: PieceBlock, first: int, stop: int) -> PieceBlock:

@@ -163,7 +163,9 @@ def elements_of(
     if from_rest:
         whole = _with_lead_in(whole, lead_share[0])
     if to_rest:
-        whole = reverse(_with_lead_in(reverse(whole), lead_share[1]))
+        last = reverse(whole.take(slice(-1, None)))
+        lead_out = reverse(_with_lead_in(last, lead_share[1]))
+        whole = join([whole.take(slice(None, -1)), lead_out])
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
     curve = _PARTS_OF_CURVE if count <= _DENSE else 1
     parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)

@@ -245,10 +245,10 @@ def demand_rows(c, demand, limit_a, top):
 def assemble(c, guard, limit_v, limit_a, limit_j, cap):
     """Return the rows of all elements, their numbers, and the largest y of each."""
     n, axes = len(c), c.shape[2]
-    most = ORDER * axes + 2
-    acc = np.zeros((n, most + ORDER * guard.shape[2], 3))
-    jerk = np.zeros((n, most + 1, 3))
-    points = np.zeros((n, most + 1), dtype=np.int64)
+    acc = np.zeros((n, ORDER * (axes + guard.shape[2]) + 2, 3))
+    most = (ORDER - 1) * axes + 3
+    jerk = np.zeros((n, most, 3))
+    points = np.zeros((n, most), dtype=np.int8)
     count = np.zeros((n, 2), dtype=np.int64)
     top = np.empty(n)
     for i in range(n):

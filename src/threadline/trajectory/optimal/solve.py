@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +30,7 @@ _CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weig
 _STEPS = 60  # at one weight
 _KEPT = 0.9  # of the tightest limit, where other guards are taken
 _ROUNDED = 1e-7  # of a limit: an element whose rows are rounded by more is not cut
+_AT_A_TIME = 2048  # elements, of which shares are told
 _PLACES = np.array([0.0, 0.5, 1.0])
 
 
@@ -162,6 +165,7 @@ class Problem:
         self.elements, self.limits = elements, limits
         self.steps = 0
         self.weight = np.inf
+        self.rows: Any = None
         self.b: FloatArray
         self.tangent: FloatArray
         self._assemble()
@@ -211,6 +215,7 @@ class Problem:
     def _assemble(self) -> None:
         at, of = self.elements, self.limits
         largest = of.largest_acceleration
+        self.rows = None  # those of before are most of what a run takes: they go first
         self.top = self._top()
         acc, jerk, points, count, top = assemble(
             at.c, at.guard, of.velocity, largest, of.jerk, self.top
@@ -291,23 +296,27 @@ class Problem:
     def guards_used(self) -> FloatArray:
         """Return the (n,) largest shares of a guard within each element."""
         guards = self.elements.guard.shape[2]
-        return np.asarray(self._shares()[:, :, -guards:].max(axis=(1, 2)))
+        return np.concatenate([part[:, :, -guards:].max(axis=(1, 2)) for part in self._shares()])
 
-    def _shares(self) -> FloatArray:
+    def _shares(self) -> Iterator[FloatArray]:
+        """Yield the (m, places, limits) shares of the limits that elements use, some at a time."""
         at, of = self.elements, self.limits
-        y, largest = bernstein(self.b, at.length), of.largest_acceleration
-        used = shares(
-            at.c, at.guard, y, of.velocity, largest, of.jerk, of.demand, self.top, _PLACES
-        )
-        if of.deceleration is None:
-            return np.asarray(used)
-        # First, for guards are told by their places at the end.
-        return np.concatenate([braking_shares(at.c, y, *of.sides, _PLACES), used], axis=2)
+        largest, all_y = of.largest_acceleration, bernstein(self.b, at.length)
+        for begin in range(0, len(at), _AT_A_TIME):
+            own = slice(begin, begin + _AT_A_TIME)
+            c, guard, y, top = at.c[own], at.guard[own], all_y[own], self.top[own]
+            used = shares(c, guard, y, of.velocity, largest, of.jerk, of.demand, top, _PLACES)
+            if of.deceleration is None:
+                yield np.asarray(used)
+            else:
+                # First, for guards are told by their places at the end.
+                yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used], axis=2)
 
     def _idle(self) -> IntArray:
         """Return 2 for each element that reaches no limit somewhere, to be cut in two, else 1."""
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
-        lost_s = time_s * (1.0 - self._shares().max(axis=2).min(axis=1))
+        used = np.concatenate([part.max(axis=2).min(axis=1) for part in self._shares()])
+        lost_s = time_s * (1.0 - used)
         enough_s = max(_LOSS * self.limits.ramp_s, _PART * self._cost_s())
         return np.where(lost_s > _MUCH * enough_s, 4, np.where(lost_s > enough_s, 2, 1))
 
@@ -320,6 +329,7 @@ class Problem:
         return True
 
     def _cut(self, parts: IntArray) -> None:
+        self.rows = None
         which = np.repeat(np.arange(len(parts)), parts)
         x = bernstein(self.b, self.elements.length) * self.elements.length[:, None] ** 2
         count = parts[which].astype(np.float64)
@@ -335,5 +345,6 @@ class Problem:
         self.b = np.concatenate([[self.b[0]], inner, [self.b[-1]]])
         self.tangent = self.tangent[which] / count
         self.elements = self.elements.split(parts)
+        del which, x, count, first, last, inner
         self._assemble()
         self._slow(1.0 - _ROUNDED, anew=False)
