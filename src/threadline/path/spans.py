@@ -211,7 +211,10 @@ def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, l
             continue
         own[n : n + parts[i]], row[n : n + parts[i]] = operation[i], line[i]
         if parts[i] == 1:
-            out[n], time_s[n] = coefficients[i], nominal_s[i]
+            for power in range(4):  # an assignment of the whole takes seconds to compile
+                for j in range(axes):
+                    out[n, power, j] = coefficients[i, power, j]
+            time_s[n] = nominal_s[i]
             n += 1
             continue
         a, b, d = pace[i]

@@ -246,7 +246,8 @@ def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArr
     """Return (n + 1, m) ``x[k+1] = step x[k] + pushed[k]``."""
     size = len(start)
     states = np.empty((len(pushed) + 1, size))
-    states[0] = start
+    for i in range(size):  # an assignment of the row takes seconds to compile
+        states[0, i] = start[i]
     for k in range(len(pushed)):
         for i in range(size):
             total = pushed[k, i]

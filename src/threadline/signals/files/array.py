@@ -157,7 +157,8 @@ def _runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArr
                     step //= 2
                 _fits(counts, begin, span, trial)
             begins[found], spans[found] = begin, span
-            phases[found] = trial
+            for axis in range(axes):  # an assignment of the row takes seconds to compile
+                phases[found, axis] = trial[axis]
             found += 1
             begin += span
     return begins[:found], spans[:found], phases[:found]

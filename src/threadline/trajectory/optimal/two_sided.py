@@ -48,7 +48,8 @@ def with_braking(drive, begin, c, speeding, braking):
     used = 0
     for i in range(n):
         for k in range(begin[i], begin[i + 1]):
-            out[used] = drive[k]
+            for a in range(_COLUMNS):  # an assignment of the row takes seconds to compile
+                out[used, a] = drive[k, a]
             used += 1
         for j in range(axes):
             degree = degree_of(c[i], j)
