@@ -278,7 +278,7 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     assert "limited by the end of the search (--high)" in out
     (command,) = re.findall(r"To prove it: threadline (.*)", out)
     # All shares of the limits give the same job here: one row.
-    assert len(re.findall(r"100\.0% to [0-9.]+%\s+20\s+21\.1\s", out)) == 1
+    assert len(re.findall(r"100 % to [0-9.]+ %\s+20\s+21\.1\s", out)) == 1
 
     _, found, _ = run(capsys, *words, "--json", "--report", tmp_path / "report")
     assert (tmp_path / "report" / "report.html").is_file()

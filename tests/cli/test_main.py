@@ -107,7 +107,9 @@ def test_a_termination_is_one_line_and_leaves_nothing(
             file.write(b"half")
             os.kill(os.getpid(), number)
 
-    monkeypatch.setattr(prove, "prove_job", lambda *_: SimpleNamespace(recording=None))
+    proof = SimpleNamespace(recording=None, plan=None)
+    monkeypatch.setattr(prove, "prove_job", lambda *_: proof)
+    monkeypatch.setattr(prove, "Share", lambda *_: SimpleNamespace(of=list))
     monkeypatch.setattr(prove, "write_recording", terminated)
 
     def unanswered(*_: object) -> None:  # instead of the end of all tests

@@ -139,7 +139,7 @@ def test_another_machine_or_start_is_refused() -> None:
     with pytest.raises(CommandError, match="the plan is for lathe-winder"):
         Bench(other=load_machine("lathe-winder+physical"))
     bench = Bench(start=np.array([0, 55, 0])).ready()
-    with pytest.raises(CommandError, match=r"axis X stands at 0\.00099.*, the run begins at 0"):
+    with pytest.raises(CommandError, match=r"axis X stands at 0\.99353 mm, the run begins at 0 mm"):
         bench.executor.start(table_of_counts(there_and_back()))
     assert bench.executor.state == "idle"
 

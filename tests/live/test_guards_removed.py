@@ -26,7 +26,7 @@ from tests.live import (
 )
 from tests.live.bench import winder
 from threadline.cli import continued
-from threadline.errors import LinkFaultError
+from threadline.errors import CommandError, LinkFaultError
 from threadline.live import braking, continuing, executor, guards, lateness, states, supervised
 from threadline.live.ahead import Ahead
 from threadline.live.desk import Desk
@@ -306,6 +306,7 @@ def test_without_the_guard_its_test_fails(guard: str, monkeypatch: pytest.Monkey
     take_away(monkeypatch)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
-        with pytest.raises((AssertionError, pytest.fail.Exception, LinkFaultError)):
+        # Without the end of travel of a jog the guard of rows ends it first: it cannot be renewed.
+        with pytest.raises((AssertionError, pytest.fail.Exception, LinkFaultError, CommandError)):
             test()
         gc.collect()

@@ -11,10 +11,10 @@ from threadline.search.cheapest_set import CheapestSet
 from threadline.search.machine_yield import MachineYield
 
 
-def share_words(interval: tuple[float, float]) -> str:
+def yield_words(interval: tuple[float, float]) -> str:
     """Return between which shares a yield lies, rounded outwards: it never reads better than it is.
 
-    >>> share_words((0.989979, 0.99742)), share_words((0.025 ** (1 / 10_000), 1.0))
+    >>> yield_words((0.989979, 0.99742)), yield_words((0.025 ** (1 / 10_000), 1.0))
     ('98.99 to 99.75 %', 'at least 99.963 %')
     """
     low, high = interval
@@ -26,7 +26,7 @@ def share_words(interval: tuple[float, float]) -> str:
 def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
     """Print which tolerances to halve, and the yield of machines with these tolerances."""
     words = (
-        f"{found.passed} of {found.tried} machines in spec, {share_words(found.interval)} of all"
+        f"{found.passed} of {found.tried} machines in spec, {yield_words(found.interval)} of all"
     )
     if not found.reached:
         say(f"no set of tolerances was found that reaches {wished}; the best of them: {words}")

@@ -54,7 +54,6 @@ from threadline.pipeline import Proof, with_shaping
 from threadline.pipeline import prove as prove_job
 from threadline.proof_file import write_proof
 from threadline.report import about, write_report
-from threadline.search.studied import studied
 from threadline.signals.files import write_recording
 from threadline.verdict import (
     Verdict,
@@ -149,9 +148,13 @@ def prove(
                 write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
                 write_proof(proof, proof_file)
+            written = None
             if report is not None:
+                # Searches take a while to load, and most proofs are without a report.
+                from threadline.search.studied import studied
+
                 progress("drawing the report", 0.0)
-            written = None if report is None else write_report(studied(proof), report)
+                written = write_report(studied(proof), report)
     tell(doubts(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)

@@ -12,7 +12,7 @@ import typer
 
 from threadline import __version__
 from threadline.arrays import finite
-from threadline.cli.cheapest import set_content, share_words, show_set
+from threadline.cli.cheapest import set_content, show_set, yield_words
 from threadline.cli.found import command_line
 from threadline.cli.level import parse_yield
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -253,7 +253,7 @@ def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:
 
 def _words(found: Yield, level: Level) -> str:
     """Return how many machines are in spec, between which shares all are, and the level of it."""
-    text = f"{found.passed} of {found.found.runs} machines in spec, {share_words(found.interval)}"
+    text = f"{found.passed} of {found.found.runs} machines in spec, {yield_words(found.interval)}"
     return f"{text} of all ({level}: one run of each)"
 
 

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from threadline.arrays import FloatArray
-from threadline.search.broken_beam import BreakSweep
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from threadline.search.broken_beam import BreakSweep
 
 MICRO = 1e6
 
