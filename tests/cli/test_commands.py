@@ -276,6 +276,7 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     code, out, _ = run(capsys, *words)
     assert code == 0
     assert "limited by the end of the search (--high)" in out
+    assert re.search(r"tried in steps of 0\.\d+ %, about the edges of the fastest of 0\.\d+ %", out)
     (command,) = re.findall(r"To prove it: threadline (.*)", out)
     # All shares of the limits give the same job here: one row.
     assert len(re.findall(r"100 % to [0-9.]+ %\s+20\s+21\.1\s", out)) == 1

@@ -39,8 +39,8 @@ def limit_words(limited_by: str, end: str = END) -> str:
 def resolution_words(found: Fastest) -> str:
     """Return the sentence on the steps of a search and the intervals that it can miss."""
     return (
-        f"tried in steps of {found.step:.0%}, about the edges of the fastest of "
-        f"{found.near_step:.1%}: a narrower interval, or a gap in one, can be missed"
+        f"tried in steps of {100.0 * found.step:.2g} %, about the edges of the fastest of "
+        f"{100.0 * found.near_step:.2g} %: a narrower interval, or a gap in one, can be missed"
     )
 
 
