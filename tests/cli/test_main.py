@@ -89,6 +89,20 @@ def test_an_interrupt_is_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_interrupt_that_machine_code_returned_with_is_one(
+    examples: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python makes a SystemError of it: "returned a result with an exception set"."""
+
+    def interrupted(*_: object) -> None:
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(prove, "prove_job", interrupted)
+    code, out, err = stopped(capsys, "prove", examples / "x-180.prg", "-m", "lathe-winder")
+    assert (code, out) == (130, "")
+    assert err == "error: interrupted; nothing was left half-written\n"
+
+
 @pytest.mark.parametrize(
     ("number", "said"), [(signal.SIGTERM, "terminated"), (signal.SIGHUP, "hung up")]
 )

@@ -145,7 +145,8 @@ def _run(given: list[str], termination: Termination) -> int:
             EXIT_WRONG_INPUT,
         )
     except Exception as error:
-        if termination.was_lost:  # in the middle of machine code, which failed of it
+        # In the middle of machine code, which failed of it or returned as if there had been none.
+        if termination.was_lost or isinstance(error.__cause__, KeyboardInterrupt):
             return EXIT_INTERRUPTED
         _stop(keep_traceback(error, given), EXIT_DEFECT)
     return status
