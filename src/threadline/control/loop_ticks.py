@@ -16,6 +16,7 @@ from threadline.plant.sampled import sample
 _SETTLES = 1e-4  # share of the slowest pole's motion at which a change is followed no more
 _MOST_TICKS = 600
 _SPARE_TICKS = 20
+_NOTHING_V = 1e-9  # far above the rounding of levels, far below what a count of a sensor makes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,5 +101,14 @@ def acting(levels: FloatArray) -> FloatArray:
     """Return (k,) levels as a DAC puts them out that loses the first tick after a reversal."""
     acts, before = levels.copy(), 0.0
     for k, level in enumerate(levels.tolist()):
-        acts[k] = before = 0.0 if level * before < 0.0 else level
+        acts[k] = before = acts_after(before, level)
     return acts
+
+
+def acts_after(before: float, level: float) -> float:
+    """Return what such a DAC puts out for a level, by what it put out at the tick before, V.
+
+    A level at rest is 0, which rounding gives a sign: below ``_NOTHING_V`` it has none.
+    """
+    signed = min(abs(level), abs(before)) >= _NOTHING_V
+    return 0.0 if signed and level * before < 0.0 else level

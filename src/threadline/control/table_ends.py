@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.control.loop_ticks import LoopTicks, acting
+from threadline.control.loop_ticks import LoopTicks, acting, acts_after
 from threadline.control.preview import AxisPreview
 from threadline.control.told_ticks import Told
 from threadline.machine import Machine
@@ -209,7 +209,7 @@ class AxisEnds:
         def effect(tick: int, change: FloatArray) -> FloatArray:
             nonlocal before
             level = float(levels[tick] + change[0])
-            before = 0.0 if self._skips and level * before < 0.0 else level
+            before = acts_after(before, level) if self._skips else level
             return np.array([before - acts[tick]])
 
         answer = self._loop.changed(added[:, None], effect)
