@@ -108,6 +108,47 @@ def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
     assert found == [1.5, 2.5 if "2.0" in change else 3.5]
 
 
+def test_of_processes_that_want_the_same_one_compiles_and_the_others_wait(tmp_path: Path) -> None:
+    """Each writes down when it compiles, and how long that took it."""
+    (tmp_path / "wanted.py").write_text(
+        "import sys\nfrom threadline.compiled import njit\n"
+        "from threadline.compiling import COMPILING\n"
+        "@njit()\ndef inner(x):\n    return 2.0 * x\n"
+        "@njit()\ndef outer(x):\n    return inner(x) + 0.5\n"
+        "print(flush=True)\nsys.stdin.readline()\nprint(outer(1.0), COMPILING.done_s > 0.0)\n"
+    )
+    started = [
+        subprocess.Popen(
+            [sys.executable, "-m", "wanted"], cwd=tmp_path, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+        )
+        for _ in range(3)
+    ]  # fmt: skip
+    for process in started:
+        assert process.stdout is not None
+        process.stdout.readline()  # it is ready to compile
+    for process in started:
+        assert process.stdin is not None
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    said = sorted(process.communicate()[0].split() for process in started)
+    assert said == [["2.5", "False"], ["2.5", "False"], ["2.5", "True"]]
+    assert not list((tmp_path / "__pycache__").glob("*.lock"))
+
+
+def test_who_waited_long_enough_compiles_for_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The process that was to make it may have been stopped."""
+    monkeypatch.setattr("threadline.compiled._WAITS_S", 0.1)
+    stopped = cache(tmp_path, "file")
+    assert stopped.load("a float") is None
+    other = cache(tmp_path, "file")
+    assert other.load("a float") is None
+    other.save("a float", "code")
+    assert stopped.load("a float") == "code"
+
+
 def test_nothing_goes_round_it() -> None:
     """A function that numba keeps by itself has none of this."""
     source = Path(__file__).parents[1] / "src" / "threadline"

@@ -3,47 +3,118 @@
 numba writes the index of a function before the machine code that the index names, and gives the
 code of two processes the same name. A process that comes in between runs code of the file as it was
 before, or of other types. It also does not look at the files of functions that are called. Here
-machine code is written first and named by what it was made from, called functions included.
+machine code is written first and named by what it was made from, called functions included. Of
+processes that want the same function at once, one compiles it and the others wait for it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
+import sys
+import time
 import uuid
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import CodeType
 from typing import Any, BinaryIO, TypeVar
 
 import numba
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 from numba.core.event import Event, Listener, register
 
 from threadline.compiling import COMPILING
 
-__all__ = ["njit"]
+if sys.platform != "win32":
+    import fcntl
+
+__all__ = ["njit", "where_kept"]
 
 F = TypeVar("F", bound=Callable[..., Any])
+_WAITS_S = 120.0
+"""How long a process waits for another's machine code; it compiles for itself after that."""
+_LOOKS_EACH_S = 0.02
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
 
 
+class _Lock:
+    """A file that one process locks until it forgets this object, where files can be locked.
+
+    Others wait, though not for ever: a process may have been stopped.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._file = path, -1
+        if sys.platform == "win32":
+            return
+        end_s = time.monotonic() + _WAITS_S
+        # It goes on where the file cannot be written, or its file system has no locks.
+        with suppress(OSError):
+            self._file = os.open(path, os.O_CREAT | os.O_RDWR)
+            while time.monotonic() < end_s:
+                try:
+                    fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    time.sleep(_LOOKS_EACH_S)
+                else:
+                    break
+
+    def remove(self) -> None:
+        """Remove the file: nobody has to wait any more."""
+        with suppress(OSError):
+            self._path.unlink(missing_ok=True)
+
+    def __del__(self) -> None:
+        if self._file >= 0:
+            os.close(self._file)
+
+
 class CacheFile(IndexDataCacheFile):
-    """An index, and files of machine code whose names say what they were made from."""
+    """An index, and files of machine code whose names say what they were made from.
+
+    Who finds no machine code is the one to make it, until ``save`` or the end of its process; who
+    looks for the same in the meantime waits.
+    """
+
+    def load(self, key: Hashable) -> Any:
+        """Return the machine code of a key; None if whoever asks has to make it."""
+        inherited: Any = super()  # numba has types for some of itself
+        found = inherited.load(key)
+        if found is not None or key in self._making:
+            return found
+        lock = _Lock(Path(self._cache_path) / f"{self._name_of(key)}.lock")
+        found = inherited.load(key)
+        if found is None:
+            self._making[key] = lock
+        return found
 
     def save(self, key: Hashable, data: object) -> None:
         """Write machine code, then name it in the index; a loser of a race compiles once more."""
+        name = self._name_of(key)
+        inherited: Any = self
+        try:
+            inherited._save_data(name, data)
+            known = inherited._load_index()
+            known[key] = name
+            inherited._save_index(known)
+            self._forget(set(known.values()))
+        finally:
+            lock = self._making.pop(key, None)
+            if lock is not None:
+                lock.remove()
+
+    @property
+    def _making(self) -> dict[Hashable, _Lock]:
+        """What this process has to make."""
+        found: dict[Hashable, _Lock] = self.__dict__.setdefault("_made_here", {})
+        return found
+
+    def _name_of(self, key: Hashable) -> str:
         made_from = repr((self._version, self._source_stamp, key)).encode()
-        name = self._data_name_pattern.replace(
-            "{number:d}", hashlib.sha256(made_from).hexdigest()[:16]
-        )
-        inherited: Any = self  # numba has types for some of itself
-        inherited._save_data(name, data)
-        known = inherited._load_index()
-        known[key] = name
-        inherited._save_index(known)
-        self._forget(set(known.values()))
+        digest = hashlib.sha256(made_from).hexdigest()[:16]
+        return str(self._data_name_pattern.replace("{number:d}", digest))
 
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
@@ -88,6 +159,19 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
         return found
 
     return compiled
+
+
+def where_kept(function: Callable[..., Any]) -> Path | None:
+    """Return the folder where machine code of a function's file is kept; None where it cannot be.
+
+    That is beside the file, in the user's folder for caches where that cannot be written, or where
+    NUMBA_CACHE_DIR says.
+    """
+    untyped: Any = CompileResultCacheImpl
+    try:
+        return Path(untyped(function).locator.get_cache_path())
+    except RuntimeError:
+        return None
 
 
 def _keep_safely(function: Any) -> None:

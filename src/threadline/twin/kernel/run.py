@@ -1,9 +1,9 @@
 """The kernel: one connected piece under its controllers, tick by tick, many variants side by side.
 
-It is written for the shape of the piece and compiled at once, in a few hundredths of a second:
-sizes, the pattern of every matrix and the actions of every kind of step are known to the compiler,
-the numbers are not. With one lane it is the kernel of a single machine: scalar and batch run the
-same operations in the same order, so that they agree to the bit.
+It is written for the shape of the piece and compiled at once, in a few tenths of a second, or read
+where another process left it: sizes, the pattern of every matrix and the actions of every kind of
+step are known to the compiler, the numbers are not. With one lane it is the kernel of a single
+machine: scalar and batch run the same operations in the same order, so that they agree to the bit.
 """
 
 from __future__ import annotations

@@ -1,0 +1,77 @@
+"""Machine code on disk, by what it was made from: another process need not make it again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import uuid
+from contextlib import suppress
+from pathlib import Path
+
+_MOST = 512
+"""Number of files that are kept; the one that was not asked for the longest goes first."""
+_DIGEST_BYTES = 32
+
+
+class KeptCode:
+    """Files of machine code, each behind a digest of its bytes.
+
+    Half a file, or one that somebody has changed, is as good as none: to run it would crash.
+
+    Parameters
+    ----------
+    folder
+        Where they are; nothing is kept when None.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+
+    def read(self, made_from: str) -> bytes | None:
+        """Return the machine code that was made from a text; None if there is none."""
+        if self._folder is None:
+            return None
+        path = self._path(self._folder, made_from)
+        try:
+            data = path.read_bytes()
+        except OSError:
+            return None
+        digest, code = data[:_DIGEST_BYTES], data[_DIGEST_BYTES:]
+        if hashlib.sha256(code).digest() != digest:
+            return None
+        with suppress(OSError):
+            os.utime(path)
+        return code
+
+    def write(self, made_from: str, code: bytes) -> None:
+        """Keep machine code; where that cannot be written, the next process makes it again."""
+        if self._folder is None:
+            return
+        path = self._path(self._folder, made_from)
+        part = path.with_suffix(f".{uuid.uuid4().hex[:16]}")
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(hashlib.sha256(code).digest() + code)
+            part.replace(path)
+            self._forget(self._folder)
+        except OSError:
+            return
+        finally:
+            with suppress(OSError):
+                part.unlink(missing_ok=True)
+
+    @staticmethod
+    def _path(folder: Path, made_from: str) -> Path:
+        return folder / f"kernel-{hashlib.sha256(made_from.encode()).hexdigest()}.bin"
+
+    @staticmethod
+    def _forget(folder: Path) -> None:
+        files = list(folder.glob("kernel-*.bin"))
+        if len(files) <= _MOST:
+            return
+        aged = []
+        for file in files:
+            with suppress(OSError):  # another process may have removed it
+                aged.append((file.stat().st_mtime, file))
+        for _, file in sorted(aged)[: len(aged) - _MOST]:
+            file.unlink(missing_ok=True)

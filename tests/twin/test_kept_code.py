@@ -1,0 +1,99 @@
+"""Machine code of the twin on disk: made once, never half of it, never that of something else."""
+
+from __future__ import annotations
+
+import os
+from ctypes import CFUNCTYPE, c_int64
+from pathlib import Path
+
+import llvmlite.binding as llvm
+import pytest
+from llvmlite import ir
+
+from threadline.twin.kernel import kept
+from threadline.twin.kernel.compiler import Compiler
+from threadline.twin.kernel.kept import KeptCode
+
+INTEGER = ir.IntType(64)
+
+
+def adds(number: int) -> ir.Module:
+    """A module whose function ``f`` adds ``number``."""
+    module = ir.Module("made")
+    function = ir.Function(module, ir.FunctionType(INTEGER, [INTEGER]), "f")
+    builder = ir.IRBuilder(function.append_basic_block())
+    builder.ret(builder.add(function.args[0], ir.Constant(INTEGER, number)))
+    return module
+
+
+def answer(folder: Path, number: int) -> int:
+    """``100 + number``, by a compiler that has made nothing yet."""
+    compiler = Compiler(KeptCode(folder))
+    return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(adds(number), "f"))(100))
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(folder.iterdir())
+
+
+def test_another_process_need_not_make_it_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert answer(tmp_path, 7) == 107
+
+    def makes(*_: object) -> None:
+        raise AssertionError("made again")
+
+    monkeypatch.setattr(llvm, "create_pass_builder", makes)
+    assert answer(tmp_path, 7) == 107
+    with pytest.raises(AssertionError, match="made again"):
+        answer(tmp_path, 8)
+
+
+@pytest.mark.parametrize("other", ["another-processor", "another version"])
+def test_code_of_another_processor_or_version_is_not_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str
+) -> None:
+    answer(tmp_path, 7)
+    if other == "another version":
+        monkeypatch.setattr("llvmlite.__version__", "0.0.0")
+    else:
+        monkeypatch.setattr(llvm, "get_host_cpu_features", lambda: llvm.FeatureMap(mmx=True))
+    answer(tmp_path, 7)
+    assert len(files(tmp_path)) == 2
+
+
+@pytest.mark.parametrize("harm", ["cut", "changed", "emptied"])
+def test_a_harmed_file_is_made_again(tmp_path: Path, harm: str) -> None:
+    answer(tmp_path, 7)
+    (file,) = files(tmp_path)
+    whole = file.read_bytes()
+    changed = whole[:200] + bytes([whole[200] ^ 255]) + whole[201:]
+    file.write_bytes({"cut": whole[:-1], "changed": changed, "emptied": b""}[harm])
+    assert answer(tmp_path, 7) == 107
+    assert file.read_bytes() == whole
+
+
+def test_where_nothing_can_be_written_it_is_made_each_time(tmp_path: Path) -> None:
+    file = tmp_path / "no folder"
+    file.write_text("a file")
+    assert answer(file, 7) == 107
+    assert file.read_text() == "a file"
+    assert files(tmp_path) == [file]
+
+
+def test_what_was_not_asked_for_the_longest_goes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kept, "_MOST", 2)
+    code = KeptCode(tmp_path)
+    for age, name in ((9, "old"), (8, "asked for")):
+        code.write(name, name.encode())
+        for file in set(files(tmp_path)):
+            if file.stat().st_mtime > 1000.0:
+                os.utime(file, (100.0 - age, 100.0 - age))
+    assert code.read("asked for") == b"asked for"
+    code.write("new", b"new")
+    assert code.read("old") is None
+    assert code.read("asked for") == b"asked for"
+    assert code.read("new") == b"new"
