@@ -15,14 +15,16 @@ from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.sources import PulseServo, Stepper, Winding, pull_out_torque
 from threadline.machine.variants import drawn, variant
+from threadline.machine.vary import vary
 from threadline.options import Options
 from threadline.pipeline import check_loops, prove
 from threadline.plant.analysis import unstable_loops
 from threadline.plant.loop import axis_loop
-from threadline.plant.prescribed import resonance_hz
+from threadline.plant.prescribed import Prescribed, prescribed, resonance_hz
 from threadline.plant.suspicions import suspicions
 from threadline.plant.without_loop import analyse_moving
 from threadline.signals import Ended, Stream, TickBlock, TickTable
+from threadline.twin.prescribed import advances_of
 from threadline.twin.simulate import simulate
 from threadline.verdict import Status, load_spec
 
@@ -271,6 +273,34 @@ def test_its_numbers_vary() -> None:
     assert isinstance(drive, Stepper) and isinstance(own, Stepper)
     assert drive.winding is not None and own.winding is not None
     assert drive.winding.inductance.si != own.winding.inductance.si
+
+
+def test_equations_are_made_once_for_the_same_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Days are drawn anew for every plan of a search; what differs in one number is another."""
+    made: list[Machine] = []
+
+    def counted(machine: Machine) -> tuple[Prescribed, ...]:
+        made.append(machine)
+        return prescribed(machine)
+
+    monkeypatch.setattr("threadline.twin.prescribed.prescribed", counted)
+    load = load_machine("stepper-winder")
+    machines = [vary(load, friction=1.0 + 1e-9 * k, supply=1.1, damping=0.9) for k in range(20)]
+    first = [advances_of(machine) for machine in machines]
+    assert made == machines
+    again = [vary(load, friction=1.0 + 1e-9 * k, supply=1.1, damping=0.9) for k in range(20)]
+    for one, machine in zip(first, again, strict=True):
+        assert advances_of(machine) is one
+    assert len(made) == 20
+    for change in ({"friction": 1.0 + 1e-15}, {"supply": 1.1001}, {"damping": 0.9001}):
+        numbers = {"friction": 1.0, "supply": 1.1, "damping": 0.9} | change
+        assert advances_of(vary(load, **numbers)) not in first
+    # No more than 64 are kept: the first ones are made again behind as many others.
+    for k in range(64):
+        advances_of(vary(load, friction=2.0 + k))
+    before = len(made)
+    advances_of(machines[0])
+    assert len(made) == before + 1
 
 
 @pytest.mark.parametrize("option", [["--lead", "13.5Hz,60deg"], ["--experiments"]])

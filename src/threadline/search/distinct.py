@@ -79,7 +79,7 @@ def distinct_parts(job: Job, machine: Machine) -> tuple[Job, ...]:
         replace(
             job,
             start=tuple(read.ends[first].tolist()),
-            operations=OperationStream(Stream(_part, read, int(first), int(stop))),
+            operations=OperationStream(Stream.of(_part(read, int(first), int(stop)))),
         )
         for first, stop in edges.reshape(-1, 2)
     )

@@ -60,6 +60,34 @@ def advances_of(machine: Machine) -> tuple[Advance, ...]:
     MachineError
         If an axis has a loop, a part is not linear, or a stepper swings too slowly to be averaged.
     """
+    return _KEPT.of(machine)
+
+
+class _Kept:
+    """The pieces of the machines that were asked for last: a search asks for the same ones again.
+
+    A machine is found by its numbers, because the days of a proof are drawn anew for every plan.
+    """
+
+    _MOST = 64  # three times the days of a repeated proof
+
+    def __init__(self) -> None:
+        self._known: tuple[tuple[Machine, tuple[Advance, ...]], ...] = ()
+
+    def of(self, machine: Machine) -> tuple[Advance, ...]:
+        for known, advances in self._known:
+            if known is machine or known == machine:
+                return advances
+        made = _made(machine)
+        # A new tuple in one step: threads that ask side by side may lose one, and make it again.
+        self._known = ((machine, made), *self._known[: self._MOST - 1])
+        return made
+
+
+_KEPT = _Kept()
+
+
+def _made(machine: Machine) -> tuple[Advance, ...]:
     if machine.without_dynamics:
         return ()
     looped = [name for name in machine.axes if machine.source_of(name) is None]
