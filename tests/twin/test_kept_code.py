@@ -10,9 +10,9 @@ import llvmlite.binding as llvm
 import pytest
 from llvmlite import ir
 
-from threadline.twin.kernel import kept
+from threadline.twin.kernel import kept_code as kept
 from threadline.twin.kernel.compiler import Compiler
-from threadline.twin.kernel.kept import KeptCode
+from threadline.twin.kernel.kept_code import KeptCode
 
 INTEGER = ir.IntType(64)
 

@@ -9,7 +9,7 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 
 from threadline.compiled import where_kept
-from threadline.twin.kernel.kept import KeptCode
+from threadline.twin.kernel.kept_code import KeptCode
 
 _OPTIMISES = 3, 2  # levels of the code generator and of the passes before it
 
