@@ -25,6 +25,7 @@ settings.register_profile(
 settings.load_profile("fixed")
 
 from threadline.cli import told  # noqa: E402 - behind what is read when numpy is imported
+from threadline.search import edges, fastest, gentle  # noqa: E402
 
 ROOT = Path(__file__).resolve().parent.parent
 SHARED_SAMPLES = ROOT.parent / "shared" / "samples"
@@ -60,6 +61,20 @@ def nothing_said_of_compiling() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(told, "_COMPILING_S", math.inf)
         yield
+
+
+@pytest.fixture
+def coarse_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a search for the fastest feed try a tenth as many.
+
+    For tests of what is made of its answer; ``tests/search`` tests the answer itself.
+    """
+    spaced, finer = fastest._spaced, fastest._finer
+    monkeypatch.setattr(fastest, "_spaced", lambda *of: spaced(*of[:2], min(of[2], 8)))
+    monkeypatch.setattr(fastest, "_finer", lambda *of: finer(*of[:2], min(of[2], 1)))
+    monkeypatch.setattr(edges, "INSIDE", 2)
+    monkeypatch.setattr(edges, "_BESIDE", (-3, 3))
+    monkeypatch.setattr(gentle, "_LADDER", (1.0, 0.25))
 
 
 @pytest.fixture

@@ -20,6 +20,8 @@ from threadline.jobs.operations import Pace
 from threadline.pipeline import Trials
 from threadline.search.by_pace import SEARCHES
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "api.md"
 

@@ -32,6 +32,8 @@ from threadline.trajectory.as_programmed import rapid_time_s
 from threadline.verdict import load_spec, verdict_json
 from threadline.verdict.needle import has_stitches, planned_stitches
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 PLACE = Path(__file__).parents[1] / "examples" / "stitcher-place.spec.toml"
 SEAM = """
 [stitching]

@@ -17,6 +17,8 @@ from threadline.pipeline import target_names
 from threadline.signals import ChannelKind
 from threadline.signals.files import read_recording
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[int, str, str]:
     """Run the program in this process; returns exit status, output and errors."""

@@ -11,6 +11,8 @@ from tests.test_limits_alone import files as limits_alone
 
 from threadline.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 

@@ -11,6 +11,8 @@ import pytest
 
 from threadline.cli.main import main
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 # Without M30, with a preamble and a shifted zero: grbl's, and not the printed winder's.
 PROGRAM = "G17 G21 G90 G94\nG92 X0\nM3\nG1 X20 A180 F600\nG1 X0 A360\n"
 AS_GRBL = ("-m", "lathe-winder", "--dialect", "grbl", "--radius", "A=40 mm")

@@ -11,6 +11,8 @@ from threadline.cli.main import main
 from threadline.option_words import parse_share
 from threadline.search import gentle
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"
 
 SEAM = """

@@ -13,6 +13,8 @@ from tests.machine.test_firmware import FLUIDNC, GRBL, KLIPPER, MARLIN
 from threadline.machine import load_machine
 from threadline.machine.firmware import machine_text, parse_answers, read_settings
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 SETTINGS = {
     "grbl": (GRBL, "A", ["rotary", "radius"]),
     "fluidnc": (FLUIDNC, "A", ["rotary", "radius"]),

@@ -14,6 +14,8 @@ from threadline.cli.main import main
 from threadline.cli.output import print_table
 from threadline.report import pdf
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 JOB = Path(__file__).resolve().parents[2] / "examples" / "x-180.prg"
 
 

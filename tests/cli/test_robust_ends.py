@@ -18,6 +18,8 @@ from threadline.pipeline import NOMINAL, Trials, plan_job, prove_plan, try_plan
 from threadline.verdict import Result, Status, Verdict, load_spec
 from threadline.verdict.ends import worst_of
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 X180 = str(EXAMPLES / "x-180.prg")
 SPAN = ("--low", "36 mm/s", "--high", "40 mm/s", "--nominal")

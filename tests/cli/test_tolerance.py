@@ -18,6 +18,8 @@ from threadline.search import gentle
 from threadline.search.fastest import RANGE, Fastest, Interval
 from threadline.verdict import Verdict
 
+pytestmark = pytest.mark.usefixtures("coarse_search")
+
 # Long moves at an angle: a polynomial in time that passes the corner moving leaves the chords, and
 # a B-spline cuts the corner by a third of the way to the middle of its neighbours.
 CORNER = "G21 G90\nG1 X60 Y10 F1500\nX90 Y60\nX180 Y70\nM30\n"

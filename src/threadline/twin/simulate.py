@@ -24,6 +24,7 @@ from threadline.signals import (
     TickTable,
 )
 from threadline.twin.channels import encoder_phases, run_phases, tick_channels
+from threadline.twin.engines import engine_of
 from threadline.twin.kernel import Engine
 from threadline.twin.prescribed import Advance, advances_of
 from threadline.twin.row_session import Rows, RowSession
@@ -167,7 +168,7 @@ def _recording(
     least_rates: tuple[float, ...] = (),
 ) -> Recording:
     machine, start = values.machine, commands.start_counts / commands.counts_per_unit
-    engine = Engine(machine, values, start, least_rates)
+    engine = engine_of(values, start, least_rates)
     return Recording(
         channels=tick_channels(machine, options.record_every, options.kinds),
         blocks=Stream(_blocks, engine, values, commands, options),
