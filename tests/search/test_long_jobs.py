@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -21,6 +22,7 @@ from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.options import Options
+from threadline.pipeline import plan_job, try_plan
 from threadline.search import fastest_job
 from threadline.search.distinct import distinct_parts
 from threadline.search.fastest import Fastest, Interval, find_fastest
@@ -95,6 +97,63 @@ def test_feeds_and_dwells_tell_moves_apart(tmp_path: Path, machine: Machine) -> 
     parts = distinct_parts(written(tmp_path, blocks, machine), machine)
     assert len(parts) == 4
     assert [type(item).__name__ for item in parts[2]].count("Dwell") == 1
+
+
+def test_circuits_elsewhere_along_the_mandrel_are_others(tmp_path: Path, machine: Machine) -> None:
+    """Fifty circuits, and the same 50 mm further on: its radius and its ends are other ones there.
+
+    Of either fifty one is kept, with what is beside it, and so is the end.
+    """
+    blocks = winding_blocks(3800)
+    for at in range(1900, 3800):
+        words = blocks[at].split()
+        blocks[at] = " ".join(
+            f"X{float(word[1:]) + 50.0:.3f}" if word[0] == "X" else word for word in words
+        )
+    parts = distinct_parts(written(tmp_path, blocks, machine), machine)
+    lines = [[item.source.line for item in part if isinstance(item, Move)] for part in parts]
+    assert next(part[0] for part in lines) == 2 and lines[1][0] < 1902 < lines[1][-1] < 2100
+    assert len(parts) == 3
+
+
+def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
+    tmp_path: Path, machine: Machine
+) -> None:
+    """A step back of 50 degrees in one of the circuits, and a quicker move in another: both count.
+
+    What the chords of the 1994 controller ask for in acceleration is as large as they bend.
+    """
+    file = tmp_path / "spec.toml"
+    names = ("acceleration", "velocity", "contour_error")
+    file.write_text('name = "any"\n' + "".join(f'[[criteria]]\nname = "{n}"\n' for n in names))
+    spec, options = load_spec(file, machine), Options(interpolation="linear")
+
+    def worst(jobs: Sequence[Job]) -> dict[tuple[str, str], float]:
+        found: dict[tuple[str, str], float] = {}
+        for job in jobs:
+            for result in try_plan(plan_job(job, machine, options), spec).verdict.results:
+                if result.measured is not None and result.name in names:
+                    key = result.name, result.axis
+                    found[key] = max(found.get(key, 0.0), abs(result.measured))
+        return found
+
+    even = winding_blocks(700)
+    odd = list(even)
+    x, a = odd[154].split()[1:]
+    odd[154] = f"G1 {x} A{float(a[1:]) - 80.0:.3f}"
+    odd[458] += " F9000"
+    odd[459] += " F6000"
+    job = written(tmp_path, odd, machine)
+    parts = distinct_parts(job, machine)
+    assert len(parts) > 2 and sum(map(moves_in, parts)) < 350
+    found, whole = worst(parts), worst([job])
+    plain = worst([written(tmp_path, even, machine)])
+    assert found.keys() == whole.keys() and len(found) >= 5
+    for key, value in whole.items():
+        assert found[key] == pytest.approx(value, rel=1e-3, abs=1e-5), key
+    # Without what is different the job asks for less: that is what must not be missed.
+    assert whole["acceleration", "A"] > 1.2 * plain["acceleration", "A"]
+    assert whole["velocity", "X"] > 1.2 * plain["velocity", "X"]
 
 
 def test_a_job_that_repeats_nothing_is_one_part(tmp_path: Path, machine: Machine) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.errors import LimitError
 from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Feed, FeedMode, Move
 from threadline.machine import Machine, load_machine
@@ -110,6 +111,18 @@ def test_a_mandrel_of_many_radii_stays_whole(tmp_path: Path, machine: Machine) -
     job = job_of(tmp_path, conical)
     assert LongMoves.of(job, conical).without_middles(FEED, 1.0) == (job, conical)
     assert LongMoves.of(job, machine).without_middles(FEED, 1.0)[0] is not job
+
+
+def test_a_limit_that_is_broken_late_in_a_long_move_is_told(
+    tmp_path: Path, machine: Machine
+) -> None:
+    """X is at its end after 42 of the 52 s of a hoop layer, far behind what is watched of it."""
+    job = job_of(tmp_path, machine, "G21 G90 G94 F9000\nG1 X100\nG1 X600 A9000\nG1 X0\nM30\n")
+    with pytest.raises(LimitError, match="its travel ends at 500 mm"):
+        fastest_job(job, machine, load_spec(None, machine), Options(), low=0.14, high=0.15)
+    inside = job_of(tmp_path, machine, "G21 G90 G94 F9000\nG1 X100\nG1 X500 A9000\nG1 X0\nM30\n")
+    watched, _ = LongMoves.of(inside, machine).without_middles(FEED, 1.0)
+    assert np.abs(targets_of(watched)[:, job.axes.index("X")]).max() < 0.4
 
 
 def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> None:

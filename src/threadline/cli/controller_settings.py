@@ -34,7 +34,7 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
     if not by_word and searched_by(job) is FeedMode.F_WORD:
         other = f"{of_which(job.feed_rule)} (feed mode {job.feed_rule})"
         yield f"F of this job is another speed: {other}"
-    if len(result.rungs) < _SEARCHED:
+    if len(result.rungs) + len(result.left_out) < _SEARCHED:
         return
     shares = []
     for name, axis in machine.axes.items():

@@ -245,6 +245,7 @@ def _content(result: FastestJob, read: Job) -> dict[str, Any]:
         "judged_moves": result.judged_moves,
         "parts": result.parts,
         "long_moves_cut": result.cut,
+        "limits_left_out": list(result.left_out),
         "whole_job_judged": result.whole,
         "ended": result.ended,
         "verdict": _verdict_content(found),
@@ -317,6 +318,12 @@ def _how_judged(result: FastestJob) -> Iterator[str]:
         )
     if result.cut:
         yield "moves that last long were judged by their beginnings and their ends"
+    if result.left_out:
+        left_out = ", ".join(share_words(share) for share in result.left_out)
+        yield (
+            f"left out: {left_out} of the limits, with which the job takes no less time even at "
+            "the highest feed"
+        )
     if (result.parts or result.cut) and not result.whole:
         yield "the whole job was not judged: prove it by the command below"
     yield from until_words(result.ended)

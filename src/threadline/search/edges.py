@@ -111,7 +111,7 @@ def _beside_tightest(
     """Return a feed that fails right beside one of the tightest of an interval; None: none does."""
     looked: set[float] = set()
     for _ in range(_LOOKS):
-        uses = {f: _used(seen[f]) for f in seen if part.low <= f <= part.high and f not in looked}
+        uses = {f: used(seen[f]) for f in seen if part.low <= f <= part.high and f not in looked}
         tightest = max(uses, key=uses.__getitem__, default=0.0)
         if uses.get(tightest, 0.0) < _THIN:
             return None
@@ -124,8 +124,8 @@ def _beside_tightest(
     return None
 
 
-def _used(verdict: Verdict) -> float:
-    """Return what is used of the tightest limit; 0 where none was measured."""
+def used(verdict: Verdict) -> float:
+    """Return the share of the tightest limit that is used; 0 where none was measured."""
     worst = verdict.tightest
     if worst is None or worst.measured is None or not worst.limit:
         return 0.0

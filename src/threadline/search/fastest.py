@@ -9,9 +9,11 @@ interval that passes are refined.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -62,6 +64,8 @@ class Fastest:
     complete
         Whether the search came to its end. Where it did not, intervals reach from one feed that
         was tried to another, and nothing is known of what lies between.
+    every
+        Whether every interval was looked into as closely as the fastest.
     """
 
     intervals: tuple[Interval, ...]
@@ -73,6 +77,7 @@ class Fastest:
     low: float = 0.0
     edge: float = EDGE_RELATIVE
     complete: bool = True
+    every: bool = True
 
     @property
     def fastest(self) -> Interval | None:
@@ -116,6 +121,8 @@ def find_fastest(
     progress: Progress | None = None,
     unit: str = "m/s",
     until: Until | None = None,
+    seen: dict[float, Verdict] | None = None,
+    every: bool = True,
 ) -> Fastest:
     """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.
 
@@ -138,6 +145,12 @@ def find_fastest(
     until
         When the search has to come to an answer. With it, an interrupt ends the search and not the
         program, once a feed was judged.
+    seen
+        Verdicts by feed that an earlier search of the same range has come to: they are not asked
+        for again, and count as tried. Those that this search comes to are added.
+    every
+        Whether every interval is looked into that closely, or the fastest alone, and feeds near its
+        upper edge: slower ones are then as the scan and the bisection of their edges have them.
 
     Raises
     ------
@@ -149,7 +162,7 @@ def find_fastest(
     if points < 2:
         raise ValueError(f"nothing to scan with {points} points, two are the least")
     check_range(low, high, unit)
-    seen: dict[float, Verdict] = {}
+    seen = {} if seen is None else seen
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = INSIDE if near else 0
     expected = points + 6.0 * near + 2.0 * an_edge + inside  # as if there were one interval
@@ -174,7 +187,8 @@ def find_fastest(
         expected = len(seen) + an_edge * edges + inside * (edges / 2.0 + 1.0)
 
     step = (high / low) ** (1.0 / (points - 1))
-    steps = {
+    steps: dict[str, Any] = {
+        "every": every or not near,
         "step": step - 1.0,
         "near_step": step ** (1.0 / (near + 1)) - 1.0,
         "low": low,
@@ -182,7 +196,9 @@ def find_fastest(
     }
     complete = True
     try:
-        intervals = _searched(verdict_at, seen, (low, high), points, near, edge_relative, expects)
+        intervals = (_searched if every or not near else _searched_from_above)(
+            verdict_at, seen, (low, high), points, near, edge_relative, expects
+        )
     except KeyboardInterrupt as signal:
         if until is None or not seen or not until.interrupted(signal):
             raise
@@ -205,7 +221,8 @@ def find_fastest(
             **steps,
         )
     best = _first(intervals).high
-    above = [feed for feed in seen if feed > best]
+    # A feed that passes alone may lie between the best and the first that fails.
+    above = [feed for feed in seen if feed > best and not seen[feed].passed]
     limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
     return Fastest(
         intervals=tuple(intervals),
@@ -246,9 +263,57 @@ def _searched(
     feeds = _spaced(*span, points)
     passes = [verdict_at(feed).passed for feed in feeds]
     if near:
-        feeds = _finer(feeds, passes, near)
+        feeds = _finer(feeds, _about(passes), near)
         passes = [verdict_at(feed).passed for feed in feeds]
     expects(sum(before != after for before, after in pairwise(passes)))
+    intervals = _bounded(verdict_at, feeds, passes, edge_relative)
+    if near:
+        intervals = [
+            part
+            for interval in intervals
+            for part in held_parts(verdict_at, seen, interval, edge_relative)
+        ]
+    return intervals
+
+
+def _searched_from_above(
+    verdict_at: Judged,
+    seen: Mapping[float, Verdict],
+    span: tuple[float, float],
+    points: int,
+    near: int,
+    edge_relative: float,
+    expects: Callable[[int], None],
+) -> list[Interval]:
+    """Return the intervals that pass, the lowest first, the fastest of them looked into.
+
+    Feeds are tried near its upper edge, and inside it; where nothing of it holds but feeds that
+    pass alone, the next one below is looked into, and where no interval holds, all of them are.
+    """
+    scan = _spaced(*span, points)
+    about: set[int] = set()
+    while True:
+        feeds = _finer(scan, about, near)
+        intervals = _bounded(
+            verdict_at, feeds, [verdict_at(feed).passed for feed in feeds], edge_relative
+        )
+        expects(1)
+        held: list[Interval] = []
+        while intervals and all(part.alone for part in held):
+            held = held_parts(verdict_at, seen, intervals.pop(), edge_relative) + held
+        if all(part.alone for part in held):
+            return _searched(verdict_at, seen, span, points, near, edge_relative, expects)
+        top = max(part.high for part in held if not part.alone)
+        gap = bisect_right(scan, top) - 1
+        if gap in about or gap == len(scan) - 1:
+            return intervals + held
+        about |= {gap - 1, gap, gap + 1}
+
+
+def _bounded(
+    verdict_at: Judged, feeds: Sequence[float], passes: Sequence[bool], edge_relative: float
+) -> list[Interval]:
+    """Return the intervals between feeds that fail, the lowest first, with their edges refined."""
     intervals: list[Interval] = []
     start: float | None = None
     for index, feed in enumerate(feeds):
@@ -262,12 +327,6 @@ def _searched(
             stop = feed if last else refined(verdict_at, feed, feeds[index + 1], edge_relative)
             intervals.append(Interval(low=start, high=stop))
             start = None
-    if near:
-        intervals = [
-            part
-            for interval in intervals
-            for part in held_parts(verdict_at, seen, interval, edge_relative)
-        ]
     return intervals
 
 
@@ -276,17 +335,18 @@ def _first(intervals: Sequence[Interval]) -> Interval:
     return min(intervals, key=lambda interval: interval.alone)
 
 
-def _finer(feeds: list[float], passes: list[bool], near: int) -> list[float]:
-    """Return ``feeds`` with ``near`` more in each gap where pass turns to fail, and beside it."""
-    last = len(feeds) - 1
-    gaps: set[int] = set()  # by the feed below
-    for gap in range(last):
-        if passes[gap] != passes[gap + 1]:
-            gaps |= {gap - 1, gap, gap + 1}
+def _about(passes: Sequence[bool]) -> set[int]:
+    """Return the gaps where pass turns to fail, and those beside, each by the feed below."""
+    changes = (gap for gap, (a, b) in enumerate(pairwise(passes)) if a != b)
+    return {beside for gap in changes for beside in (gap - 1, gap, gap + 1)}
+
+
+def _finer(feeds: Sequence[float], gaps: Collection[int], near: int) -> list[float]:
+    """Return ``feeds`` with ``near`` more in each of some gaps."""
     finer = []
     for gap, feed in enumerate(feeds):
         finer.append(feed)
-        if gap in gaps and gap < last:
+        if gap in gaps and gap < len(feeds) - 1:
             finer += _spaced(feed, feeds[gap + 1], near + 2)[1:-1]
     return finer
 

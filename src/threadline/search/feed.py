@@ -16,6 +16,7 @@ from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
 from threadline.plan import Following
+from threadline.search.edges import used
 from threadline.search.fastest import (
     EDGE_RELATIVE,
     NEAR_POINTS,
@@ -86,6 +87,8 @@ def fastest_feed(
     parts: Sequence[Job] = (),
     until: Until | None = None,
     by: FeedMode = FeedMode.FASTEST_AXIS,
+    seen: dict[float, Verdict] | None = None,
+    every: bool = True,
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec.
 
@@ -106,18 +109,22 @@ def fastest_feed(
         When the search has to come to an answer.
     by
         What the feed is of: the fastest axis, or F words, by the job's rule for them.
+    seen, every
+        As ``find_fastest`` takes them.
     """
     judged_jobs = [LongMoves.of(part, machine) for part in parts or (job,)]
     lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
 
     def judged(feed_m_s: float) -> Verdict:
+        passed = []
         for at, part in enumerate(judged_jobs):
             verdict = judged_part(part, feed_m_s)
             if not verdict.passed:
                 # What fails at one feed most likely fails at the next: it is judged first.
                 judged_jobs.insert(0, judged_jobs.pop(at))
                 return verdict
-        return verdict
+            passed.append(verdict)
+        return max(passed, key=used)
 
     def judged_part(part: LongMoves, feed_m_s: float) -> Verdict:
         feed = Feed(by, feed_m_s)
@@ -140,4 +147,6 @@ def fastest_feed(
         edge_relative=edge_relative,
         progress=progress,
         until=until,
+        seen=seen,
+        every=every,
     )

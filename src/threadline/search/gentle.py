@@ -29,13 +29,17 @@ from threadline.search.fastest import (
 from threadline.search.feed import fastest_feed, feed_range_m_s, searched_by
 from threadline.search.long_moves import LongMoves
 from threadline.search.rungs import FastestJob, Rung
-from threadline.search.until import OUT_OF_TIME, HaltError, Until, no_answer
+from threadline.search.shares import Shares
+from threadline.search.until import HaltError, Until, as_far_as, no_answer
 from threadline.trajectory import Pace
-from threadline.verdict import Spec
+from threadline.verdict import Spec, Verdict
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
 _STEP = 2.0**0.25  # from rung to rung once the best of the ladder is known
 _SCAN_POINTS = 20
+_STEPS = len(_LADDER) + 5
+"""Of a search: the ladder, most often two shares on either side of the best, and the best again,
+near its edges."""
 _LOWERED = 8  # feeds that the whole job is tried at
 _LOWER = 0.98
 
@@ -78,6 +82,10 @@ def fastest_job(
     Where most of a job repeats what was met before, tries are judged by its distinct stretches, and
     the best by the whole job; where that is out of spec, the feed is lowered until it is not. So
     are moves that go on at a constant speed for long: tries leave out the middle.
+
+    Of a job of more than five minutes a share of the limits is left out where even the highest feed
+    takes no less time with it than the best so far: nothing of it can be the answer. Near the end
+    the fastest interval alone is looked into closely, and its upper edge.
     """
     check_loops(machine)
     if options.interpolation == OPTIMAL:
@@ -100,36 +108,41 @@ def fastest_job(
     with nullcontext() if until is None else until.interrupting():
         parts = distinct_parts(job, machine)
         by_feed = ignores_limits(parts[0], machine, options)
-    rungs: dict[float, Rung] = {}
-    expected = 1 if by_feed else len(_LADDER) + 4
+    seen: dict[float, dict[float, Verdict]] = {}
 
-    def tried(share: float, points: int, near: int = 0) -> Rung:
-        if share not in rungs or near:
-            if progress is not None:
-                progress(f"limits {share:.0%}", min(len(rungs) / expected, 1.0))
-            chosen = replace(options, limit_share=share)
-            found = fastest_feed(
-                job,
-                machine,
-                spec,
-                chosen,
-                low=low,
-                high=high,
-                points=points,
-                near=near,
-                actual=actual,
-                trials=trials,
-                parts=parts,
-                until=until,
-                by=by,
-            )
-            rungs[share] = Rung(
-                share=share, found=found, duration_s=_duration_s(job, machine, chosen, found, by)
-            )
-            if not found.complete:
-                raise HaltError
-        return rungs[share]
+    def searched(share: float, points: int, near: int, telling: Progress | None) -> Fastest:
+        return fastest_feed(
+            job,
+            machine,
+            spec,
+            replace(options, limit_share=share),
+            low=low,
+            high=high,
+            points=points,
+            near=near,
+            progress=telling,
+            actual=actual,
+            trials=trials,
+            parts=parts,
+            until=until,
+            by=by,
+            seen=seen.setdefault(share, {}),
+            every=by_feed or not shares.long,
+        )
 
+    shares = Shares(
+        searched=searched,
+        duration_s=lambda share, found: _duration_s(
+            job, machine, replace(options, limit_share=share), found, by
+        ),
+        at_top_s=lambda share: _planned_s(
+            job, machine, replace(options, limit_share=share), highest if high is None else high, by
+        ),
+        expected=1 if by_feed else _STEPS,
+        progress=progress,
+        until=until,
+    )
+    tried, rungs = shares.tried, shares.rungs
     try:
         if by_feed:
             tried(1.0, 48, NEAR_POINTS)
@@ -145,21 +158,23 @@ def fastest_job(
     ended = "" if until is None else until.ended
     repeats = parts != (job,)
     cut = _cut(parts, machine, best, by)
+    never = tuple(sorted(shares.left_out, reverse=True))
     if not (repeats or cut):
-        return FastestJob(best=best, rungs=_ordered(rungs), ended=ended, by=by)
+        return FastestJob(best=best, rungs=_ordered(rungs), left_out=never, ended=ended, by=by)
     whole = not ended
     if whole and best.duration_s is not None:
+        whole = False
         if progress is not None:
-            progress("the whole job", 0.0)
-        try:
-            with nullcontext() if until is None else until.interrupting():
-                best = _of_whole(best, job, machine, spec, options, actual, trials, by)
+            progress("the whole job", shares.steps / (shares.steps + 1))
+        with as_far_as(until, lambda: rungs):
+            best = _of_whole(best, job, machine, spec, options, actual, trials, by)
             rungs[best.share] = best
-        except HaltError:
-            whole, ended = False, OUT_OF_TIME
+            whole = True
+        ended = "" if until is None else until.ended
     return FastestJob(
         best=best,
         rungs=_ordered(rungs),
+        left_out=never,
         moves=_moves_in(job),
         judged_moves=sum(map(_moves_in, parts)),
         parts=len(parts) if repeats else 0,
@@ -170,14 +185,19 @@ def fastest_job(
     )
 
 
-def _climb(tried: Callable[..., Rung], rungs: Mapping[float, Rung]) -> None:
+def _climb(tried: Callable[..., Rung | None], rungs: Mapping[float, Rung]) -> None:
     """Try shares of the limits until none beside the best is better."""
-    best = min((tried(share, _SCAN_POINTS) for share in _LADDER), key=_order)
+    for share in _LADDER:
+        tried(share, _SCAN_POINTS)
+    best = min(rungs.values(), key=_order)
     if best.duration_s is not None:
         for factor in (_STEP, 1.0 / _STEP):
             share = round(best.share * factor, 6)
-            while LEAST_SHARE <= share <= 1.0 and _order(tried(share, _SCAN_POINTS)) < _order(best):
-                best = tried(share, _SCAN_POINTS)
+            while LEAST_SHARE <= share <= 1.0:
+                rung = tried(share, _SCAN_POINTS)
+                if rung is None or not _order(rung) < _order(best):
+                    break
+                best = rung
                 share = round(share * factor, 6)
     finer: set[float] = set()
     while best.duration_s is not None and best.share not in finer:
@@ -254,7 +274,9 @@ def _order(rung: Rung) -> float:
 def _duration_s(
     job: Job, machine: Machine, options: Options, found: Fastest, by: FeedMode
 ) -> float | None:
-    if found.best is None:
-        return None
-    feed = Feed(by, found.best)
-    return plan_job(job, machine, replace(options, feed=feed)).duration_s
+    return None if found.best is None else _planned_s(job, machine, options, found.best, by)
+
+
+def _planned_s(job: Job, machine: Machine, options: Options, feed: float, by: FeedMode) -> float:
+    """Return how long the whole job takes at a feed."""
+    return plan_job(job, machine, replace(options, feed=Feed(by, feed))).duration_s

@@ -59,6 +59,9 @@ class FastestJob:
     ----------
     bounds
         With ``optimal``: lower bounds on the time of the best plan; otherwise empty.
+    left_out
+        Shares of the limits that were not searched, because even at the highest feed the job takes
+        no less time with them than with the best.
     moves, judged_moves, parts
         How many moves the job has, and how many of them in how many distinct stretches every try
         was judged by; 0 where it was judged by all of them.
@@ -75,6 +78,7 @@ class FastestJob:
     best: Rung
     rungs: tuple[Rung, ...]
     bounds: tuple[Bound, ...] = ()
+    left_out: tuple[float, ...] = ()
     moves: int = 0
     judged_moves: int = 0
     parts: int = 0

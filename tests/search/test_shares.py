@@ -1,0 +1,227 @@
+"""Shares of the limits: which are left out, what an interrupt leaves, how far the search is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.jobs.made_machines import made_machine
+from tests.search.test_fastest import verdict
+from tests.search.test_long_jobs import winding_blocks, written
+
+from threadline.cli.controller_settings import settings_words
+from threadline.cli.found import resolution_words
+from threadline.errors import LimitError
+from threadline.machine import Machine
+from threadline.options import Options
+from threadline.pipeline import Progress
+from threadline.search import fastest_job, gentle
+from threadline.search.fastest import RANGE, Fastest, Interval, find_fastest
+from threadline.search.shares import Shares
+from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until
+from threadline.verdict import Verdict, load_spec
+
+SPEC = 'name = "any"\n[[criteria]]\nname = "contour_error"\nlimit = "1 mm"\nrequired = true\n'
+
+
+def found() -> Fastest:
+    best = Interval(low=0.1, high=0.5)
+    return Fastest(intervals=(best,), limited_by="x", verdict=verdict(0.5), tried=3)
+
+
+def shares_of(
+    durations: dict[float, float],
+    at_top: dict[float, float],
+    told: list[float] | None = None,
+    until: Until | None = None,
+) -> tuple[Shares, list[float]]:
+    """Shares of a search that finds these durations, and the shares that it searches."""
+    searched: list[float] = []
+
+    def search(share: float, points: int, near: int, telling: Progress | None) -> Fastest:
+        searched.append(share)
+        for part in (0.25, 0.5, 1.0):
+            if telling is not None:
+                telling("searching", part)
+        return found()
+
+    shares = Shares(
+        searched=search,
+        duration_s=lambda share, _: durations[share],
+        at_top_s=lambda share: at_top[share],
+        expected=4,
+        progress=None if told is None else lambda _, part: told.append(part),
+        until=until,
+    )
+    return shares, searched
+
+
+def test_a_share_that_cannot_be_the_answer_is_left_out() -> None:
+    """With a quarter the highest feed is as slow as the best so far; with half of them it is not.
+
+    The lower feeds of a share take longer than its highest.
+    """
+    shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {0.5: 850.0, 0.25: 900.0})
+    assert shares.tried(1.0, 20) is not None and shares.tried(0.5, 20) is not None
+    assert shares.tried(0.25, 20) is None and shares.tried(0.25, 20) is None
+    assert searched == [1.0, 0.5] and shares.left_out == {0.25} and set(shares.rungs) == {1.0, 0.5}
+    assert shares.tried(0.5, 20, 16) is not None and searched == [1.0, 0.5, 0.5]
+
+
+def test_of_a_short_job_no_share_is_left_out() -> None:
+    shares, searched = shares_of({1.0: 200.0, 0.5: 300.0}, {0.5: 300.0})
+    assert shares.tried(1.0, 20) is not None and shares.tried(0.5, 20) is not None
+    assert searched == [1.0, 0.5] and not shares.left_out
+
+
+def test_where_the_highest_feed_is_no_plan_the_share_is_searched() -> None:
+    """With feed-forward it may break a limit that lower feeds keep."""
+    shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {})
+
+    def refused(_: float) -> float:
+        raise LimitError("broken", quantity="jerk", axis="X", value_si=2.0, limit_si=1.0)
+
+    shares.at_top_s = refused
+    assert shares.tried(1.0, 20) is not None and shares.tried(0.5, 20) is not None
+    assert searched == [1.0, 0.5]
+
+
+def test_how_far_it_is_only_grows_and_stays_below_all() -> None:
+    told: list[float] = []
+    shares, _ = shares_of({1.0: 1e3, 0.5: 9e2}, {0.5: 1.0, 0.25: 9e2, 0.125: 9e2}, told)
+    for share in (1.0, 0.5, 0.25, 0.125):
+        shares.tried(share, 20)
+    assert told == sorted(told) and told[0] == 0.0 and told[-1] == 0.75
+    assert {0.0625, 0.125, 0.25, 0.3125, 0.5} <= set(told)
+    for _ in range(4):
+        shares.tried(1.0, 20, 16)
+    assert told == sorted(told) and told[-1] == 1.0
+
+
+def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
+    until = Until()
+    shares, _ = shares_of({1.0: 1000.0}, {}, until=until)
+    planned: list[float] = []
+
+    def interrupted(share: float, _: Fastest) -> float:
+        planned.append(share)
+        if len(planned) == 1:
+            raise KeyboardInterrupt
+        return 1000.0
+
+    shares.duration_s = interrupted
+    with pytest.raises(HaltError):
+        shares.tried(1.0, 20)
+    assert shares.rungs[1.0].duration_s == 1000.0 and until.ended == INTERRUPTED
+
+
+def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
+    """It starts from every verdict of the scan, and asks for none of them again."""
+    asked: list[float] = []
+
+    def judged(feed: float) -> Verdict:
+        asked.append(feed)
+        return verdict(0.5 if feed < 1.0 else 2.0)
+
+    seen: dict[float, Verdict] = {}
+    coarse = find_fastest(judged, 0.1, 10.0, points=9, seen=seen)
+    before = len(asked)
+    until = Until()
+    until.ended = OUT_OF_TIME
+    ended = find_fastest(judged, 0.1, 10.0, points=9, near=4, until=until, seen=seen)
+    assert len(asked) == before and not ended.complete and ended.best == coarse.best
+    fine = find_fastest(judged, 0.1, 10.0, points=9, near=4, seen=seen)
+    assert len(set(asked)) == len(asked) == fine.tried
+    alone = find_fastest(judged, 0.1, 10.0, points=9, near=4)
+    assert fine.best is not None and alone.best is not None
+    assert fine.best == pytest.approx(alone.best, rel=4e-3)
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return made_machine(tmp_path_factory.mktemp("shares"), "X", "A")
+
+
+def at_the_highest(*_: object, seen: object = None, **more: object) -> Fastest:
+    """The answer of a search for a feed: all of them pass."""
+    high = more["high"]
+    assert isinstance(high, float)
+    best = Interval(low=0.019, high=high)
+    return Fastest(intervals=(best,), limited_by="range", verdict=verdict(0.5), tried=20)
+
+
+def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """400 moves at a feed that all of the limits allow: less of them is slower, and never tried.
+
+    The whole job is judged then; whoever interrupts that has the best so far.
+    """
+    job = written(tmp_path, winding_blocks(400), machine)
+    file = tmp_path / "spec.toml"
+    file.write_text(SPEC)
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gentle, "fastest_feed", at_the_highest)
+    monkeypatch.setattr(gentle, "_of_whole", interrupted)
+    result = fastest_job(
+        job, machine, load_spec(file, machine), Options(), low=0.019, high=0.02, until=Until()
+    )
+    assert result.best.share == 1.0 and result.best.duration_s > 300.0
+    assert set(result.left_out) > {0.5, 0.25, 0.125} and [r.share for r in result.rungs] == [1.0]
+    assert result.ended == INTERRUPTED and not result.whole and result.parts
+    # The accelerations are told still: their share was searched.
+    assert len(list(settings_words(job, machine, result))) == 2
+    with pytest.raises(KeyboardInterrupt):
+        fastest_job(job, machine, load_spec(file, machine), Options(), low=0.019, high=0.02)
+
+
+def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
+    """A gap in it and a narrow interval above it are found, those of slower feeds are not."""
+    wanted = [(0.1, 0.2), (0.205, 0.3), (1.0, 1.8), (1.82, 2.0), (2.03, 2.06)]
+
+    def judged(feed: float) -> Verdict:
+        return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
+
+    few = find_fastest(judged, 0.1, 10.0, points=20, near=16, every=False)
+    all_of_them = find_fastest(judged, 0.1, 10.0, points=20, near=16)
+    assert few.best == all_of_them.best == pytest.approx(2.06, rel=2.1e-3)
+    assert not few.every and all_of_them.every and few.tried < 0.8 * all_of_them.tried
+    assert [i for i in few.intervals if i.low > 0.9] == [
+        i for i in all_of_them.intervals if i.low > 0.9
+    ]
+    assert "about the upper edge of the fastest" in resolution_words(few)
+    assert "about the edges of the fastest" in resolution_words(all_of_them)
+
+
+def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
+    """A feed of the scan passes alone at 10^0.5; below 1 there is a gap that the scan misses."""
+
+    def judged(feed: float) -> Verdict:
+        passes = feed <= 0.45 or 0.55 <= feed <= 1.0 or abs(feed - alone) < 1e-4
+        return verdict(0.99 if passes else 1.01)
+
+    alone = float(f"{10.0**0.5:.4g}")
+    found = find_fastest(judged, 0.1, 10.0, points=9, near=16, every=False)
+    assert found.alone == (alone,) and found.best == pytest.approx(1.0, rel=2.1e-3)
+    assert [i.low for i in found.intervals if not i.alone] == pytest.approx([0.55, 0.1], rel=2.1e-3)
+
+    def nothing_holds(feed: float) -> Verdict:
+        return verdict(0.99 if abs(feed - alone) < 1e-4 else 1.01)
+
+    found = find_fastest(nothing_holds, 0.1, 10.0, points=9, near=16, every=False)
+    assert found.alone == (alone,) and found.best == alone
+
+
+def test_what_limits_is_what_fails_above_the_best() -> None:
+    """A feed that passes by chance right above the edge, known from before, says nothing."""
+
+    def judged(feed: float) -> Verdict:
+        return verdict(0.99 if feed <= 1.0 or abs(feed - 1.0011) < 1e-5 else 1.01)
+
+    found = find_fastest(judged, 0.1, 10.0, points=9, seen={1.0011: judged(1.0011)})
+    assert found.best is not None and 0.99 < found.best <= 1.0
+    assert found.limited_by == "contour_error"
+    assert find_fastest(judged, 0.1, 0.9, points=9).limited_by == RANGE
