@@ -17,7 +17,7 @@ from tests.search.test_fastest import verdict
 from threadline.cli.controller_settings import settings_words
 from threadline.cli.main import main
 from threadline.jobs import Job, read_job
-from threadline.jobs.operations import Move, MoveRun, move_runs
+from threadline.jobs.operations import Feed, FeedMode, Move, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
@@ -26,6 +26,7 @@ from threadline.pipeline import plan_job, try_plan
 from threadline.search import fastest_job
 from threadline.search.distinct import distinct_parts
 from threadline.search.fastest import Fastest, Interval, find_fastest
+from threadline.search.feed import fastest_feed
 from threadline.search.rungs import FastestJob, Rung
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, Until
 from threadline.verdict import Verdict, load_spec
@@ -128,10 +129,12 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     file.write_text('name = "any"\n' + "".join(f'[[criteria]]\nname = "{n}"\n' for n in names))
     spec, options = load_spec(file, machine), Options(interpolation="linear")
 
-    def worst(jobs: Sequence[Job]) -> dict[tuple[str, str], float]:
+    def worst(jobs: Sequence[Job], feed: Feed | None = None) -> dict[tuple[str, str], float]:
         found: dict[tuple[str, str], float] = {}
         for job in jobs:
-            for result in try_plan(plan_job(job, machine, options), spec).verdict.results:
+            for result in try_plan(
+                plan_job(job, machine, replace(options, feed=feed)), spec
+            ).verdict.results:
                 if result.measured is not None and result.name in names:
                     key = result.name, result.axis
                     found[key] = max(found.get(key, 0.0), abs(result.measured))
@@ -151,6 +154,14 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     assert found.keys() == whole.keys() and len(found) >= 5
     for key, value in whole.items():
         assert found[key] == pytest.approx(value, rel=1e-3, abs=1e-5), key
+    # The verdict on a feed is of all stretches, row by row.
+    at = worst(parts, Feed(FeedMode.FASTEST_AXIS, 0.1))
+    told = fastest_feed(
+        job, machine, spec, options, low=0.09, high=0.1, points=2, near=0, parts=parts
+    )
+    assert told.best == 0.1
+    rows = {(r.name, r.axis): r.measured for r in told.verdict.results if r.measured is not None}
+    assert {key: rows[key] for key in at} == at
     # Without what is different the job asks for less: that is what must not be missed.
     assert whole["acceleration", "A"] > 1.2 * plain["acceleration", "A"]
     assert whole["velocity", "X"] > 1.2 * plain["velocity", "X"]

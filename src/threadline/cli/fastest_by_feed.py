@@ -325,7 +325,10 @@ def _how_judged(result: FastestJob) -> Iterator[str]:
             "the highest feed"
         )
     if (result.parts or result.cut) and not result.whole:
-        yield "the whole job was not judged: prove it by the command below"
+        yield (
+            "the whole job was not judged: the verdict is the worst of what was, with times from "
+            "the beginning of a stretch; prove it by the command below"
+        )
     yield from until_words(result.ended)
 
 

@@ -64,6 +64,20 @@ def feed_range_m_s(
     return _typed(low, math.ceil), _typed(high, math.floor)
 
 
+def _of_all(passed: Sequence[Verdict]) -> Verdict:
+    """Return one verdict over all stretches of a job, each of which passes: the worst of each row.
+
+    Stretches have the same criteria and axes, hence the same rows; where one has others, since it
+    is judged without ends of travel, the verdict is that of the stretch closest to a limit.
+    """
+    closest = max(passed, key=used)
+    if len({tuple(row.name for row in verdict.results) for verdict in passed}) > 1:
+        return closest
+    rows = zip(*(verdict.results for verdict in passed), strict=True)
+    worst = (max(row, key=lambda one: (one.measured is not None, one.severity)) for row in rows)
+    return replace(closest, results=tuple(worst))
+
+
 def _typed(feed: float, towards: Callable[[float], int]) -> float:
     """Return a feed of six digits within the range: what a search ends with can be typed."""
     digits = 5 - math.floor(math.log10(feed))
@@ -124,7 +138,7 @@ def fastest_feed(
                 judged_jobs.insert(0, judged_jobs.pop(at))
                 return verdict
             passed.append(verdict)
-        return max(passed, key=used)
+        return _of_all(passed)
 
     def judged_part(part: LongMoves, feed_m_s: float) -> Verdict:
         feed = Feed(by, feed_m_s)
