@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from threadline.signals import ChannelKind
 from threadline.verdict import Criterion, Status, judge
-from threadline.verdict.nearest import vertices_to_path
+from threadline.verdict.boxes import NO_BOXES, vertices_to_path
 
 from .builders import TICK_S, follow, move_s, plan_through, record, spec_of
 
@@ -311,6 +311,10 @@ def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
         np.array([1, 1]),
         np.array([1, 2]),
         vertices,
+        (0, 0),
+        None,
+        NO_BOXES,
+        np.full(1, -np.inf),
         best,
         best_time_s,
     )

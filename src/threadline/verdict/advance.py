@@ -4,213 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
 from threadline.trajectory import TrajectoryReader
 from threadline.verdict.blocks import judged_blocks
+from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.nearest import chord_ways
+from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 COMMAND_BY_TIME = "command from the plan by time"
 """Note of a result for which the command was taken from the plan."""
-
-_CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up
-
-
-def _given_up(values: FloatArray, ceiling: float, dropped: FloatArray) -> bool:
-    """Say whether all ``values`` are above the ceiling; if so lower ``dropped`` to them."""
-    near = 0
-    for r in range(len(values)):
-        near += values[r] <= ceiling
-    if near:
-        return False
-    for r in range(len(values)):
-        dropped[r] = values[r] if values[r] < dropped[r] else dropped[r]
-    return True
-
-
-_given_up_fast = njit(nogil=True)(_given_up)
-
-
-def _ahead(
-    point: FloatArray, start: FloatArray, way: FloatArray, per_length: float, heading: FloatArray
-) -> float:
-    """Return how far a point is from the nearest place of a way, along a heading."""
-    length, along = 0.0, 0.0
-    for a in range(len(point)):
-        length += (point[a] - start[a]) * way[a]
-    where = min(max(length * per_length, 0.0), 1.0)
-    for a in range(len(point)):
-        along += (point[a] - start[a] - where * way[a]) * heading[a]
-    return along
-
-
-_ahead_fast = njit(nogil=True)(_ahead)
-
-
-def _advance(
-    points: FloatArray,
-    off: FloatArray,
-    command: FloatArray,
-    way: FloatArray,
-    inverse: FloatArray,
-    heading: FloatArray,
-    axes: tuple[int, ...],
-    first: int,
-    number: int,
-    lag: int,
-    low: int,
-    value: FloatArray,
-    worst: FloatArray,
-    at: IntArray,
-    side: FloatArray,
-    high: int,
-    ceiling: float,
-    dropped: FloatArray,
-) -> tuple[int, int, float]:
-    """Advance ``value`` by the samples ``points``; return ``low``, ``high`` and ``ceiling`` anew.
-
-    Place k is the way of the command from its sample k - 1 to k. Its value, of each run, is the
-    least of the largest squared errors with which the tool can have come to place k by now without
-    going back. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
-    its squared distance from the path, which is no error of progress. The least of all values only
-    grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
-    the tool was then, along the way of the command from the place that is nearest to being right.
-
-    Places before ``low`` and after ``high`` have no value. A place that is the first to have one,
-    and has more than ``ceiling`` in every run, is given up: ``dropped`` is the least that was given
-    up, of each run. As long as it is more than ``worst``, nothing was lost: the ceiling stays at
-    four times the largest ``worst`` or more.
-
-    ``axes`` has one entry for each axis: its length is known when this is compiled.
-    """
-    samples, _, runs = points.shape
-    rows, origin = len(value), number - first
-    carry, least = np.empty(runs), np.empty(runs)
-    for i in range(samples):
-        last = first + i
-        begin = max(last - lag, 0)
-        for r in range(runs):
-            carry[r] = 0.0 if number + i == 0 else np.inf
-            least[r] = np.inf
-        value[(origin + last) % rows] = np.inf
-        for k in range(low, begin):  # the lag excuses them no longer: the tool has moved on
-            row = value[(origin + k) % rows]
-            for r in range(runs):
-                carry[r] = row[r] if row[r] < carry[r] else carry[r]
-        low = max(low, begin)
-        for k in range(low, last + 1):
-            # Of the first place only its end is within the lag.
-            start = k - 1 if k > begin else k
-            per_length = inverse[k] if k > begin else 0.0
-            row = value[(origin + k) % rows]
-            for r in range(runs):
-                carried = row[r] if row[r] < carry[r] else carry[r]
-                along = 0.0
-                for a in range(len(axes)):
-                    along += (points[i, a, r] - command[start, a]) * way[k, a]
-                where = along * per_length
-                where = where if where > 0.0 else 0.0
-                where = where if where < 1.0 else 1.0
-                away = 0.0
-                for a in range(len(axes)):
-                    gap = points[i, a, r] - command[start, a] - where * way[k, a]
-                    away += gap * gap
-                error = away - off[i, r]
-                error = error if error > carried else carried
-                carry[r] = carried
-                row[r] = error
-                least[r] = error if error < least[r] else least[r]
-            farther = 0
-            for r in range(runs):
-                farther += least[r] > worst[r]
-            if not farther:  # here every run has been good enough: no later place is better
-                break
-        for later in range(k + 1, high + 1):
-            value[(origin + later) % rows] = np.inf
-        high = k
-        if farther:
-            for r in range(runs):
-                if least[r] > worst[r]:
-                    worst[r], at[r] = least[r], number + i
-                    ceiling = max(ceiling, _CEILING * worst[r])
-                    k = low
-                    while value[(origin + k) % rows, r] > least[r]:
-                        k += 1
-                    start = k - 1 if k > begin else k
-                    side[r] = _ahead_fast(
-                        points[i, :, r],
-                        command[start],
-                        way[k],
-                        inverse[k] if k > begin else 0.0,
-                        heading[k],
-                    )
-        while low < high:
-            if not _given_up_fast(value[(origin + low) % rows], ceiling, dropped):
-                break
-            low += 1
-    return low, high, ceiling
-
-
-_advance_fast = njit(nogil=True, error_model="numpy")(_advance)
-
-
-class ProgressPart(NamedTuple):
-    """What a sweep over a block takes from the measure and brings back: see ``_advance``.
-
-    Place ``first`` is that of the first sample of the block, which is the ``number``-th of all.
-    ``places`` are the first and the last that have a value; ``ceiling`` has one entry.
-    """
-
-    command: FloatArray
-    way: FloatArray
-    inverse: FloatArray
-    heading: FloatArray
-    axes: tuple[int, ...]
-    first: int
-    number: int
-    lag: int
-    places: IntArray
-    value: FloatArray
-    worst: FloatArray
-    at: IntArray
-    side: FloatArray
-    ceiling: FloatArray
-    dropped: FloatArray
-
-
-def _move_on(points: FloatArray, off: FloatArray, low: int, part: ProgressPart) -> None:
-    """Advance the places of the command by samples of which the first is ``low``."""
-    part.places[0], part.places[1], part.ceiling[0] = _advance_fast(
-        points,
-        off,
-        part.command,
-        part.way,
-        part.inverse,
-        part.heading,
-        part.axes,
-        part.first + low,
-        part.number + low,
-        part.lag,
-        part.places[0],
-        part.value,
-        part.worst,
-        part.at,
-        part.side,
-        part.places[1],
-        part.ceiling[0],
-        part.dropped,
-    )
-
-
-move_on = njit(nogil=True)(_move_on)
 
 
 class _Progress(SweptMeasure):
@@ -311,7 +120,7 @@ class _Progress(SweptMeasure):
         path = PathWindow(setting.plan.motion.programmed)
         every = _Progress(setting, every_place=True)
         for block in judged_blocks(setting.recording, setting.axes, setting.lag_samples, path):
-            move_on(block.at_tool, block.nearest[0], 0, every.part(block))
+            move_on(block.at_tool, NO_BOXES, block.nearest[0], 0, every.part(block))
             every.feed(block)
         return every.finish()
 

@@ -45,10 +45,13 @@ class ContourPart(NamedTuple):
     best_time_s: FloatArray
 
 
-def _raise(squared: FloatArray, chord: IntArray, low: int, part: ContourPart) -> None:
+def _raise(
+    squared: FloatArray, chord: IntArray, only: IntArray, low: int, part: ContourPart
+) -> None:
     """Raise the worst to the (n, runs) squared distances of samples, the first of which is ``low``.
 
-    Of equals the first stays.
+    Of equals the first stays. ``only`` is the nearest chord of all runs of a sample, or -1 where
+    ``chord`` has one of each.
     """
     samples, runs = squared.shape
     for i in range(samples):
@@ -59,7 +62,7 @@ def _raise(squared: FloatArray, chord: IntArray, low: int, part: ContourPart) ->
             for r in range(runs):
                 if squared[i, r] > part.worst[r]:
                     part.worst[r], part.at[r], part.part[r] = squared[i, r], low + i, 1.0
-                    part.nearest[r] = chord[i, r]
+                    part.nearest[r] = only[i] if only[i] >= 0 else chord[i, r]
 
 
 raise_to_samples = njit(nogil=True)(_raise)

@@ -69,6 +69,58 @@ def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     return way, np.where(squared > 0.0, squared, 1.0)
 
 
+def _nearest_of_all(
+    point: FloatArray,
+    begin: int,
+    end: int,
+    vertices: FloatArray,
+    way: FloatArray,
+    length: FloatArray,
+    axes: tuple[int, ...],
+    share: FloatArray | None,
+    squared: FloatArray,
+    chord: IntArray,
+) -> None:
+    """Fill in the squared distance of a point of each run to the chords ``begin`` to ``end``.
+
+    ``chord`` is the first of the nearest. ``axes`` has one entry for each axis: its length is known
+    when this is compiled, and the loops over axes are gone. So is what asks for ``share``.
+    """
+    runs = len(squared)
+    for r in range(runs):
+        squared[r] = np.inf
+        chord[r] = begin
+    for c in range(begin, end + 1):
+        for r in range(runs):
+            along = 0.0
+            size = length[c]
+            if share is None:
+                for a in range(len(axes)):
+                    along += (point[a, r] - vertices[c - 1, a]) * way[c, a]
+            else:
+                size = 0.0
+                for a in range(len(axes)):
+                    weighed = share[a, r] * way[c, a]
+                    along += share[a, r] * (point[a, r] - vertices[c - 1, a]) * weighed
+                    size += weighed * weighed
+                size = size if size > 0.0 else 1.0
+            where = along / size
+            where = where if where > 0.0 else 0.0
+            where = where if where < 1.0 else 1.0
+            away = 0.0
+            for a in range(len(axes)):
+                gap = point[a, r] - vertices[c - 1, a] - where * way[c, a]
+                if share is not None:
+                    gap *= share[a, r]
+                away += gap * gap
+            nearer = away < squared[r]
+            squared[r] = away if nearer else squared[r]
+            chord[r] = c if nearer else chord[r]
+
+
+nearest_of_all = njit(nogil=True, error_model="numpy")(_nearest_of_all)
+
+
 def _nearest_chords(
     points: FloatArray,
     begin: IntArray,
@@ -81,42 +133,20 @@ def _nearest_chords(
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
-    """Fill in the squared distance of each point to the chords ``begin[i]`` to ``end[i]``.
-
-    ``chord`` is the first of the nearest. ``axes`` has one entry for each axis: its length is known
-    when this is compiled, and the loops over axes are gone. So is what asks for ``share``.
-    """
-    samples, _, runs = points.shape
-    for i in range(samples):
-        for r in range(runs):
-            squared[i, r] = np.inf
-            chord[i, r] = begin[i]
-        for c in range(begin[i], end[i] + 1):
-            for r in range(runs):
-                along = 0.0
-                size = length[c]
-                if share is None:
-                    for a in range(len(axes)):
-                        along += (points[i, a, r] - vertices[c - 1, a]) * way[c, a]
-                else:
-                    size = 0.0
-                    for a in range(len(axes)):
-                        weighed = share[i, a, r] * way[c, a]
-                        along += share[i, a, r] * (points[i, a, r] - vertices[c - 1, a]) * weighed
-                        size += weighed * weighed
-                    size = size if size > 0.0 else 1.0
-                where = along / size
-                where = where if where > 0.0 else 0.0
-                where = where if where < 1.0 else 1.0
-                away = 0.0
-                for a in range(len(axes)):
-                    gap = points[i, a, r] - vertices[c - 1, a] - where * way[c, a]
-                    if share is not None:
-                        gap *= share[i, a, r]
-                    away += gap * gap
-                nearer = away < squared[i, r]
-                squared[i, r] = away if nearer else squared[i, r]
-                chord[i, r] = c if nearer else chord[i, r]
+    """Do so with each of (n, axes, runs) points and the chords ``begin[i]`` to ``end[i]``."""
+    for i in range(len(points)):
+        nearest_of_all(
+            points[i],
+            begin[i],
+            end[i],
+            vertices,
+            way,
+            length,
+            axes,
+            None if share is None else share[i],
+            squared[i],
+            chord[i],
+        )
 
 
 def _most_between(
@@ -161,11 +191,14 @@ def _none_farther(
     return max(first, second, joint) <= least
 
 
-def _alike(first: IntArray, second: IntArray) -> bool:
-    """Say whether all numbers are the same; makes no array of it."""
+def _alike(first: IntArray, first_only: int, second: IntArray, second_only: int) -> bool:
+    """Say whether all numbers are the same; the one of all counts where it is not below 0."""
+    if first_only >= 0 and second_only >= 0:
+        return first_only == second_only
     others = 0
     for r in range(len(first)):
-        others += first[r] != second[r]
+        one = first_only if first_only >= 0 else first[r]
+        others += one != (second_only if second_only >= 0 else second[r])
     return others == 0
 
 
@@ -178,6 +211,7 @@ def _between(
     before: FloatArray,
     chord: IntArray,
     chord_before: IntArray,
+    only: IntArray,
     begin: IntArray,
     end: IntArray,
     vertices: FloatArray,
@@ -190,8 +224,9 @@ def _between(
 ) -> None:
     """Raise ``worst``, (runs,) squared, where the straight way to a point is farther than its ends.
 
-    The distance to one chord is largest at an end of the way; to two it may not be. ``begin`` and
-    ``end`` have an entry more than the points, for the point before. Where the worst is: ``at`` the
+    The distance to one chord is largest at an end of the way; to two it may not be. ``chord`` are
+    the nearest ones of each run, unless ``only`` is one of all. ``begin``, ``end`` and ``only``
+    have an entry more than the points, for the point before. Where the worst is: ``at`` the
     point that the way leads to, counted from ``number`` on, ``part`` of the way (0..1), and the
     nearest chord ``worst_chord``. The way counts with the shares of the point that it leads to.
     """
@@ -201,11 +236,13 @@ def _between(
     of = np.ones(axes)
     for i in range(len(points)):
         known = chord_before if i == 0 else chord[i - 1]
-        if _alike_fast(chord[i], known):
+        if _alike_fast(chord[i], only[i + 1], known, only[i]):
             continue
         low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
         for r in range(points.shape[2]):
-            if chord[i, r] == known[r]:
+            left_from = only[i] if only[i] >= 0 else known[r]
+            led_to = only[i + 1] if only[i + 1] >= 0 else chord[i, r]
+            if led_to == left_from:
                 continue
             for a in range(axes):
                 here[a] = before[a, r] if i == 0 else points[i - 1, a, r]
@@ -213,9 +250,7 @@ def _between(
                 if share is not None:
                     of[a] = share[i, a, r]
             least = max(worst[r], _NOTHING_M2)
-            if _none_farther_fast(
-                here, there, max(known[r], low), chord[i, r], vertices, of, least
-            ):
+            if _none_farther_fast(here, there, max(left_from, low), led_to, vertices, of, least):
                 continue
             left = 1
             lows[0], highs[0] = 0.0, 1.0
@@ -249,67 +284,8 @@ def _between(
                     left += 2
 
 
-def _vertices_to_path(
-    points: FloatArray,
-    before: FloatArray,
-    time_s: FloatArray,
-    begin: IntArray,
-    end: IntArray,
-    vertices: FloatArray,
-    axes: tuple[int, ...],
-    share: FloatArray | None,
-    best: FloatArray,
-    best_time_s: FloatArray,
-) -> None:
-    """Lower ``best``, (vertices, runs) squared, where a segment of a run's path is nearer.
-
-    Segment i leads to point i, the first one from ``before``; it counts for the vertices of the
-    chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have an entry more than
-    the points, for the point before. ``share`` is (vertices, axes).
-    """
-    samples, count, runs = points.shape
-    way, lengths = np.empty((count, runs)), np.empty(runs)
-    for i in range(samples):
-        start = before if i == 0 else points[i - 1]
-        for r in range(runs):
-            length = 0.0
-            for a in range(len(axes)):
-                step = points[i, a, r] - start[a, r]
-                way[a, r] = step
-                length += step * step
-            lengths[r] = length if length > 0.0 else 1.0
-        from_s, long_s = time_s[i], time_s[i + 1] - time_s[i]
-        for v in range(begin[i] - 1, end[i + 1] + 1):
-            for r in range(runs):
-                along = 0.0
-                size = lengths[r]
-                if share is None:
-                    for a in range(len(axes)):
-                        along += (vertices[v, a] - start[a, r]) * way[a, r]
-                else:
-                    size = 0.0
-                    for a in range(len(axes)):
-                        weighed = share[v, a] * way[a, r]
-                        along += share[v, a] * (vertices[v, a] - start[a, r]) * weighed
-                        size += weighed * weighed
-                    size = size if size > 0.0 else 1.0
-                where = along / size
-                where = where if where > 0.0 else 0.0
-                where = where if where < 1.0 else 1.0
-                away = 0.0
-                for a in range(len(axes)):
-                    gap = vertices[v, a] - start[a, r] - where * way[a, r]
-                    if share is not None:
-                        gap *= share[v, a]
-                    away += gap * gap
-                nearer = away < best[v, r]
-                best[v, r] = away if nearer else best[v, r]
-                best_time_s[v, r] = from_s + where * long_s if nearer else best_time_s[v, r]
-
-
-nearest_chords_each = njit(nogil=True, error_model="numpy")(_nearest_chords)
+nearest_chords_each = njit(nogil=True)(_nearest_chords)
 between = njit(nogil=True)(_between)
-vertices_to_path_each = njit(nogil=True, error_model="numpy")(_vertices_to_path)
 
 
 def nearest_chords(
@@ -337,21 +313,3 @@ def nearest_chords(
     each = (0,) * axes
     nearest_chords_each(points, begin, end, vertices, way, length, each, share, squared, chord)
     return squared, chord
-
-
-def vertices_to_path(
-    points: FloatArray,
-    before: FloatArray,
-    time_s: FloatArray,
-    begin: IntArray,
-    end: IntArray,
-    vertices: FloatArray,
-    best: FloatArray,
-    best_time_s: FloatArray,
-    share: FloatArray | None = None,
-) -> None:
-    """Lower ``best`` and set ``best_time_s``, both (m, runs): see ``_vertices_to_path``."""
-    axes = (0,) * points.shape[1]
-    vertices_to_path_each(
-        points, before, time_s, begin, end, vertices, axes, share, best, best_time_s
-    )

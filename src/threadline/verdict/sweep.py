@@ -14,7 +14,13 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
-from threadline.verdict.advance import ProgressPart, move_on
+from threadline.verdict.boxes import (
+    COMPANY,
+    Boxes,
+    enclose,
+    nearest_in_boxes,
+    vertices_to_path,
+)
 from threadline.verdict.contour import ContourPart, raise_to_samples
 from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
 from threadline.verdict.largest import add_squares, count_beyond, raise_to_farthest
@@ -23,8 +29,8 @@ from threadline.verdict.nearest import (
     between,
     chord_ways,
     nearest_chords_each,
-    vertices_to_path_each,
 )
+from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
 from threadline.verdict.tracking import TrackingPart
 from threadline.verdict.turning import TurningPart, follow_turnings
@@ -92,7 +98,9 @@ def _sweep(
     samples, axes, runs = actual.shape
     # The row before the first is the sample before.
     points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
-    squared = np.empty((at_once, runs))
+    squared, only = np.empty((at_once, runs)), np.full(at_once + 1, -1)
+    least, most = np.empty((at_once + 1, axes)), np.empty((at_once + 1, axes))
+    boxes = Boxes(runs >= COMPANY, least, most, np.empty(runs), np.empty(runs))
     if len(contour.worst):
         _copy_fast(contour.point, contour.chord, points[0], chord[0])
     for low in range(0, samples, at_once):
@@ -104,43 +112,52 @@ def _sweep(
             command = tracking.command[low:high]
             raise_to_farthest(actual[low:high], command, tracking.size, tracking.at, low)
         _scale_fast(actual[low:high], chords.radius_m, here)
-        follow_turnings(here, time_s[low:high], low, turning)
+        if low == 0 and contour.fresh:
+            _copy_fast(points[1], chord[1], points[0], chord[0])
+        if boxes.known:
+            enclose(points[: count + 1], boxes)
+        follow_turnings(here, boxes, time_s[low:high], low, turning)
         if share is None:
             if len(contour.worst) or len(progress.worst):
-                nearest_chords_each(
+                nearest_in_boxes(
                     here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
-                    None, away, near,
+                    away, near, only[1:],
                 )  # fmt: skip
             if len(progress.worst):
-                move_on(here, away, low, progress)
+                move_on(here, boxes, away, low, progress)
         else:
             if len(progress.worst):
                 nearest_chords_each(
                     here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
                     None, away, near,
                 )  # fmt: skip
-                move_on(here, away, low, progress)
+                move_on(here, boxes, away, low, progress)
             if len(contour.worst):
                 nearest_chords_each(
                     here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
                     share[low:high], away, near,
                 )  # fmt: skip
         if len(contour.worst):
-            if contour.fresh and low == 0:
+            if low == 0 and contour.fresh:
                 _copy_fast(points[1], chord[1], points[0], chord[0])
+                only[0] = only[1]
             begin, end = contour.begin[low : high + 1], contour.end[low : high + 1]
-            raise_to_samples(away, near, low, contour)
+            raise_to_samples(away, near, only[1:], low, contour)
             between(
-                here, points[0], near, chord[0], begin, end, chords.vertices,
+                here, points[0], near, chord[0], only, begin, end, chords.vertices,
                 None if share is None else share[low:high],
                 contour.worst, contour.at, contour.part, contour.nearest, low,
             )  # fmt: skip
-            vertices_to_path_each(
+            vertices_to_path(
                 here, points[0], contour.time_s[low : high + 1], begin, end, chords.vertices,
-                chords.axes, vertex_share, contour.best, contour.best_time_s,
+                chords.axes, vertex_share, boxes, contour.worst, contour.best, contour.best_time_s,
             )  # fmt: skip
             _copy_fast(points[count], chord[count], points[0], chord[0])
+            only[0] = only[count]
     if len(contour.worst):
+        if only[0] >= 0:
+            for r in range(runs):
+                chord[0, r] = only[0]
         _copy_fast(points[0], chord[0], contour.point, contour.chord)
 
 

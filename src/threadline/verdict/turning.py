@@ -9,6 +9,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
+from threadline.verdict.boxes import Boxes, ends_of
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, Option, SweptMeasure
 from threadline.verdict.reversals import ReversalScan, Turning
@@ -18,68 +19,16 @@ from threadline.verdict.window import PathWindow
 OPTIONS = {"smallest": Option(unit="m", default=5e-5)}
 
 
-def _track(
-    points: FloatArray,
-    column: int,
-    time_s: FloatArray,
-    chord: IntArray,
-    first: int,
-    lag: int,
-    values: FloatArray,
-    leaves: IntArray,
-    whole: IntArray,
-    real: FloatArray,
-    errors: FloatArray,
-    times_s: FloatArray,
-    closed: int,
-) -> int:
-    """Follow an axis of many runs through its turnings; return how many of them are closed by now.
-
-    ``points`` is (n, axes, runs), of which the axis is ``column``. ``whole`` is [direction, sample
-    at which the command left the turning or -1], the same for all runs; ``real``, (4, runs), is
-    [best, its time, best of the opposite direction since then, its time]. ``errors`` and
-    ``times_s`` are (turnings, runs).
-    """
-    runs = points.shape[2]
-    for i in range(len(points)):
-        side, now_s = whole[0], time_s[i]
-        for r in range(runs):
-            y = side * points[i, column, r]
-            farther = y > real[0, r]
-            back = farther or -y > real[2, r]
-            real[0, r] = y if farther else real[0, r]
-            real[1, r] = now_s if farther else real[1, r]
-            real[2, r] = -y if back else real[2, r]
-            real[3, r] = now_s if back else real[3, r]
-        if closed == len(values):
-            continue
-        if whole[1] < 0 and chord[i] >= leaves[closed]:
-            whole[1] = first + i
-        if whole[1] < 0:
-            continue
-        overtaken = closed + 1 < len(values) and chord[i] >= leaves[closed + 1]
-        if overtaken or first + i - whole[1] >= lag:
-            for r in range(runs):
-                errors[closed, r] = real[0, r] - whole[0] * values[closed]
-                times_s[closed, r] = real[1, r]
-                real[0, r], real[1, r] = real[2, r], real[3, r]
-                real[2, r], real[3, r] = whole[0] * points[i, column, r], now_s
-            closed += 1
-            whole[0], whole[1] = -whole[0], -1
-    return closed
-
-
-_track_fast = njit(nogil=True)(_track)
-
-
 class TurningPart(NamedTuple):
     """What a sweep over a block takes from the measure and brings back, of k axes.
 
     The turnings that axis k awaits are ``values`` and ``leaves`` from ``starts[k]`` to
     ``starts[k + 1]``, of which ``closed[k]`` are behind it after the sweep, with (turnings, runs)
-    ``errors`` at ``times_s``. ``whole``, (k, 2), and ``real``, (k, 4, runs), are as in ``_track``:
-    an axis without a direction is not followed. ``chord``, (n,), is that of the command, and the
-    first sample of the block has the number ``first``.
+    ``errors`` at ``times_s``. ``whole``, (k, 2), is the direction of each axis and the sample at
+    which the command left the turning or -1, the same for all runs; ``real``, (k, 4, runs), is the
+    best, its time, the best of the opposite direction since then and its time. An axis without a
+    direction is not followed. ``chord``, (n,), is that of the command, and the first sample of the
+    block has the number ``first``.
     """
 
     chord: IntArray
@@ -95,27 +44,77 @@ class TurningPart(NamedTuple):
     closed: IntArray
 
 
-def _follow(points: FloatArray, time_s: FloatArray, low: int, part: TurningPart) -> None:
-    """Follow every axis through its turnings over samples of which the first is ``low``."""
-    high = low + len(points)
-    for k in range(len(part.closed)):
-        if part.whole[k, 0]:
-            own = slice(part.starts[k], part.starts[k + 1])
-            part.closed[k] = _track_fast(
-                points,
-                k,
-                time_s,
-                part.chord[low:high],
-                part.first + low,
-                part.lag,
-                part.values[own],
-                part.leaves[own],
-                part.whole[k],
-                part.real[k],
-                part.errors[own],
-                part.times_s[own],
-                part.closed[k],
-            )
+def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compiled once more
+    points: FloatArray, boxes: Boxes, time_s: FloatArray, low: int, part: TurningPart
+) -> None:
+    """Follow every axis through its turnings over samples of which the first is ``low``.
+
+    Where the box of all runs is beyond that of the best, the sample is the best of every run: it is
+    noted which one, and written out when a box does not tell.
+    """
+    samples, _, runs = points.shape
+    # Each look into a tuple would count references.
+    known, lower, upper, lows, highs = boxes
+    chord, first, lag, values, leaves, starts, whole, real, errors, times_s, closed = part
+    of_all = np.full(2, -1)  # samples that are the best of all runs, in both directions
+    bounds = np.empty(4)  # least and most of the best, and of that of the opposite direction
+    for k in range(len(closed)):
+        due, end = starts[k] + closed[k], starts[k + 1]
+        fresh, side = known, whole[k, 0]
+        for i in range(samples if side else 0):
+            told = False
+            if known:
+                if fresh:
+                    for n in range(2):
+                        bounds[2 * n], bounds[2 * n + 1] = ends_of(real, k, 2 * n, lows, highs)
+                    fresh = False
+                least, most = lower[i + 1, k], upper[i + 1, k]
+                least, most = (least, most) if side > 0 else (-most, -least)
+                if least > bounds[1]:
+                    told, of_all[0], of_all[1] = True, i, i
+                    bounds[0], bounds[1], bounds[2], bounds[3] = least, most, -most, -least
+                elif most <= bounds[0] and -most > bounds[3]:
+                    told, of_all[1] = True, i
+                    bounds[2], bounds[3] = -most, -least
+                elif most <= bounds[0] and -least <= bounds[2]:
+                    told = True
+                else:
+                    bounds[0], bounds[1] = max(bounds[0], least), max(bounds[1], most)
+                    # Where one run comes farther, its opposite direction begins anew.
+                    bounds[2], bounds[3] = min(bounds[2], -most), max(bounds[3], -least)
+            closing = False
+            if due < end:
+                if whole[k, 1] < 0 and chord[low + i] >= leaves[due]:
+                    whole[k, 1] = first + low + i
+                overtaken = due + 1 < end and chord[low + i] >= leaves[due + 1]
+                late = first + low + i - whole[k, 1] >= lag
+                closing = whole[k, 1] >= 0 and (overtaken or late)
+            if not told or closing or i + 1 == samples:
+                for n in range(2):
+                    at, way = of_all[n], side if n == 0 else -side
+                    for r in range(runs if at >= 0 else 0):
+                        real[k, 2 * n, r] = way * points[at, k, r]
+                        real[k, 2 * n + 1, r] = time_s[at]
+                    of_all[n] = -1
+            for r in range(0 if told else runs):
+                y = side * points[i, k, r]
+                farther = y > real[k, 0, r]
+                back = farther or -y > real[k, 2, r]
+                real[k, 0, r] = y if farther else real[k, 0, r]
+                real[k, 1, r] = time_s[i] if farther else real[k, 1, r]
+                real[k, 2, r] = -y if back else real[k, 2, r]
+                real[k, 3, r] = time_s[i] if back else real[k, 3, r]
+            if closing:
+                for r in range(runs):
+                    errors[due, r] = real[k, 0, r] - side * values[due]
+                    times_s[due, r] = real[k, 1, r]
+                    real[k, 0, r], real[k, 1, r] = real[k, 2, r], real[k, 3, r]
+                    real[k, 2, r], real[k, 3, r] = side * points[i, k, r], time_s[i]
+                due += 1
+                side = -side
+                whole[k, 0], whole[k, 1] = side, -1
+                fresh = known
+        closed[k] = due - starts[k]
 
 
 follow_turnings = njit(nogil=True)(_follow)
@@ -124,7 +123,7 @@ follow_turnings = njit(nogil=True)(_follow)
 class _Axis:
     """One axis: the turnings ahead of it, and its farthest position in the current direction.
 
-    ``whole`` and ``real`` are as in ``_track``.
+    ``whole`` and ``real`` are as in ``TurningPart``.
     """
 
     def __init__(

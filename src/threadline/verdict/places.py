@@ -1,0 +1,287 @@
+"""Places of the command that the tools of many runs can have come to, sample by sample."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
+from threadline.verdict.boxes import MORE, Boxes
+
+_CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up
+
+
+def _given_up(value: FloatArray, row: int, ceiling: float, dropped: FloatArray) -> bool:
+    """Say whether all values of a row are above the ceiling; if so lower ``dropped`` to them."""
+    near = 0
+    for r in range(len(dropped)):
+        near += value[row, r] <= ceiling
+    if near:
+        return False
+    for r in range(len(dropped)):
+        dropped[r] = value[row, r] if value[row, r] < dropped[r] else dropped[r]
+    return True
+
+
+_given_up_fast = njit(nogil=True)(_given_up)
+
+
+def _ahead(
+    point: FloatArray, start: FloatArray, way: FloatArray, per_length: float, heading: FloatArray
+) -> float:
+    """Return how far a point is from the nearest place of a way, along a heading."""
+    length, along = 0.0, 0.0
+    for a in range(len(point)):
+        length += (point[a] - start[a]) * way[a]
+    where = min(max(length * per_length, 0.0), 1.0)
+    for a in range(len(point)):
+        along += (point[a] - start[a] - where * way[a]) * heading[a]
+    return along
+
+
+_ahead_fast = njit(nogil=True)(_ahead)
+
+
+def _bounds(
+    lower: FloatArray,
+    upper: FloatArray,
+    i: int,
+    command: FloatArray,
+    start: int,
+    way: FloatArray,
+    k: int,
+    per_length: float,
+) -> tuple[float, float]:
+    """Return what no place of box i is nearer to way k than, and none farther; both squared."""
+    middle, half = 0.0, 0.0
+    for a in range(way.shape[1]):
+        place = 0.5 * (lower[i, a] + upper[i, a])
+        middle += (place - command[start, a]) * way[k, a]
+        half += (0.5 * (upper[i, a] - lower[i, a])) ** 2
+    nearest = min(max(middle * per_length, 0.0), 1.0)
+    away = 0.0
+    for a in range(way.shape[1]):
+        place = 0.5 * (lower[i, a] + upper[i, a])
+        away += (place - command[start, a] - nearest * way[k, a]) ** 2
+    away, half = np.sqrt(away), np.sqrt(half)
+    return max(away - half, 0.0) ** 2 / MORE, MORE * (away + half) ** 2
+
+
+_bounds_fast = njit(nogil=True, error_model="numpy")(_bounds)
+
+
+def _stay_at(
+    points: FloatArray,
+    off: FloatArray,
+    i: int,
+    command: FloatArray,
+    start: int,
+    way: FloatArray,
+    k: int,
+    per_length: float,
+    axes: tuple[int, ...],
+    value: FloatArray,
+    row: int,
+    carry: FloatArray,
+    least: FloatArray,
+    worst: FloatArray,
+    ceiling: float,
+) -> tuple[int, int, int]:
+    """Advance ``row`` of ``value``, that of place k, by sample i; with it ``carry`` and ``least``.
+
+    Return in how many runs it is more than ``worst``, in how many no more than ``ceiling``, and in
+    how many the least of all places so far is more than ``worst``.
+    """
+    more, near, farther = 0, 0, 0
+    for r in range(len(carry)):
+        carried = value[row, r] if value[row, r] < carry[r] else carry[r]
+        along = 0.0
+        for a in range(len(axes)):
+            along += (points[i, a, r] - command[start, a]) * way[k, a]
+        where = along * per_length
+        where = where if where > 0.0 else 0.0
+        where = where if where < 1.0 else 1.0
+        away = 0.0
+        for a in range(len(axes)):
+            gap = points[i, a, r] - command[start, a] - where * way[k, a]
+            away += gap * gap
+        error = away - off[i, r]
+        error = error if error > carried else carried
+        carry[r] = carried
+        value[row, r] = error
+        least[r] = error if error < least[r] else least[r]
+        more += error > worst[r]
+        near += error <= ceiling
+        farther += least[r] > worst[r]
+    return more, near, farther
+
+
+_stay_at_fast = njit(nogil=True, error_model="numpy")(_stay_at)
+
+
+class ProgressPart(NamedTuple):
+    """What a sweep over a block takes from the measure and brings back: see ``_advance``.
+
+    Place ``first`` is that of the first sample of the block, which is the ``number``-th of all.
+    ``places`` are the first and the last that have a value; ``ceiling`` has one entry.
+    """
+
+    command: FloatArray
+    way: FloatArray
+    inverse: FloatArray
+    heading: FloatArray
+    axes: tuple[int, ...]
+    first: int
+    number: int
+    lag: int
+    places: IntArray
+    value: FloatArray
+    worst: FloatArray
+    at: IntArray
+    side: FloatArray
+    ceiling: FloatArray
+    dropped: FloatArray
+
+
+def _advance(  # noqa: PLR0915 - one loop over the places; each call would be compiled once more
+    points: FloatArray, boxes: Boxes, off: FloatArray, beginning: int, part: ProgressPart
+) -> None:
+    """Advance the places of the command by the samples ``points``, the first of them ``beginning``.
+
+    Place k is the way of the command from its sample k - 1 to k. Its value, of each run, is the
+    least of the largest squared errors with which the tool can have come to place k by now without
+    going back. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
+    its squared distance from the path, which is no error of progress. The least of all values only
+    grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
+    the tool was then, along the way of the command from the place that is nearest to being right.
+
+    Places before the first and after the last of ``places`` have no value. A place that is the
+    first to have one, and has more than ``ceiling`` in every run, is given up: ``dropped`` is the
+    least that was given up, of each run, or less where the box of all runs told it. As long as it
+    is more than ``worst``, nothing was lost: the ceiling stays at four times the largest ``worst``
+    or more.
+
+    A value that is no more than ``worst`` is as good as 0, for nothing is found below that. A place
+    where this is so of every run is quiet; where the box of all runs tells that it stays so, it is
+    not looked at, and its value is 0 from then on.
+
+    ``axes`` has one entry for each axis: its length is known when this is compiled.
+    """
+    # Each look into a tuple would count references.
+    known, lower, upper, _, _ = boxes
+    (
+        command, way, inverse, heading, axes, first, number, lag, places, value, worst, at, side,
+        ceilings, dropped,
+    ) = part  # fmt: skip
+    samples, _, runs = points.shape
+    rows, origin = len(value), number - first
+    first, number = first + beginning, number + beginning
+    low, high, ceiling = places[0], places[1], ceilings[0]
+    carry, least = np.empty(runs), np.empty(runs)
+    # Of each place, whether it is quiet, whether its value was left out, and where it is near.
+    quiet, blank = np.zeros(rows, dtype=np.bool_), np.zeros(rows, dtype=np.bool_)
+    near = np.zeros(rows, dtype=np.int64)
+    raised, floor, lost = known, 0.0, np.inf
+    for i in range(samples):
+        last = first + i
+        begin = max(last - lag, 0)
+        for r in range(runs):
+            carry[r] = 0.0 if number + i == 0 else np.inf
+            least[r] = np.inf
+        row = (origin + last) % rows
+        for r in range(runs):
+            value[row, r] = np.inf
+        quiet[row] = blank[row] = False
+        if raised and known:
+            floor = np.inf
+            for r in range(runs):
+                floor = min(floor, worst[r])
+        raised = carried_quiet = cleared = False
+        for k in range(low, begin):  # the lag excuses them no longer: the tool has moved on
+            row = (origin + k) % rows
+            carried_quiet = carried_quiet or quiet[row]
+            for r in range(0 if carried_quiet else runs):
+                carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
+        low, farther = max(low, begin), 0
+        for k in range(low, last + 1):
+            # Of the first place only its end is within the lag.
+            start = k - 1 if k > begin else k
+            per_length = inverse[k] if k > begin else 0.0
+            row = (origin + k) % rows
+            carried_quiet = carried_quiet or quiet[row]
+            if known:
+                apart, across = _bounds_fast(
+                    lower, upper, i + 1, command, start, way, k, per_length
+                )
+                if carried_quiet and across <= floor:
+                    quiet[row] = blank[row] = True
+                    farther = 0
+                    break
+                if k == low and k < last and apart > ceiling:
+                    near[row] = 0
+                    for r in range(runs):
+                        near[row] += apart - off[i, r] <= ceiling
+                    if not near[row]:  # given up unseen
+                        lost = min(lost, ceiling)
+                        for r in range(0 if carried_quiet else runs):
+                            carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
+                        low += 1
+                        continue
+                if carried_quiet and not cleared:
+                    for r in range(runs):
+                        carry[r] = 0.0
+                    cleared = True
+            if blank[row]:
+                for r in range(runs):
+                    value[row, r] = 0.0
+                blank[row] = False
+            more, near[row], farther = _stay_at_fast(
+                points, off, i, command, start, way, k, per_length, axes, value, row,
+                carry, least, worst, ceiling,
+            )  # fmt: skip
+            quiet[row] = more == 0 and known
+            if not farther:  # here every run has been good enough: no later place is better
+                break
+        for later in range(k + 1, high + 1):
+            row = (origin + later) % rows
+            for r in range(runs):
+                value[row, r] = np.inf
+            quiet[row] = blank[row] = False
+        high = k
+        if farther:
+            raised = True
+            for r in range(runs):
+                if least[r] > worst[r]:
+                    worst[r], at[r] = least[r], number + i
+                    ceiling = max(ceiling, _CEILING * worst[r])
+                    k = low
+                    while value[(origin + k) % rows, r] > least[r]:
+                        k += 1
+                    start = k - 1 if k > begin else k
+                    side[r] = _ahead_fast(
+                        points[i, :, r],
+                        command[start],
+                        way[k],
+                        inverse[k] if k > begin else 0.0,
+                        heading[k],
+                    )
+        while low < high:
+            row = (origin + low) % rows
+            if quiet[row] or (near[row] and not raised):
+                break
+            if not _given_up_fast(value, row, ceiling, dropped):
+                break
+            low += 1
+    for row in range(rows):
+        if blank[row]:
+            for r in range(runs):
+                value[row, r] = 0.0
+    if lost < np.inf:
+        for r in range(runs):
+            dropped[r] = min(dropped[r], lost)
+    places[0], places[1], ceilings[0] = low, high, ceiling
+
+
+move_on = njit(nogil=True, error_model="numpy")(_advance)
