@@ -47,6 +47,7 @@ def test_the_readme_shows_every_command_and_no_other() -> None:
     assert named == set(COMMANDS)
 
 
+@pytest.mark.usefixtures("coarse_search")
 def test_the_commands_of_the_readme_run_in_order_and_write_below_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from pypdf import PageObject, PdfReader
@@ -13,6 +17,7 @@ from pypdf import PageObject, PdfReader
 from threadline.report.document import Document, Table
 from threadline.report.figures import PROFILE_IN
 from threadline.report.pdf import write_pdf
+from threadline.report.pdf_figures import figure_page
 from threadline.report.pdf_tables import columns_of
 from threadline.report.style import figure_style
 
@@ -58,6 +63,31 @@ def words_at(page: PageObject) -> list[tuple[str, float, float]]:
 
     page.extract_text(visitor_text=take)
     return found
+
+
+def titles_at(page: PageObject) -> dict[str, float]:
+    """Return the height of the title of each figure on a page, points from its lower edge."""
+    found: dict[str, float] = {}
+    drawn = re.findall(rb"q ([\d.]+) 0 0 [\d.]+ [\d.]+ ([\d.]+) cm (/\w+) Do Q", contents_of(page))
+    for scale, foot_pt, name in drawn:
+        form = page["/Resources"]["/XObject"][name.decode()]
+        inside: list[tuple[str, float]] = []
+        take = partial(_height, inside)
+        page.extract_xform_text(form, visitor_text=take)
+        for text, y_pt in inside:
+            if text.startswith("Picture"):
+                found[text] = float(foot_pt) + float(scale) * y_pt
+    return found
+
+
+def _height(into: list[tuple[str, float]], text: str, matrix: list[float], *_: object) -> None:
+    into.append((text.strip(), matrix[5]))
+
+
+def contents_of(page: PageObject) -> bytes:
+    contents = page.get_contents()
+    assert contents is not None
+    return contents.get_data()
 
 
 def rows_table(count: int, title: str = "Criteria") -> Table:
@@ -134,10 +164,33 @@ def test_figures_stand_whole_on_their_page_above_their_caption(pages: list[PageO
         assert f"Picture {number}" in page.extract_text()
         words = words_at(page)
         (caption_y,) = [y for text, _, y in words if text == f"Caption of f{number}"]
-        (title_y,) = [y for text, _, y in words if text.startswith(f"Picture {number}")]
+        title_y = titles_at(page)[f"Picture {number}"]
         assert caption_y < title_y < A4_PT[1] - 40.0
         if number in (0, 1):  # as far apart as the figure is high, but for a line or two
             assert title_y - caption_y == pytest.approx(72.0 * (3.0, 6.8)[number], abs=15.0)
+
+
+def test_what_a_figure_consists_of_is_copied_and_not_read(tmp_path: Path) -> None:
+    """All that is added to its page is where it is drawn, however many points it has."""
+    with figure_style():
+        made = document()
+        figure = Figure(figsize=(7.2, 3.0))
+        y = np.random.default_rng(3).uniform(size=100_000)
+        figure.add_subplot().plot(np.cumsum(0.5 + y), y, color=(0.2, 0.4, 0.6))
+        file = tmp_path / "many.pdf"
+        write_pdf(replace(made, figures={"f": figure}, captions={"f": "Caption"}), file)
+    pages = PdfReader(file).pages
+    assert sum(len(contents_of(page)) for page in pages) < 20_000
+    drawn = [form.get_data() for page in pages
+             for form in page["/Resources"].get("/XObject", {}).values()]  # fmt: skip
+    (alone,) = drawn
+    contents = PdfReader(io.BytesIO(figure_page(figure))).pages[0].get_contents()
+    assert contents is not None
+    assert len(alone) > 200_000 and alone == contents.get_data()
+    # The last colour of the page's own words is not that of the figure, nor the other way round.
+    for page in pages:
+        data = contents_of(page).split()
+        assert data.count(b"q") == data.count(b"Q")
 
 
 def test_two_profiles_stand_on_a_page(tmp_path: Path) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape
 
-from pypdf import PdfReader, PdfWriter, Transformation
+from pypdf import PdfReader, PdfWriter
 from reportlab.lib.colors import black
 from reportlab.lib.utils import simpleSplit
 from reportlab.pdfgen.canvas import Canvas
@@ -25,6 +24,7 @@ from reportlab.platypus import (
 from reportlab.platypus import Table as Cells
 
 from threadline.report.document import Document, Table
+from threadline.report.pdf_figures import Place, draw_figure, figure_page
 from threadline.report.pdf_tables import table_parts
 from threadline.report.pdf_text import BOLD, FONT, heading_style, shortened, text_style, width_pt
 
@@ -40,22 +40,11 @@ _HEAD_PT = 8.0
 _HEAD_LINES = 2  # of the verdict above a page; the first page has all of it
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """Place of a figure: its name, page from 0, lower left corner in points, and scale."""
-
-    name: str
-    page: int
-    x_pt: float
-    y_pt: float
-    scale: float
-
-
 class _Picture(Flowable):
-    """Empty room for a figure that records its place, for the figure's page to be merged there."""
+    """Empty room for a figure that records its place, where the figure is drawn later."""
 
     def __init__(
-        self, name: str, size_pt: tuple[float, float], scale: float, places: list[_Place]
+        self, name: str, size_pt: tuple[float, float], scale: float, places: list[Place]
     ) -> None:
         super().__init__()
         self.width, self.height = size_pt
@@ -64,7 +53,7 @@ class _Picture(Flowable):
     def draw(self) -> None:
         x_pt, y_pt = self.canv.absolutePosition(0.0, 0.0)
         page = self.canv.getPageNumber() - 1
-        self._places.append(_Place(self._name, page, x_pt, y_pt, self._scale))
+        self._places.append(Place(self._name, page, x_pt, y_pt, self._scale))
 
 
 def write_pdf(document: Document, file: Path) -> None:
@@ -77,30 +66,20 @@ def write_pdf(document: Document, file: Path) -> None:
     OSError
         If the file cannot be written.
     """
-    figures = {name: _figure_page(figure) for name, figure in document.figures.items()}
+    figures = {name: figure_page(figure) for name, figure in document.figures.items()}
     # The number of all pages, which stands on each, is known after a first pass.
     text, _ = _text_pages(document, 0)
     text, places = _text_pages(document, len(PdfReader(io.BytesIO(text)).pages))
     writer = PdfWriter(clone_from=io.BytesIO(text))
     for place in places:
-        page = writer.pages[place.page]
-        drawn = PdfReader(io.BytesIO(figures[place.name])).pages[0]
-        at = Transformation().scale(place.scale).translate(place.x_pt, place.y_pt)
-        page.merge_transformed_page(drawn, at)
-        page.compress_content_streams()
+        draw_figure(writer, place, figures[place.name])
     with file.open("wb") as stream:
         writer.write(stream)
 
 
-def _figure_page(figure: Figure) -> bytes:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
-    return buffer.getvalue()
-
-
-def _text_pages(document: Document, pages: int) -> tuple[bytes, list[_Place]]:
+def _text_pages(document: Document, pages: int) -> tuple[bytes, list[Place]]:
     """Return a PDF without figures, ``pages`` being the number it prints, and figures' places."""
-    places: list[_Place] = []
+    places: list[Place] = []
     buffer = io.BytesIO()
     made = BaseDocTemplate(
         buffer,
@@ -147,7 +126,7 @@ def _head_and_foot(canvas: Canvas, document: Document, page: int, pages: int) ->
     canvas.drawRightString(WIDTH_PT - _SIDE_PT, _BOTTOM_PT - 20.0, counted)
 
 
-def _story(document: Document, places: list[_Place]) -> list[Flowable]:
+def _story(document: Document, places: list[Place]) -> list[Flowable]:
     small = text_style(9.0, space_before_pt=3.0)
     story: list[Flowable] = [
         Paragraph(escape(document.title), text_style(15.0, bold=True)),
@@ -191,7 +170,7 @@ def _with_caption(
     figure: Figure,
     caption: Flowable,
     above: Sequence[Flowable],
-    places: list[_Place],
+    places: list[Place],
 ) -> Flowable:
     """Return a figure with ``above`` over it and its caption below, as large as a page allows."""
     taken_pt = sum(part.wrap(_ROOM_PT, 1e6)[1] + part.getSpaceAfter() for part in (*above, caption))

@@ -11,6 +11,7 @@ from threadline.machine.vary import derate
 from threadline.path.types import Timing
 from threadline.plan import Following, Plan
 from threadline.report.style import LIMIT, PLANNED
+from threadline.report.thinning import envelope
 from threadline.trajectory.optimal.binding import BINDS, KINDS, Binding, binding
 
 if TYPE_CHECKING:
@@ -59,15 +60,11 @@ def strips_figure(plan: Plan, found: Binding) -> Figure:
     rows[0].set_ylabel("tool speed [mm/s]")
     rows[0].set_title("Speed along the path, and the limits that it uses")
     for panel, kind in zip(rows[1:], kinds, strict=True):
-        share = np.minimum(found.shares[kind], 1.05)
-        panel.fill_between(found.time_s, share, color="0.78", linewidth=0.0, step="mid")
-        panel.fill_between(
-            found.time_s,
-            np.where(share >= BINDS, share, 0.0),
-            color="black",
-            linewidth=0.0,
-            step="mid",
-        )
+        # Its instants are ten thousand and more; eight hundred stretches are what paper can show.
+        time_s, _, share = envelope(found.time_s, np.minimum(found.shares[kind], 1.05))
+        binding_share = np.where(share >= BINDS, share, 0.0)
+        for height, color in ((share, "0.78"), (binding_share, "black")):
+            panel.fill_between(time_s, height, color=color, linewidth=0.0, step="post")
         panel.axhline(1.0, **{**LIMIT, "linewidth": 0.7})
         panel.set_ylim(0.0, 1.08)
         panel.set_yticks([])
