@@ -138,8 +138,10 @@ def samples_of(
             values = read[source.reading]
             samples[source.name] = counts = values[:, 0] if values.shape[1] == 1 else values
         if source.kind is ChannelKind.LOAD:
-            # What was read is in nobody else's hands, and stays beside the other axes.
-            samples[source.name] = np.add(source.start / source.scale, counts, out=counts)
+            # What was read is in nobody else's hands, and stays beside the other axes. Of many runs
+            # it is more than the processor holds, and nothing is added where they start at 0.
+            if source.start or counts.ndim == 1:
+                samples[source.name] = np.add(source.start / source.scale, counts, out=counts)
         elif source.kind in _PLACES:
             # Counts below 2^53 are exact as floats: one new array, divided in place.
             whole = (counts + source.start).astype(np.float64, copy=False)
