@@ -4,6 +4,7 @@
 to 2 um beside a curve, streamed through smoothing and timing. Each number of points has a process
 of its own: seconds of the processor for each point, its largest memory, and the motion's time.
 What is compiled was compiled, and every kernel was used, before the clock begins.
+``--picture FILE`` draws both against the number of points.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import resource
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from time import process_time
 
 import numpy as np
@@ -64,24 +66,65 @@ def planned(count: int) -> tuple[float, float]:
     return process_time() - begun, end_s
 
 
+def measured(power: int) -> tuple[float, float, float]:
+    """Return us of the processor a point, MB of memory and s of motion, in a process of its own."""
+    told = subprocess.run(
+        [sys.executable, "-m", "tools.points_growth", str(power)],
+        check=True,
+        stdout=subprocess.PIPE,
+        text=True,
+    ).stdout
+    each_us, memory_mb, motion_s = map(float, told.split())
+    print(
+        f"10^{power} points: {each_us:.1f} us each, {memory_mb:.0f} MB, motion {motion_s:.3f} s",
+        flush=True,
+    )
+    return each_us, memory_mb, motion_s
+
+
+def draw(powers: range, rows: list[tuple[float, float, float]], out: Path) -> None:
+    """Draw time a point and memory, each with the bar that it is held to."""
+    from matplotlib.figure import Figure  # what is measured does without it
+
+    from threadline.report.style import ACTUAL, LIMIT, figure_style
+
+    with figure_style():
+        figure = Figure(figsize=(8.6, 3.2))
+        points = [10**power for power in powers]
+        for panel, column, name, bar in zip(
+            figure.subplots(1, 2),
+            (0, 1),
+            ("processor time a point [us]", "memory of the process [MB]"),
+            (1.5, 1.2),
+            strict=True,
+        ):
+            values = [row[column] for row in rows]
+            panel.semilogx(points, values, marker="o", **ACTUAL)
+            panel.axhline(bar * values[0], label=f"{bar:g} of the first", **LIMIT)
+            panel.set_ylim(0.0, 1.3 * bar * values[0])
+            panel.set_xlabel("points")
+            panel.set_ylabel(name)
+            panel.legend(loc="lower right")
+        figure.savefig(out, dpi=130, metadata={"Software": None})
+
+
 def main() -> None:
     """Measure one number of points, or every power of ten from one to another."""
     parser = argparse.ArgumentParser(prog="python -m tools.points_growth", description=__doc__)
     parser.add_argument("first", type=int)
-    parser.add_argument("last", type=int, nargs="?")
+    parser.add_argument("last", type=int, nargs="?", help="without it: the three numbers alone")
+    parser.add_argument("--picture", type=Path)
     asked = parser.parse_args()
     if asked.last is None:
         planned(500)
         seconds, motion_s = planned(10**asked.first)
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        print(
-            f"10^{asked.first} points: {1e6 * seconds / 10**asked.first:.1f} us each, "
-            f"{memory:.0f} MB, motion {motion_s:.3f} s",
-            flush=True,
-        )
+        memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+        print(1e6 * seconds / 10**asked.first, memory_mb, motion_s)
         return
-    for power in range(asked.first, asked.last + 1):
-        subprocess.run([sys.executable, "-m", "tools.points_growth", str(power)], check=True)
+    powers = range(asked.first, asked.last + 1)
+    rows = [measured(power) for power in powers]
+    if asked.picture is not None:
+        draw(powers, rows, asked.picture)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.trajectory.extremes import hull_of
 from threadline.trajectory.optimal.along_path import across, true_shares
+from threadline.trajectory.optimal.motion_limits import Limits
 from threadline.trajectory.optimal.path_elements import restricted
-from threadline.trajectory.optimal.solve import Limits
 from threadline.trajectory.optimal.two_sided import asked
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 

@@ -20,9 +20,11 @@ from threadline.trajectory.as_programmed import as_programmed
 from threadline.trajectory.by_law import breaks_jerk, by_law
 from threadline.trajectory.firmware import firmware_blocks
 from threadline.trajectory.follow import followed_blocks
-from threadline.trajectory.optimal.fastest_motion import MOST_PIECES, fastest_blocks
+from threadline.trajectory.optimal.fastest_motion import fastest_blocks
 from threadline.trajectory.timed import smoothed_blocks, timed_blocks
 from threadline.trajectory.types import Trajectory
+
+_MOST_KEPT = 20_000  # pieces of a path whose fastest motion is kept
 
 
 class Pace(StrEnum):
@@ -132,7 +134,7 @@ def _short(path: PlannedPath) -> bool:
     count = 0
     for block in path:
         count += len(block)
-        if count > MOST_PIECES:
+        if count > _MOST_KEPT:
             return False
     return True
 

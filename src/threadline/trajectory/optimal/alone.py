@@ -8,7 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.laws import ShortestMove, shortest_move
-from threadline.trajectory.optimal.solve import Limits
+from threadline.trajectory.optimal.motion_limits import Limits
 from threadline.trajectory.types import TrajectoryBlock
 
 

@@ -188,9 +188,27 @@ def solved(matrix, g):
 
 
 @njit()
-def newton(b, length, rows, tangent, weight):
-    """Return the Newton step of duration - weight * sum(log(slack)), and its decrement."""
+def _hold(matrix, g, i):
+    """Take unknown ``i`` out of a step: it stays as it is."""
+    g[i] = 0.0
+    matrix[i, 0], matrix[i, 1], matrix[i, 2] = 1.0, 0.0, 0.0
+    if i >= 1:
+        matrix[i - 1, 1] = 0.0
+    if i >= 2:
+        matrix[i - 2, 2] = 0.0
+
+
+@njit()
+def newton(b, length, rows, tangent, weight, held):
+    """Return the Newton step of duration - weight * sum(log(slack)), and its decrement.
+
+    ``held`` are the numbers of the first and of the last unknowns that stay as they are.
+    """
     matrix, g = derivatives(b, length, rows, tangent, weight)
+    for i in range(held[0]):
+        _hold(matrix, g, i)
+    for i in range(len(g) - held[1], len(g)):
+        _hold(matrix, g, i)
     step = solved(matrix, g)
     decrement = 0.0
     for i in range(len(g)):

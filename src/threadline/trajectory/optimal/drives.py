@@ -11,7 +11,7 @@ from threadline.errors import PlanError
 from threadline.machine import Machine
 from threadline.plant.rigid import current_needed, drive_rate, rigid_motion
 from threadline.trajectory.optimal.along_path import AlongPath
-from threadline.trajectory.optimal.solve import Limits
+from threadline.trajectory.optimal.motion_limits import Limits
 
 RESERVE = 0.1
 """Of volts and current, for the loop, where the machine file says nothing else."""

@@ -4,35 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.machine import Machine
-from threadline.path.runs import COINCIDENT_M
 from threadline.path.types import PieceBlock, PlannedPath
 from threadline.plant.closed_loop import answers_of
 from threadline.trajectory.optimal.alone import line_alone
-from threadline.trajectory.optimal.along_path import divided, with_acceleration, with_length
+from threadline.trajectory.optimal.along_path import with_acceleration
 from threadline.trajectory.optimal.drives import limits_of
 from threadline.trajectory.optimal.followers import Follower, Past
 from threadline.trajectory.optimal.following_error import followed
 from threadline.trajectory.optimal.in_time import in_time
-from threadline.trajectory.optimal.path_elements import Elements, elements_of
-from threadline.trajectory.optimal.solve import Limits, fastest
-from threadline.trajectory.pieces import factors, slope
+from threadline.trajectory.optimal.motion_limits import Limits
+from threadline.trajectory.optimal.path_elements import DENSE
+from threadline.trajectory.optimal.pieces_ahead import PiecesAhead
+from threadline.trajectory.optimal.shaped import shaped
+from threadline.trajectory.optimal.solve import fastest
+from threadline.trajectory.optimal.windows import ADDED, SEEN, windowed
 from threadline.trajectory.timed import held_block
 from threadline.trajectory.types import TrajectoryBlock
 
-BoolArray: TypeAlias = NDArray[np.bool_]
-
-MOST_PIECES = 20_000
-"""Pieces of one run that are solved together; where a run has more, the motion rests between."""
+MOST_PIECES = ADDED + SEEN
+"""Pieces of one run that are solved together; a run of more is planned in windows."""
+MOST_FOLLOWED = 20_000
+"""Pieces of one run whose loads follow; where a run has more, the motion rests between."""
 GAP = 1e-4
-_TURNED = 1e-8  # of a line: by how much it may turn at its joint
-_AT_SPEED = 0.1  # of the time until the axes have their speed: a lead-in lasts so long at it
 
 
 def fastest_blocks(
@@ -84,28 +82,35 @@ def limited_blocks(
     """Yield the fastest trajectory of ``path`` within limits of its axes, and of their loops."""
     now = 0.0
     past = Past(0.0 if follower is None else follower.memory_s)
-    runs = _runs(path)
-    while (run := next(runs, None)) is not None:
-        dwell_s, operation = float(run.dwell_s[-1]), int(run.operation[-1])
-        end = run.coefficients[-1].sum(axis=0)
-        moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
-        if moves.any():
+    ahead = PiecesAhead(path)
+    within = limits.with_length()
+    most = max(DENSE, MOST_PIECES) if follower is None else MOST_FOLLOWED
+    while (run := ahead.take(most)) is not None:
+        if follower is None and len(run) > MOST_PIECES:
+            ahead.put_back(run)
+            dense = not run.rest_after[-1]
+            del run  # it is no longer needed, and there may be much of it
+            run, now = yield from windowed(ahead, path.radius_m, within, GAP, now, dense=dense)
+            if run is None:
+                return
+            dwell_s, operation, end = _rest_after(run)
+        else:
+            dwell_s, operation, end = _rest_after(run)
             block = None
             if follower is None and len(run) == 1 and not run.coefficients[0, 2:].any():
-                block = line_alone(
-                    run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, now
-                )
-            if block is None:
-                within = limits.with_length()
-                elements = _elements(run, path.radius_m, within)
-                del run  # it is no longer needed, and there may be much of it
+                block = _line(run, limits, now)
+            if block is None and (shape := shaped(run, path.radius_m, within)) is not None:
+                del run  # likewise
+                elements = shape.elements
+                del shape
                 if follower is None:
                     block = in_time(fastest(elements, within, GAP), within, now)
                 else:
                     block = followed(elements, within, follower, past, now)
-            now = block.end_s
-            past.add(block)
-            yield block
+            if block is not None:
+                now = block.end_s
+                past.add(block)
+                yield block
         if dwell_s > 0.0:
             still = held_block(end, now, dwell_s, operation)
             past.add(still)
@@ -113,126 +118,17 @@ def limited_blocks(
             now += dwell_s
 
 
-def _runs(path: PlannedPath) -> Iterator[PieceBlock]:
-    """Yield the pieces from rest to rest."""
-    pending: list[PieceBlock] = []
-    count = 0
-    for block in path:
-        first = 0
-        for stop in [*(int(k) + 1 for k in np.flatnonzero(block.rest_after)), len(block)]:
-            while first < stop:
-                last = min(stop, first + MOST_PIECES - count)
-                pending.append(_rows(block, first, last))
-                count += last - first
-                first = last
-                if block.rest_after[last - 1] or count == MOST_PIECES:
-                    count = 0
-                    yield _taken(pending)
-    if pending:
-        yield _taken(pending)
-
-
-def _taken(pending: list[PieceBlock]) -> PieceBlock:
-    """Return all pieces and keep none: who reads a run may be done with them before its motion."""
-    run = _joined(pending)
-    pending.clear()
-    return run
-
-
-def _rows(block: PieceBlock, first: int, stop: int) -> PieceBlock:
-    rows = slice(first, stop)
-    return PieceBlock(
-        coefficients=block.coefficients[rows],
-        operation=block.operation[rows],
-        nominal_s=block.nominal_s[rows],
-        rest_after=block.rest_after[rows],
-        dwell_s=block.dwell_s[rows],
-        line=block.line[rows],
+def _rest_after(run: PieceBlock) -> tuple[float, int, FloatArray]:
+    """Return how long a run rests at its end, the operation that does, and where."""
+    return (
+        float(run.dwell_s[-1]),
+        int(run.operation[-1]),
+        np.asarray(run.coefficients[-1].sum(axis=0)),
     )
 
 
-def _joined(parts: list[PieceBlock]) -> PieceBlock:
-    order = max(part.coefficients.shape[1] for part in parts)
-    padded = [
-        np.pad(p.coefficients, ((0, 0), (0, order - p.coefficients.shape[1]), (0, 0)))
-        for p in parts
-    ]
-    return PieceBlock(
-        coefficients=np.concatenate(padded),
-        operation=np.concatenate([p.operation for p in parts]),
-        nominal_s=np.concatenate([p.nominal_s for p in parts]),
-        rest_after=np.concatenate([p.rest_after for p in parts]),
-        dwell_s=np.concatenate([p.dwell_s for p in parts]),
-        line=np.concatenate([p.line for p in parts]),
-    )
-
-
-def _beyond_rounding(run: PieceBlock, moves: BoolArray, radius_m: FloatArray) -> BoolArray:
-    """Return ``moves`` without the pieces of no length at the start and the end of the run.
-
-    Beside a chord of nanometres a spline has spans of femtometres: less than the rounding of a
-    position, and no motion from rest along them has digits.
-    """
-    long = np.abs(run.coefficients[:, 1:] * radius_m).sum(axis=1).max(axis=1) > COINCIDENT_M
-    inner = np.logical_or.accumulate(long) & np.logical_or.accumulate(long[::-1])[::-1]
-    return moves & inner if inner.any() else moves
-
-
-def _reach_ends(c: FloatArray, start: FloatArray, end: FloatArray) -> None:
-    """Move the start of the first piece and the end of the last, in place: by 0.1 nm at most.
-
-    A piece is bent by the third power of the way to its other end, so that it joins the next one as
-    smoothly as before. A line that hardly turns by it is moved at its end and stays a line.
-    """
-    began, ended = start - c[0, 0], end - c[-1].sum(axis=0)
-    for k, way, cubic in (
-        (-1, ended, np.array([0.0, 0.0, 0.0, 1.0])),
-        (0, began, np.array([1.0, -3.0, 3.0, -1.0])),
-    ):
-        if not way.any():
-            continue
-        line = not c[k, 2:].any()
-        hardly = len(c) == 1 or np.abs(way).max() < _TURNED * np.abs(c[k, 1]).max()
-        bend = np.array([cubic[0], 1.0 - 2.0 * cubic[0], 0.0, 0.0]) if line and hardly else cubic
-        c[k] += bend[:, None] * way
-
-
-def _elements(run: PieceBlock, radius_m: FloatArray, limits: Limits) -> Elements:
-    """Return the elements of a run; with limits along the path, the way gone is their last axis."""
-    if limits.along is not None:
-        run = divided(run)
-    moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
-    moves = _beyond_rounding(run, moves, radius_m)
-    c = run.coefficients[moves].copy()
-    if c.shape[1] < 4:
-        c = np.pad(c, ((0, 0), (0, 4 - c.shape[1]), (0, 0)))
-    _reach_ends(c, run.coefficients[0, 0], run.coefficients[-1].sum(axis=0))
-    ratio, last = 1.0 / np.sqrt(factors(c, radius_m)[:-1]), slope(c[-1:])[0]
-    if limits.along is not None:
-        c = with_length(c, limits.along.radius_m)
-        last = np.append(last, c[-1, :, -1] @ np.arange(6.0))
-    return elements_of(
-        c,
-        ratio,
-        run.nominal_s[moves],
-        run.operation[moves],
-        1.0,
-        from_rest=True,
-        to_rest=True,
-        lead_share=(
-            _lead_share(c[0, 1], run.nominal_s[moves][0], limits),
-            _lead_share(last, run.nominal_s[moves][-1], limits),
-        ),
-    )
-
-
-def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
-    """Return what a lead-in may be of a piece: what is gone until the axes have their speed.
-
-    The speed is that of the feed, or of the limit of an axis. While the axes have not reached it,
-    neither binds. A lead-in that is much longer has a speed that its elements follow badly.
-    """
-    least_s = max(nominal_s, float((np.abs(rate) / limits.velocity).max()))
-    speed = np.abs(rate) / least_s
-    rise_s = np.maximum(2.0 * np.sqrt(speed / limits.jerk), speed / limits.acceleration)
-    return _AT_SPEED * float(rise_s.max()) / least_s
+def _line(run: PieceBlock, limits: Limits, begin_s: float) -> TrajectoryBlock | None:
+    """Return the motion along a run that is one straight line, where a closed form is known."""
+    if not run.coefficients[0, 1].any():
+        return None
+    return line_alone(run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, begin_s)

@@ -10,9 +10,10 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.errors import PlanError
 from threadline.trajectory.optimal.followers import AFTER, BEFORE, Follower, Past, tangents
 from threadline.trajectory.optimal.in_time import in_time
+from threadline.trajectory.optimal.motion_limits import Limits
 from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.polished import polished
-from threadline.trajectory.optimal.solve import Limits, Problem, Solution
+from threadline.trajectory.optimal.solve import Problem, Solution
 from threadline.trajectory.optimal.stray import aligned
 from threadline.trajectory.types import TrajectoryBlock
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.trajectory.optimal.along_path import across, true_shares
+from threadline.trajectory.optimal.motion_limits import Limits
 from threadline.trajectory.optimal.path_elements import restricted
-from threadline.trajectory.optimal.solve import Limits, Solution
+from threadline.trajectory.optimal.solve import Solution
 from threadline.trajectory.optimal.two_sided import asked as asked_of_sides
 from threadline.trajectory.types import TrajectoryBlock
 
@@ -29,6 +30,24 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     would exceed a limit in between, it is cut in two. If some still do after a few cuts the whole
     motion is slowed evenly, as a motion from rest to rest may be.
     """
+    return _told(solution, limits, begin_s, np.inf)[0]
+
+
+def as_it_is(
+    solution: Solution, limits: Limits, begin_s: float, most: float
+) -> TrajectoryBlock | None:
+    """Return the motion of a part of a run as ``in_time`` does: nothing of it may be slowed.
+
+    None where it would have to be made longer by more than a share ``most``.
+    """
+    block, factor = _told(solution, limits, begin_s, 1.0)
+    return block if factor <= 1.0 + most else None
+
+
+def _told(
+    solution: Solution, limits: Limits, begin_s: float, most: float
+) -> tuple[TrajectoryBlock, float]:
+    """Return the motion, made longer ``most`` times at most, and how many times it should be."""
     elements, y = solution.elements, solution.y
     c, operation = elements.c, elements.operation
     done: list[tuple[FloatArray, FloatArray, FloatArray]] = []
@@ -47,18 +66,21 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     order = np.argsort(places, kind="stable")
     coefficients = np.concatenate([part[1] for part in done])[order]
     duration_s = np.concatenate([part[2] for part in done])[order]
-    duration_s = duration_s * _stretch(coefficients, duration_s, limits)
+    due = _stretch(coefficients, duration_s, limits)
+    duration_s = duration_s * min(due, most)
     if limits.along is not None:
         # The way gone was one of the axes: it is dropped, and what it is in truth is held.
         coefficients = coefficients[:, :, :-1]
         used = true_shares(coefficients, duration_s, limits.along)
-        duration_s = duration_s * max(1.0, *(share ** (1.0 / k) for k, share in enumerate(used, 1)))
+        more = max(1.0, *(share ** (1.0 / k) for k, share in enumerate(used, 1)))
+        duration_s = duration_s * min(more, most)
+        due *= more
     return TrajectoryBlock(
         start_s=begin_s + np.concatenate([[0.0], np.cumsum(duration_s)[:-1]]),
         duration_s=duration_s,
         coefficients=coefficients,
         operation=operation[np.floor(places[order]).astype(np.int64)],
-    )
+    ), due
 
 
 def _halved(

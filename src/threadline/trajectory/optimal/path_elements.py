@@ -19,7 +19,8 @@ DEGREE = 5
 _LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
 _LEAST_LEAD_SHARE = 1e-4
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
-_DENSE = 5000  # pieces of a run, beyond which those that are curved are fine enough as they are
+DENSE = 5000
+"""Pieces of a run, beyond which those that are curved are fine enough as they are."""
 _ROUNDING = 1e-13  # of the largest coefficient of an axis: below is nothing
 
 
@@ -126,6 +127,7 @@ def elements_of(
     from_rest: bool,
     to_rest: bool,
     lead_share: tuple[float, float] = (_LEAD_SHARE, _LEAD_SHARE),
+    dense: bool = False,
 ) -> Elements:
     """Return the elements of consecutive pieces of one run.
 
@@ -146,6 +148,8 @@ def elements_of(
     lead_share
         What the lead-in, and that to the rest at the end, may be of their pieces at most: in them
         feed and velocity bound the rate of their parameter, which is the speed at their end alone.
+    dense
+        Whether there are so many pieces that those that are curved are fine enough as they are.
     """
     count, order, axes = c.shape
     full = np.zeros((count, DEGREE + 1, axes))
@@ -167,7 +171,7 @@ def elements_of(
         lead_out = reverse(_with_lead_in(last, lead_share[1]))
         whole = join([whole.take(slice(None, -1)), lead_out])
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
-    curve = _PARTS_OF_CURVE if count <= _DENSE else 1
+    curve = _PARTS_OF_CURVE if count <= DENSE and not dense else 1
     parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
     if from_rest:
         parts[0] = _PARTS_OF_LEAD

@@ -17,7 +17,8 @@ from threadline.arrays import FloatArray
 from threadline.trajectory.optimal import barrier
 from threadline.trajectory.optimal.followers import Follower, Past
 from threadline.trajectory.optimal.in_time import in_time
-from threadline.trajectory.optimal.solve import Limits, Problem, bernstein
+from threadline.trajectory.optimal.motion_limits import Limits
+from threadline.trajectory.optimal.solve import Problem, bernstein
 from threadline.trajectory.optimal.stray_rows import Rows, stray_rows
 from threadline.trajectory.types import TrajectoryBlock
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
-from threadline.trajectory.optimal.along_path import AlongPath, across
-from threadline.trajectory.optimal.first_guess import even, feasible, roundings, used
+from threadline.trajectory.optimal.even_rates import evenly, top_of
+from threadline.trajectory.optimal.first_guess import feasible, roundings, used
+from threadline.trajectory.optimal.motion_limits import Limits
 from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.rows import assemble, demand_rows
 from threadline.trajectory.optimal.two_sided import braking_shares, with_braking
@@ -22,7 +23,6 @@ _VARIED = 1.3  # ratio of y within an element, above which it is cut
 _LOSS = 2e-3  # of the time that the jerk takes to the nearer limit
 _PART = 0.2  # of what the barrier costs an element: to lose less is enough
 _MUCH = 64.0  # times what is enough to lose: an element that loses as much is cut in four
-_LEAST_RAMP = 0.02  # of the time to the velocity's limit at that of the acceleration
 _ROUNDS, _IDLE_ROUNDS = 12, 6
 _FIRST_WEIGHT = 0.1  # of the duration, over all slacks
 _FALL = 0.35  # of the weight of the barrier from round to round
@@ -32,69 +32,6 @@ _KEPT = 0.9  # of the tightest limit, where other guards are taken
 _ROUNDED = 1e-7  # of a limit: an element whose rows are rounded by more is not cut
 _AT_A_TIME = 2048  # elements, of which shares are told
 _PLACES = np.array([0.0, 0.5, 1.0])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Limits:
-    """What the axes may do.
-
-    Parameters
-    ----------
-    velocity, acceleration, jerk
-        (axes,); a jerk may be infinite.
-    demand
-        (m, axes, 2) share of what the drive of an axis has to give (volts, current) that 1 m/s,
-        and 1 m/s^2, of it needs; 0 for none. At an acceleration of its limit and no velocity, no
-        demand may be above 1.
-    deceleration
-        (axes,) what an axis may brake with, where that is another limit than ``acceleration``.
-    along
-        What the tool may do along its path and across it.
-    """
-
-    velocity: FloatArray
-    acceleration: FloatArray
-    jerk: FloatArray
-    demand: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2)))
-    deceleration: FloatArray | None = None
-    along: AlongPath | None = None
-
-    @property
-    def sides(self) -> tuple[FloatArray, FloatArray]:
-        """(axes,) limits of speeding up, and of braking."""
-        braking = self.acceleration if self.deceleration is None else self.deceleration
-        return self.acceleration, braking
-
-    @property
-    def largest_acceleration(self) -> FloatArray:
-        """(axes,) the higher limit of speeding up and braking."""
-        return np.maximum(*self.sides)
-
-    def with_length(self) -> Limits:
-        """Return the limits with those along the path as of one more axis: the way gone."""
-        if self.along is None:
-            return self
-        own = self.along
-        speeding, braking = (
-            np.append(limit, along) for limit, along in zip(self.sides, own.sides, strict=True)
-        )
-        return replace(
-            self,
-            velocity=np.append(self.velocity, own.velocity),
-            acceleration=speeding,
-            jerk=np.append(self.jerk, own.jerk),
-            demand=np.pad(self.demand, ((0, 0), (0, 1), (0, 0))),
-            deceleration=None if np.array_equal(speeding, braking) else braking,
-        )
-
-    @property
-    def ramp_s(self) -> float:
-        """The time that the jerk takes to the limit of acceleration or velocity, about."""
-        with np.errstate(invalid="ignore"):
-            by_jerk = np.fmin(self.acceleration / self.jerk, np.sqrt(self.velocity / self.jerk))
-            by_acceleration = _LEAST_RAMP * self.velocity / self.acceleration
-        # What has no limit at all has no ramp either.
-        return float(np.nanmin(np.fmax(by_jerk, by_acceleration)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,6 +67,21 @@ class Solution:
         """An upper bound of the duration, near it where the elements are fine."""
         return float(barrier.duration(self.b, self.elements.length))
 
+    def part(self, first: int, stop: int) -> Solution:
+        """Return the motion from one element to before another."""
+        of = self.elements
+        x = bernstein(self.b, of.length) * of.length[:, None] ** 2
+        return replace(
+            self,
+            elements=of.take(slice(first, stop)),
+            b=np.concatenate([x[first, :1], x[first:stop, 1], x[stop - 1, 2:]]),
+        )
+
+    def parts(self, most: int) -> Iterator[Solution]:
+        """Yield the motion through ``most`` elements at a time."""
+        for first in range(0, len(self.elements), most):
+            yield self.part(first, min(first + most, len(self.elements)))
+
 
 def bernstein(b: FloatArray, length: FloatArray) -> FloatArray:
     """Return the (n, 3) Bernstein coefficients of u'^2 on elements of ``length``."""
@@ -161,15 +113,44 @@ class Problem:
     Guards may change after it was solved (``regard``), and it is solved again from there.
     """
 
-    def __init__(self, elements: Elements, limits: Limits) -> None:
+    def __init__(
+        self,
+        elements: Elements,
+        limits: Limits,
+        most: FloatArray | None = None,
+        begun: tuple[FloatArray, FloatArray] | None = None,
+    ) -> None:
+        """Begin with a motion.
+
+        Parameters
+        ----------
+        most
+            (n,) x of each element at most, to begin with.
+        begun
+            The motion to begin with, which is to be within all limits: b and the tangents.
+        """
         self.elements, self.limits = elements, limits
         self.steps = 0
         self.weight = np.inf
         self.rows: Any = None
         self.b: FloatArray
         self.tangent: FloatArray
+        self.held = (0, 0)
+        """Numbers of the first and of the last coefficients of b that stay as they are."""
+        self.settled_s = 0.0
+        """How near to what is held at the end, in time, no element is cut."""
+        self.fresh = 0.0
+        """Place in the common parameter before which none is cut for reaching no limit."""
         self._assemble()
-        self._begin()
+        if begun is None:
+            self._begin(most)
+        else:
+            self.b, self.tangent = begun
+
+    def most_used(self) -> float:
+        """Return the largest share of a limit that the motion uses, with its tangents."""
+        share = np.empty(len(self.elements))
+        return float(used(self.b, self.elements.length, self.rows, self.tangent, share, False))
 
     def solve(self, gap: float, *, cuts: int = _ROUNDS, idle: bool = True) -> None:
         """Find the fastest motion, within a share ``gap`` of the least duration.
@@ -216,7 +197,7 @@ class Problem:
         at, of = self.elements, self.limits
         largest = of.largest_acceleration
         self.rows = None  # those of before are most of what a run takes: they go first
-        self.top = self._top()
+        self.top = top_of(at, of)
         acc, jerk, points, count, top = assemble(
             at.c, at.guard, of.velocity, largest, of.jerk, self.top
         )
@@ -226,21 +207,12 @@ class Problem:
         self.rows = acc, jerk, points, count, top, drive, first
         self.slacks = int(2 * count.sum() + len(at) + 3 * np.isfinite(top).sum() + len(drive))
 
-    def _top(self) -> FloatArray:
-        """Return the (n,) largest u'^2 of feed, guards and what may be across the path."""
-        along = self.limits.along
-        if along is None or not np.isfinite(along.centripetal):
-            return self.elements.top
-        bent = across(self.elements.c[:, :, :-1] * along.radius_m)
-        with np.errstate(divide="ignore"):
-            return np.minimum(self.elements.top, along.centripetal / bent)
-
-    def _begin(self) -> None:
-        """Start from a slow motion."""
-        at, of = self.elements, self.limits
-        least = np.minimum(*of.sides)
-        most = even(at.length, at.c, at.guard, of.velocity, least, of.jerk, of.demand, self.top)
-        self.b, self.tangent = feasible(at.length, self.rows, most)
+    def _begin(self, most: FloatArray | None = None) -> None:
+        """Start from a slow motion, with (n,) x of ``most`` at most."""
+        allowed = evenly(self.elements, self.limits)
+        if most is not None:
+            allowed = np.minimum(allowed, most)
+        self.b, self.tangent = feasible(self.elements.length, self.rows, allowed)
 
     def _slow(self, allowed: float, *, anew: bool) -> None:
         """Slow the motion evenly where it uses more than ``allowed`` of a limit.
@@ -249,8 +221,8 @@ class Problem:
         """
         length, share = self.elements.length, np.empty(len(self.elements))
         most = used(self.b, length, self.rows, self.tangent, share, anew)
-        if most <= allowed:
-            return
+        if most <= allowed or self.held != (0, 0):
+            return  # a motion whose ends are held is not slowed: what rounding took is left to it
         self.b = self.b * (_KEPT / most)
         if not used(self.b, length, self.rows, self.tangent, share, False) < 1.0:
             self._begin()  # rounding left it on a limit
@@ -263,7 +235,7 @@ class Problem:
         while True:
             for _ in range(_STEPS):
                 step, decrement = barrier.newton(
-                    self.b, length, self.rows, self.tangent, self.weight
+                    self.b, length, self.rows, self.tangent, self.weight, self.held
                 )
                 if not np.isfinite(step).all():
                     return  # rounding ends it here: b keeps within all limits
@@ -312,17 +284,25 @@ class Problem:
                 # First, for guards are told by their places at the end.
                 yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used], axis=2)
 
+    def settled(self) -> int:
+        """Return the number of elements that are not too near to the end to be cut."""
+        moving = len(self.elements) - max(self.held[1] - 1, 0)
+        time_s = (bernstein(self.b, self.elements.length)[:moving] ** -0.5).mean(axis=1)
+        return moving - int(np.searchsorted(np.cumsum(time_s[::-1]), self.settled_s))
+
     def _idle(self) -> IntArray:
         """Return 2 for each element that reaches no limit somewhere, to be cut in two, else 1."""
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
         used = np.concatenate([part.max(axis=2).min(axis=1) for part in self._shares()])
         lost_s = time_s * (1.0 - used)
         enough_s = max(_LOSS * self.limits.ramp_s, _PART * self._cost_s())
+        lost_s[np.cumsum(self.elements.length) <= self.fresh] = 0.0
         return np.where(lost_s > _MUCH * enough_s, 4, np.where(lost_s > enough_s, 2, 1))
 
     def _refine(self, parts: IntArray) -> bool:
         """Cut elements into ``parts``; return whether there is anything to cut."""
         parts[roundings(self.b, self.elements.length, self.rows) > _ROUNDED] = 1
+        parts[self.settled() :] = 1
         if (parts == 1).all():
             return False
         self._cut(parts.astype(np.int64))

@@ -1,0 +1,117 @@
+"""Runs that are planned some pieces at a time: as fast as in one, and without a step between.
+
+The motion is held against that of the whole run, which is planned by the same solver without any
+window, and against its limits at random instants.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from threadline.path.types import PieceBlock
+from threadline.trajectory import retime
+from threadline.trajectory.optimal import fastest_motion, windows
+from threadline.trajectory.optimal.pieces_ahead import PiecesAhead, rows_of
+
+TURN = np.linspace(0.0, 7.0, 75)
+CURVE = np.stack([np.sin(TURN), np.cos(1.3 * TURN)], axis=1)
+NOISY = CURVE + np.random.default_rng(2).uniform(-2e-4, 2e-4, CURVE.shape)
+LIMITS = 1.0, 8.0, 200.0
+FURTHER = {"deceleration": [3.0, 20.0], "centripetal": 2.0}
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Make windows of few pieces, so that a short path has many."""
+    for name in ("ADDED", "MOST_ADDED"):
+        monkeypatch.setattr(windows, name, 45)
+    monkeypatch.setattr(windows, "SEEN", 8)
+    monkeypatch.setattr(windows, "_LEAST_AHEAD", 10)
+    monkeypatch.setattr(windows, "_SLOW_PIECES", 5)
+
+    def windowed(*given, **limits):
+        with monkeypatch.context() as context:
+            context.setattr(fastest_motion, "MOST_PIECES", 53)
+            return retime(*given, **limits)
+
+    return windowed
+
+
+def seams(motion):
+    """Yield the blocks before and after each place where two windows meet."""
+    return pairwise(list(motion))
+
+
+@pytest.mark.parametrize(
+    ("points", "tolerance", "further"),
+    [(CURVE, 1e-3, {}), (NOISY, 1e-3, {}), (CURVE, 1e-3, FURTHER)],
+    ids=["smooth", "noisy", "all limits"],
+)
+def test_windows_are_as_fast_as_the_whole_and_go_on_smoothly(short, points, tolerance, further):
+    whole = retime(points, *LIMITS, tolerance, **further)
+    motion = short(points, *LIMITS, tolerance, **further)
+    assert len(list(whole)) == 1 and len(list(motion)) >= 3
+    assert motion.duration_s == pytest.approx(whole.duration_s, rel=1e-3)
+    assert motion.bound <= 1.001
+    for before, after in seams(motion):
+        end, start = np.array([before.end_s]), after.start_s[:1]
+        for order, size in enumerate((1.0, *LIMITS[:2])):
+            step = before.evaluate(end, order) - after.evaluate(start, order)
+            assert np.abs(step).max() <= 1e-9 * size
+        assert np.abs(after.evaluate(start, 1)).max() > 0.05  # it does not rest there
+    assert np.abs(motion(motion.duration_s)[0] - points[-1]).max() < 1e-12
+
+
+def test_all_limits_hold_at_a_million_instants_of_windows(short):
+    motion = short(NOISY, *LIMITS, 1e-3)
+    times = np.random.default_rng(8).uniform(0.0, motion.duration_s, 1_000_000)
+    for order, limit in enumerate(LIMITS, start=1):
+        assert np.abs(motion(times, order)).max() <= 1.001 * limit
+
+
+def test_where_no_way_on_is_known_the_plan_ends_in_a_rest(short, monkeypatch):
+    """As if no slow motion could go on from any window: each ends at rest, and the next begins."""
+    way = windows._slow_way
+    monkeypatch.setattr(
+        windows, "_slow_way", lambda *given: None if given[1] is not None else way(*given)
+    )
+    whole = retime(CURVE, *LIMITS, 1e-3)
+    motion = short(CURVE, *LIMITS, 1e-3)
+    rests = 0
+    for before, after in seams(motion):
+        start = after.start_s[:1]
+        step = after.evaluate(start) - before.evaluate(start)
+        assert np.abs(step).max() <= 1e-12
+        rests += bool(np.abs(after.evaluate(start, 1)).max() < 1e-9)
+    assert rests >= 2
+    assert motion.bound <= 1.001
+    assert motion.duration_s > 1.01 * whole.duration_s
+
+
+def test_pieces_are_taken_in_order_up_to_each_rest():
+    """However many are asked for and put back, all come, once, and none from behind a rest."""
+    random = np.random.default_rng(6)
+    number = np.arange(200)
+    rest = (random.random(200) < 0.04).astype(np.int64)
+    rest[-1] = 1
+    c = np.zeros((200, 2, 1))
+    c[:, 0, 0] = number
+    zero = np.zeros(200)
+    every = PieceBlock(
+        coefficients=c, operation=number, nominal_s=zero, rest_after=rest, dwell_s=zero, line=number
+    )
+    cuts = [0, 3, 4, 90, 91, 180, 200]
+    ahead = PiecesAhead([rows_of(every, a, b) for a, b in pairwise(cuts)])
+    seen: list[int] = []
+    while (taken := ahead.take(most := int(random.integers(1, 40)))) is not None:
+        assert len(taken) <= most
+        assert not taken.rest_after[:-1].any()
+        assert len(taken) == most or taken.rest_after[-1]
+        keep = int(random.integers(1, len(taken) + 1))
+        if keep < len(taken):
+            ahead.put_back(rows_of(taken, keep, len(taken)))
+        seen.extend(taken.operation[:keep].tolist())
+    assert seen == number.tolist()
