@@ -82,6 +82,15 @@ _LINE_IN = 0.16
 _LETTERS_PER_IN = 13.5  # that surely have room beside each other
 
 
+def lay_out(figure: Figure) -> None:
+    """Place the parts of a figure, once for all the files that are made of it.
+
+    Placed anew for each of four files, that took as long as to draw them.
+    """
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")
+
+
 @contextmanager
 def headed(figure: Figure, lines: Sequence[str]) -> Iterator[Bbox]:
     """Write lines above a figure, whose own size and layout stay; they are gone after the block.
