@@ -36,9 +36,9 @@ NO_FIRMWARE = "a firmware that is built by hand, from sources that no package in
 
 @pytest.hookimpl(wrapper=True, optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int, int]:
-    """Have a quarter more workers than cores: those at a machine in real time wait for it."""
+    """Have a quarter more workers than cores, two at least: those at live machines wait."""
     cores = yield
-    return cores + max(1, cores // 4)
+    return cores + max(2, cores // 4)
 
 
 @pytest.hookimpl(wrapper=True)

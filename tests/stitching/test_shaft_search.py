@@ -97,6 +97,7 @@ def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
     assert told[-1] < 0.99
 
 
+@pytest.mark.usefixtures("coarse_search")
 def test_the_tolerance_that_was_found_is_typed_back_in_millimetres(
     design: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

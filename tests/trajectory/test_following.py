@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -43,6 +44,12 @@ def proved(points, **words):
     return plan, {(r.name, r.axis): r.measured for r in verdict.results}
 
 
+@cache
+def proved_corners(**words):
+    """Several tests look at the same plans."""
+    return proved(CORNERS, **words)
+
+
 def values(recording, name):
     """Return all samples of a channel."""
     return np.concatenate([block.samples[name] for block in recording])
@@ -64,7 +71,7 @@ def test_a_steady_motion_lags_by_the_voltage_that_it_needs():
 
 def test_the_answer_is_what_the_twin_does():
     """Within two counts of X, 36 um: the twin rounds what it is told and what it reads."""
-    plan, _ = proved(CORNERS)
+    plan, _ = proved_corners()
     recording = simulate(tick_table(plan.commands), WINDER)
     commanded = values(recording, "X.commanded")
     load = values(recording, "X.load")
@@ -78,13 +85,13 @@ def test_the_loads_keep_the_contour_that_was_asked_for():
 
     On the limits of axes and drives alone the same path is out of specification.
     """
-    plan, found = proved(CORNERS)
+    plan, found = proved_corners()
     assert 0.25e-3 < worst(found, "contour_error") <= 0.43e-3
     assert worst(found, "dac_saturation") == 0.0
-    hasty, lost = proved(CORNERS, contour_m=np.inf)
+    hasty, lost = proved_corners(contour_m=np.inf)
     assert worst(lost, "contour_error") > 1e-3
     assert hasty.duration_s < plan.duration_s
-    finer, _ = proved(CORNERS, contour_m=1e-4)
+    finer, _ = proved_corners(contour_m=1e-4)
     assert finer.duration_s > plan.duration_s
 
 
@@ -100,8 +107,8 @@ def test_the_contour_is_kept_where_the_program_rests():
 
 def test_loads_that_follow_are_not_slowed_for_their_loops():
     """The inverse of the loops, within the drives: no sample at the clamp, and half the time."""
-    motors, _ = proved(CORNERS)
-    loads, found = proved(CORNERS, feed_forward_s=0.01)
+    motors, _ = proved_corners()
+    loads, found = proved_corners(feed_forward_s=0.01)
     assert worst(found, "contour_error") <= 0.45e-3
     assert worst(found, "dac_saturation") == 0.0
     assert loads.duration_s < 0.75 * motors.duration_s

@@ -105,6 +105,8 @@ def fastest_job(
     check_range(lowest if low is None else low, highest if high is None else high, "m/s")
     if progress is not None:
         progress("looking for what repeats", 0.0)
+    if until is not None:
+        until.check()  # before any file is open
     with nullcontext() if until is None else until.interrupting():
         parts = distinct_parts(job, machine)
         by_feed = ignores_limits(parts[0], machine, options)
