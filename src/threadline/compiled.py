@@ -52,6 +52,7 @@ class _Lock:
         end_s = time.monotonic() + _WAITS_S
         # It goes on where the file cannot be written, or its file system has no locks.
         with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_CREAT | os.O_RDWR)
             while time.monotonic() < end_s:
                 try:

@@ -9,31 +9,34 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.plant.values import Values
 from threadline.twin.kernel import Engine
+from threadline.twin.recent import Recent
 
-_MOST = 8
-_MOST_VARIANTS = 64  # of one engine: three times the days of a repeated proof
+_MOST_VARIANTS = 64  # of an engine that is kept: three times the days of a repeated proof
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Made:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
     values: Values
     start_si: FloatArray
     least_rates: tuple[float, ...]
-    engine: Engine
 
-    def serves(self, values: Values, start_si: FloatArray, rates: tuple[float, ...]) -> bool:
-        own, other = self.values.replaced, values.replaced
-        return (
-            self.values.machine is values.machine
-            and self.values.count == values.count
-            and self.least_rates == rates
-            and np.array_equal(self.start_si, start_si)
-            and own.keys() == other.keys()
-            and all(np.array_equal(own[path], other[path]) for path in own)
-        )
+    def made(self) -> Engine:
+        return Engine(self.values.machine, self.values, self.start_si, self.least_rates)
 
 
-_kept: tuple[_Made, ...] = ()
+def _alike(one: _Asked, other: _Asked) -> bool:
+    own, others = one.values.replaced, other.values.replaced
+    return (
+        one.values.machine is other.values.machine
+        and one.values.count == other.values.count
+        and one.least_rates == other.least_rates
+        and np.array_equal(one.start_si, other.start_si)
+        and own.keys() == others.keys()
+        and all(np.array_equal(own[path], others[path]) for path in own)
+    )
+
+
+_RECENT: Recent[_Asked, Engine] = Recent(8, _alike)
 
 
 def engine_of(values: Values, start_si: FloatArray, least_rates: tuple[float, ...] = ()) -> Engine:
@@ -51,12 +54,5 @@ def engine_of(values: Values, start_si: FloatArray, least_rates: tuple[float, ..
     MachineError
         If the machine's clocks or parts cannot be simulated.
     """
-    global _kept  # noqa: PLW0603 - a memory of the process, replaced in one step
-    for made in _kept:
-        if made.serves(values, start_si, least_rates):
-            return made.engine
-    engine = Engine(values.machine, values, start_si, least_rates)
-    if values.count <= _MOST_VARIANTS:
-        made = _Made(values=values, start_si=start_si, least_rates=least_rates, engine=engine)
-        _kept = (made, *_kept[: _MOST - 1])
-    return engine
+    asked = _Asked(values, start_si, least_rates)
+    return asked.made() if values.count > _MOST_VARIANTS else _RECENT.of(asked, asked.made)

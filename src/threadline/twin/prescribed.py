@@ -18,6 +18,7 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.sources import PulseServo, Source
 from threadline.plant.prescribed import Prescribed, prescribed, resonance_hz
+from threadline.twin.recent import Recent
 
 _MOST_AVERAGED = 1_000_000
 """Ticks of which the speeds are kept: of the slowest swing of a stepper."""
@@ -52,6 +53,11 @@ class Advance:
     tick_s: float
 
 
+# A search asks for the same machines again. They are found by their numbers, because the days of a
+# proof, of which these are three times as many, are drawn anew for every plan.
+_RECENT: Recent[Machine, tuple[Advance, ...]] = Recent(64, lambda a, b: a is b or a == b)
+
+
 def advances_of(machine: Machine) -> tuple[Advance, ...]:
     """Return the connected pieces of a machine, ready to be run; none of one without dynamics.
 
@@ -60,31 +66,7 @@ def advances_of(machine: Machine) -> tuple[Advance, ...]:
     MachineError
         If an axis has a loop, a part is not linear, or a stepper swings too slowly to be averaged.
     """
-    return _KEPT.of(machine)
-
-
-class _Kept:
-    """The pieces of the machines that were asked for last: a search asks for the same ones again.
-
-    A machine is found by its numbers, because the days of a proof are drawn anew for every plan.
-    """
-
-    _MOST = 64  # three times the days of a repeated proof
-
-    def __init__(self) -> None:
-        self._known: tuple[tuple[Machine, tuple[Advance, ...]], ...] = ()
-
-    def of(self, machine: Machine) -> tuple[Advance, ...]:
-        for known, advances in self._known:
-            if known is machine or known == machine:
-                return advances
-        made = _made(machine)
-        # A new tuple in one step: threads that ask side by side may lose one, and make it again.
-        self._known = ((machine, made), *self._known[: self._MOST - 1])
-        return made
-
-
-_KEPT = _Kept()
+    return _RECENT.of(machine, lambda: _made(machine))
 
 
 def _made(machine: Machine) -> tuple[Advance, ...]:
