@@ -8,8 +8,8 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.plant.values import Values
+from threadline.recent import Recent
 from threadline.twin.kernel import Engine
-from threadline.twin.recent import Recent
 
 _MOST_VARIANTS = 64  # of an engine that is kept: three times the days of a repeated proof
 

@@ -18,7 +18,7 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.sources import PulseServo, Source
 from threadline.plant.prescribed import Prescribed, prescribed, resonance_hz
-from threadline.twin.recent import Recent
+from threadline.recent import Recent
 
 _MOST_AVERAGED = 1_000_000
 """Ticks of which the speeds are kept: of the slowest swing of a stepper."""

@@ -14,8 +14,13 @@ from threadline.jobs.seam.settings import MOST_SETTLE_S, Stitching
 from threadline.machine import Machine
 from threadline.plant.modes import Oscillation
 from threadline.plant.without_loop import modes_held
+from threadline.recent import Recent
 
 _SWING, _LEFT = 0.5, 0.1
+# A search reads its seam again for every speed, and following a damping takes 64 sets of poles.
+_RECENT: Recent[tuple[Machine, tuple[str, ...]], tuple[Oscillation, ...]] = Recent(
+    4, lambda a, b: a[0] is b[0] and a[1] == b[1]
+)
 
 
 def with_journeys(
@@ -49,4 +54,7 @@ def with_journeys(
 
 def swinging_modes(machine: Machine, axes: tuple[str, ...]) -> tuple[Oscillation, ...]:
     """Return the modes of the axes with their motors held still."""
-    return tuple(mode for axis in axes for mode in modes_held(machine, axis))
+    return _RECENT.of(
+        (machine, axes),
+        lambda: tuple(mode for axis in axes for mode in modes_held(machine, axis)),
+    )

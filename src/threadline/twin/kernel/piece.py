@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import ceil
 
 import numpy as np
@@ -13,6 +13,7 @@ from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
+from threadline.twin.kernel.mode_tables import ModeTables
 from threadline.twin.kernel.names import Action, Do, Row, SampleLayout
 from threadline.twin.kernel.patterns import shape_of
 from threadline.twin.kernel.shape import Shape
@@ -76,6 +77,8 @@ class Piece:
         The fastest rate, 1/s, that its tables are made for.
     rates
         (V,) the fastest rate of each variant.
+    kept
+        Tables of its modes for each kernel that has run it: the same for all runs.
     """
 
     equations: PiecewiseLinear
@@ -87,6 +90,7 @@ class Piece:
     shared: bool
     rate: float
     rates: FloatArray
+    kept: dict[Shape, ModeTables] = field(default_factory=dict)
 
     @property
     def sample(self) -> SampleLayout:

@@ -256,11 +256,14 @@ def new_state(
         if width > 1 and row[0] not in (Field.LOWEST, Field.HIGHEST) and (values == values[0]).all()
     )
     shape = piece.shape(lanes, width, peak=peak, quantised=quantised, uniform=uniform)
-    layout = Layout(shape)
     variants, steps = piece.equations.variants, piece.steps
     blocks = -(-variants // lanes)
     which = np.minimum(np.arange(blocks * lanes), variants - 1)
-    modes = ModeTables(piece.plant, which, layout, steps.lengths_s, piece.rate)
+    modes = piece.kept.get(shape)
+    if modes is None:
+        modes = ModeTables(piece.plant, which, Layout(shape), steps.lengths_s, piece.rate)
+        piece.kept[shape] = modes
+    layout = modes.layout
     work = aligned((blocks * (lanes // width), layout.stride, width))
     for row, values in numbers.items():
         if row in layout.row:
