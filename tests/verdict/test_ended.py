@@ -9,6 +9,8 @@ import pytest
 
 from threadline.signals import ChannelKind, Event
 from threadline.verdict import Criterion, Status, closing, judge, verdict_json
+from threadline.verdict.ended import not_beyond
+from threadline.verdict.types import Result
 
 from .builders import follow, plan_through, record, spec_of
 
@@ -70,6 +72,13 @@ def test_what_a_run_did_not_come_to_is_not_measured(kind, once) -> None:
     assert verdict.result("path_deviation").status is Status.PASSED
     assert closing(verdict).startswith("NOT PROVEN (nominal: 1 run): the run ended in operation 1")
     assert verdict_json(verdict, plan)["incomplete"] == verdict.incomplete
+
+
+def test_a_share_is_told_in_per_cent() -> None:
+    """A share has no unit of its own in SI, and a bare number says nothing."""
+    told = {"name": "over_level", "axis": "", "measured": 0.05, "limit": 0.1, "unit": ""}
+    used = Result(**told, status=Status.PASSED)
+    assert not_beyond(used, "it ended").note == "it ended (5 % until then)"
 
 
 def test_a_run_that_ended_in_no_operation_names_none() -> None:

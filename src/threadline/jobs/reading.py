@@ -38,6 +38,14 @@ class Format:
     read: Callable[..., Job]
     options: tuple[str, ...] = ()
 
+    @property
+    def article(self) -> str:
+        """The article that goes with the name."""
+        return "an" if self.name[0] in "aeiou" else "a"
+
+
+_TYPED = {"dialect": "--dialect", "feed_mode": "--feed-mode", "base_axes": "--feed-mode"}
+"""Options of readers as they are typed, where they are."""
 
 FORMATS: tuple[Format, ...] = (
     Format(
@@ -77,14 +85,26 @@ def read_job(path: str | Path, machine: Machine, **options: Any) -> Job:
         if path.name.lower().endswith(known.extensions):
             for name in options:
                 if name not in known.options:
-                    raise OptionError(
-                        f"a {known.name} has no option {name!r}",
-                        remedy=f"It has: {', '.join(known.options) or 'none'}.",
-                    )
+                    raise _refused(path, known, name)
             return known.read(path, machine=machine, **options)
     extensions = ", ".join(e for known in FORMATS for e in known.extensions)
     raise JobError(
         f"{extension or 'no extension'!r} is not a format of jobs that is known",
         place=Place(str(path)),
         remedy=f"Known: {extensions}.",
+    )
+
+
+def _refused(path: Path, known: Format, name: str) -> OptionError:
+    """Return what is wrong with an option that is not one of the file's format."""
+    of = [f"{one.name}s" for one in FORMATS if name in one.options]
+    if not of:
+        return OptionError(
+            f"a {known.name} has no option {name!r}",
+            remedy=f"It has: {', '.join(known.options) or 'none'}.",
+        )
+    typed = _TYPED.get(name, name)
+    return OptionError(
+        f"{Place(str(path))} is {known.article} {known.name}, and {typed} is of {' and '.join(of)}",
+        remedy=f"Leave {typed} out.",
     )

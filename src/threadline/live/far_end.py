@@ -17,7 +17,8 @@ from threadline.live.wire import Connection, Message, event_of
 from threadline.machine import Machine
 from threadline.signals import Channel, Event, RecordingBlock
 
-_ANSWER_S = 60.0  # a machine may have to be built first
+_ANSWER_S = 60.0
+_GREETING_S = 300.0  # a new computer may have to compile the machine first
 
 
 class FarEnd:
@@ -51,7 +52,7 @@ class FarEnd:
         CommandError
             If it is another machine, or has another version of the protocol.
         """
-        hello = self._expect("hello").head
+        hello = self._expect("hello", _GREETING_S).head
         self.channels = channels_told(hello, self._machine)
         self._per_tick = samples_per_tick(self._machine, self.channels)
         return bool(hello["simulated"])
@@ -116,10 +117,10 @@ class FarEnd:
         clock = self.channels[0].clock.name
         return RecordingBlock(first_tick={clock: first}, samples=samples, events=events)
 
-    def _expect(self, kind: str) -> Message:
-        message = self._link.receive(_ANSWER_S)
+    def _expect(self, kind: str, within_s: float = _ANSWER_S) -> Message:
+        message = self._link.receive(within_s)
         while message is not None and _of_before(message):
-            message = self._link.receive(_ANSWER_S)
+            message = self._link.receive(within_s)
         if message is None:
             raise _silent(kind)
         return self._as(message, kind)

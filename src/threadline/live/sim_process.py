@@ -78,6 +78,7 @@ def serve(
         signal.signal(number, signal.SIG_IGN)
     connection = Connection(end)
     simulated = way_of(machine).simulated(machine, start, connection.send, fault)
+    simulated.rehearse()
     simulated.greet()
     period_s = float(machine.command_clock.period_s)
     group = group_ticks(machine, speed)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_machine import SimMachine
@@ -15,6 +15,7 @@ from threadline.live.wire import Message, event_of
 from threadline.machine import Machine
 from threadline.signals import (
     Channel,
+    Clock,
     Ended,
     RecordingBlock,
     StepPlay,
@@ -22,6 +23,7 @@ from threadline.signals import (
     StitchBlock,
     Stream,
 )
+from threadline.signals.step_play import CountedBy
 from threadline.twin.stitching import stitching_channels
 from threadline.twin.stitching_session import COLUMNS, StitchingSession
 
@@ -113,13 +115,30 @@ class SimTurns(SimMachine):
                 arrays["units"], np.split(arrays["intervals"], ends[:-1]), strict=True
             )
         )
+        return self._without_turns(
+            library,
+            self._machine.clock(str(head["clock"])),
+            head["counted_by"],
+            (int(head["window_angle"]), int(head["steps_per_turn"])),
+            np.asarray(arrays["steps_per_unit"], dtype=np.float64),
+        )
+
+    def _without_turns(
+        self,
+        library: tuple[StepTable, ...],
+        clock: Clock,
+        counted_by: CountedBy,
+        window: tuple[int, int],
+        steps_per_unit: FloatArray,
+    ) -> StepPlay:
+        """Return commands of this machine; ``window`` is a part of so many of a turn."""
         return StepPlay(
-            clock=self._machine.clock(str(head["clock"])),
-            counted_by=head["counted_by"],
-            steps_per_turn=int(head["steps_per_turn"]),
-            window_angle=int(head["window_angle"]),
+            clock=clock,
+            counted_by=counted_by,
+            steps_per_turn=window[1],
+            window_angle=window[0],
             axes=self._machine.axis_names,
-            steps_per_unit=np.asarray(arrays["steps_per_unit"], dtype=np.float64),
+            steps_per_unit=steps_per_unit,
             start_steps=self._start,
             library=library,
             blocks=Stream.of(()),
@@ -127,6 +146,26 @@ class SimTurns(SimMachine):
             job_sha256="",
             machine_sha256=self._machine.sha256,
         )
+
+    def _play_a_moment(self) -> None:
+        """Play one turn of one step on each axis: without tables nothing would be played."""
+        axes, machine = len(self._machine.axes), self._machine
+        table = StepTable(units=1, intervals=np.ones(1, np.int64))
+        play = self._without_turns((table,), machine.tick_clock, "time", (1, 2), np.ones(axes))
+        session = StitchingSession(machine, play)
+        one = np.ones(1, np.int64)
+        turn = StitchBlock(
+            first_stitch=0,
+            begin=0 * one,
+            window=one,
+            table=np.zeros((1, axes), np.int64),
+            sign=np.ones((1, axes), np.int64),
+            start=0 * one,
+            needle=one,
+            operation=0 * one,
+        )
+        session.take(turn, None)
+        session.advance(2)
 
     def _tell_end(self, ended: Ended, text: str) -> None:
         if self._session is not None:

@@ -57,6 +57,17 @@ def not_beyond(result: Result, why: str) -> Result:
     """Return ``result`` when a run ended early: only a failure seen until then is certain."""
     if not why or result.status in {Status.FAILED, Status.NOT_MEASURED}:
         return result
-    so_far = "" if result.measured is None else f" ({result.measured:.4g} {result.unit} until then)"
+    so_far = (
+        "" if result.measured is None else f" ({_told(result.measured, result.unit)} until then)"
+    )
     note = "; ".join(filter(None, (result.note, f"{why}{so_far}")))
     return replace(result, status=Status.NOT_MEASURED, measured=None, note=note)
+
+
+def _told(value: float, unit: str) -> str:
+    """Return a value with its unit; what has none is a share.
+
+    >>> _told(0.25e-3, "m"), _told(0.05, "")
+    ('0.00025 m', '5 %')
+    """
+    return f"{value:.4g} {unit}" if unit else f"{100.0 * value:.4g} %"

@@ -1,0 +1,69 @@
+"""What a simulated machine needs in its first tick is loaded before it greets."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+JOBS = {
+    "letter-placer": "letter-cycle.toml",
+    "schiffli-frame": "rosette.dst",
+    "stepper-winder": "x-180.prg",
+}
+# The machine has the main thread, for it handles signals; the executor has another.
+PROGRAM = """
+import gc, socket, sys, threading
+from pathlib import Path
+from numba.core.registry import CPUDispatcher
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
+from threadline.live.kept import Kept
+from threadline.live.sim_process import serve
+from threadline.live.ways import way_of
+from threadline.live.wire import Connection
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job
+
+def loaded():
+    every = [one for one in gc.get_objects() if isinstance(one, CPUDispatcher)]
+    names = [f"{one.py_func.__module__}.{one.py_func.__name__}" for one in every]
+    parts = zip(names, every)
+    return {(name, s) for name, one in parts if ".twin." in name for s in one.signatures}
+
+def run(connection, machine, commands):
+    desk = Desk()
+    executor = Executor(connection, machine, desk, Kept(), speed=0.0)
+    executor.connect()
+    before = loaded()
+    executor.enable()
+    executor.home()
+    executor.start(commands)
+    while executor.tick < 100:
+        executor.step()
+    late = {name for name, _ in loaded() - before}
+    print(machine.name, executor.tick >= 100, sorted(late), flush=True)
+    connection.close()
+    desk.close()
+
+for told in sys.argv[1:]:
+    name, job = told.split("=")
+    machine = load_machine(name)
+    commands = plan_job(open_job(Path(job), machine, Options()), machine, Options()).commands
+    ours, theirs = socket.socketpair()
+    executor = threading.Thread(target=run, args=(Connection(ours), machine, commands))
+    executor.start()
+    serve(theirs, machine, way_of(machine).start(commands), 0.0)
+    executor.join()
+"""
+
+
+def test_nothing_is_loaded_once_time_counts() -> None:
+    """To load its machine code takes a third of a second, and a tick 10 ms at most."""
+    told = [f"{name}={EXAMPLES / job}" for name, job in JOBS.items()]
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, *told], capture_output=True, check=False, timeout=600
+    )
+    assert done.stdout.decode().splitlines() == [f"{name} True []" for name in JOBS], done.stderr
