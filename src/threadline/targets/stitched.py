@@ -14,6 +14,7 @@ from threadline.errors import BudgetError, Place, PlanError
 from threadline.jobs.operations import Job, MoveRun, Stop, ToolEvent
 from threadline.laws import Law
 from threadline.machine import Machine
+from threadline.recent import Recent
 from threadline.signals import Event, StepPlay, StepTable, StitchBlock, Stream
 from threadline.targets.step_tables import step_tables
 from threadline.targets.stitch_pace import Moves, Pace
@@ -22,6 +23,10 @@ _IN_BLOCK = 256
 _BLOCK_S = 32.0  # of a block: samples of slow turns would leave the fast memory
 _WHOLE = 1e-3  # of a unit: a place is on the grid of the design
 _BUDGET_S = 1e-9
+# A search plans the same job for many speeds of the shaft; how short a window may be is of none.
+_PACES: Recent[tuple[Machine, Law, float], Pace] = Recent(
+    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2] == b[2]
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -206,7 +211,7 @@ def stitch(
     BudgetError
         If it takes longer than the machine's budget of ticks.
     """
-    pace = Pace(machine, law, tolerance_m)
+    pace = _PACES.of((machine, law, tolerance_m), lambda: Pace(machine, law, tolerance_m))
     shaft = pace.shaft
     rows = _rows(job, pace)
     moves: Moves = rows["moves"]
