@@ -82,12 +82,15 @@ class Motion(NamedTuple):
     sense, start
         (C,) sense of motion, 1 or -1, that friction opposes; and stroke at which each last stood,
         m.
+    ahead
+        (C, N) room for the state at the end of a step.
     """
 
     state: FloatArray
     mode: IntArray
     sense: FloatArray
     start: FloatArray
+    ahead: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,7 +119,8 @@ class Cylinders:
         state = np.zeros((count, size))
         state[:, -1] = 1.0
         mode = np.where(self.numbers[variant, :, _FRICTION] > 0.0, STICKS, SLIDES)
-        return Motion(state, mode.astype(np.int64), np.zeros(count), np.zeros(count))
+        zero = np.zeros(count)
+        return Motion(state, mode.astype(np.int64), zero, zero.copy(), np.zeros_like(state))
 
 
 def cylinders_of(
@@ -216,59 +220,68 @@ def _full(matrix: FloatArray, level: FloatArray, push: FloatArray) -> FloatArray
     return full
 
 
-def _dot(row: FloatArray, x: FloatArray) -> float:
+def _dot(rows: FloatArray, c: int, row: int, x: FloatArray) -> float:
+    """Return a row of a cylinder times its column of ``x`` (C, N)."""
+    # Indexed through: a view of a part of an array costs more than these few products.
     total = 0.0
-    for j in range(len(x)):
-        total += row[j] * x[j]
+    for j in range(x.shape[1]):
+        total += rows[c, row, j] * x[c, j]
     return total
 
 
-def _times(matrix: FloatArray, x: FloatArray) -> FloatArray:
-    ahead = np.empty_like(x)
-    for i in range(len(x)):
-        ahead[i] = dot(matrix[i], x)
-    return ahead
+def _times(
+    tables: FloatArray, c: int, key: int, halved: int, x: FloatArray, ahead: FloatArray
+) -> None:
+    """Write one of a cylinder's ``tables`` (C, K, H, N, N) times its ``x`` to its ``ahead``."""
+    count = x.shape[1]
+    for i in range(count):
+        total = 0.0
+        for j in range(count):
+            total += tables[c, key, halved, i, j] * x[c, j]
+        ahead[c, i] = total
 
 
-def _put(x: FloatArray, values: FloatArray) -> None:
-    for i in range(len(x)):
-        x[i] = values[i]
+def _put(x: FloatArray, c: int, values: FloatArray) -> None:
+    for i in range(x.shape[1]):
+        x[c, i] = values[c, i]
 
 
 def _stroke_of(c: int, bank: Bank, motion: Motion) -> float:
-    return dot(bank.rows[c, _STROKE], motion.state[c])
+    return dot(bank.rows, c, _STROKE, motion.state)
 
 
 def _frame_of(c: int, bank: Bank, motion: Motion) -> float:
-    return dot(bank.rows[c, _FRAME], motion.state[c])
+    return dot(bank.rows, c, _FRAME, motion.state)
 
 
 def _key(c: int, bank: Bank, motion: Motion) -> int:
     """Return which of the K tables holds now, and note where the piston last stood."""
-    x, numbers = motion.state[c], bank.numbers[c]
-    rate, place = dot(bank.rows[c, _RATE], x), dot(bank.rows[c, _STROKE], x)
+    numbers = bank.numbers
+    rate = dot(bank.rows, c, _RATE, motion.state)
+    place = dot(bank.rows, c, _STROKE, motion.state)
     if abs(rate) < _STANDSTILL_M_S or motion.mode[c] != SLIDES:
         motion.start[c] = place
     if motion.mode[c] != SLIDES:
         return 0
     ramps, ramp = 1, 1
-    if numbers[_RAMP] > 0.0:
+    if numbers[c, _RAMP] > 0.0:
         ramps = RAMP_STEPS
-        gone = abs(place - motion.start[c]) / numbers[_RAMP]
+        gone = abs(place - motion.start[c]) / numbers[c, _RAMP]
         ramp = min(RAMP_STEPS, 1 + int(min(gone, 1.0) * RAMP_STEPS))
     flows, flow = 1, 0
-    if numbers[_CUSHION] >= 0.0:
+    if numbers[c, _CUSHION] >= 0.0:
         flows = 2
-        ending = rate > 0.0 and place > numbers[_LENGTH] - numbers[_CUSHION]
-        if ending or (rate < 0.0 and place < numbers[_CUSHION]):
+        ending = rate > 0.0 and place > numbers[c, _LENGTH] - numbers[c, _CUSHION]
+        if ending or (rate < 0.0 and place < numbers[c, _CUSHION]):
             flow = 1
-    sense = 1 if numbers[_FRICTION] > 0.0 and motion.sense[c] > 0.0 else 0
+    sense = 1 if numbers[c, _FRICTION] > 0.0 and motion.sense[c] > 0.0 else 0
     return 1 + (sense * flows + flow) * ramps + ramp - 1
 
 
-def _ended(c: int, bank: Bank, motion: Motion, x: FloatArray) -> bool:
-    """Say whether a sliding piston has come to a stop or turned."""
-    rate, place = dot(bank.rows[c, _RATE], x), dot(bank.rows[c, _STROKE], x)
+def _ended(c: int, bank: Bank, motion: Motion) -> bool:
+    """Say whether a sliding piston has come to a stop, or turned, where it is ahead."""
+    rate = dot(bank.rows, c, _RATE, motion.ahead)
+    place = dot(bank.rows, c, _STROKE, motion.ahead)
     stroke, sense = bank.numbers[c, _LENGTH], motion.sense[c]
     at_stop = (place >= stroke and rate > 0.0) or (place <= 0.0 and rate < 0.0)
     return at_stop or (sense != 0.0 and rate * sense < 0.0)
@@ -280,7 +293,7 @@ def _released(c: int, bank: Bank, motion: Motion) -> float:
     row = _STICK
     if mode in (AT_START, AT_END):
         row, least = _STOP, max(least, _ADHESION_N)
-    holding = dot(bank.rows[c, row], motion.state[c])
+    holding = dot(bank.rows, c, row, motion.state)
     if holding < -least and mode != AT_END:
         return 1.0
     if holding > least and mode != AT_START:
@@ -289,17 +302,18 @@ def _released(c: int, bank: Bank, motion: Motion) -> float:
 
 
 def _change(c: int, bank: Bank, motion: Motion) -> None:
-    x, numbers = motion.state[c], bank.numbers[c]
+    x, numbers = motion.state, bank.numbers
     if motion.mode[c] != SLIDES:
-        motion.sense[c] = released(c, bank, motion) if numbers[_FRICTION] > 0.0 else 0.0
+        motion.sense[c] = released(c, bank, motion) if numbers[c, _FRICTION] > 0.0 else 0.0
         motion.mode[c] = SLIDES
         return
     piston, housing = bank.masses[c, 0], bank.masses[c, 1]
     # Standing: both go on with their common momentum.
-    together = numbers[_SHARE] * x[piston] + (1.0 - numbers[_SHARE]) * x[housing]
-    x[piston] = x[housing] = together
-    place = dot(bank.rows[c, _STROKE], x)
-    if place >= numbers[_LENGTH] - 1e-9:
+    share = numbers[c, _SHARE]
+    together = share * x[c, piston] + (1.0 - share) * x[c, housing]
+    x[c, piston] = x[c, housing] = together
+    place = dot(bank.rows, c, _STROKE, x)
+    if place >= numbers[c, _LENGTH] - 1e-9:
         motion.mode[c] = AT_END
     elif place <= 1e-9:
         motion.mode[c] = AT_START
@@ -313,25 +327,28 @@ def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
         # A standing piston breaks away at the beginning of a step, to within one step.
         change(c, bank, motion)
     key = key_of(c, bank, motion)
-    ahead = times(bank.step[c, key, halved], motion.state[c])
-    if motion.mode[c] != SLIDES or not ended(c, bank, motion, ahead):
-        put(motion.state[c], ahead)
+    x, ahead = motion.state, motion.ahead
+    times(bank.step, c, key, halved, x, ahead)
+    if motion.mode[c] != SLIDES or not ended(c, bank, motion):
+        put(x, c, ahead)
         return
     # Halves, quarters ... of the step that end before the event, and one last part more.
     left = 1 << (HALVINGS - halved)
     for halvings in range(halved + 1, HALVINGS + 1):
-        ahead = times(bank.step[c, key, halvings], motion.state[c])
-        if not ended(c, bank, motion, ahead):
-            put(motion.state[c], ahead)
+        times(bank.step, c, key, halvings, x, ahead)
+        if not ended(c, bank, motion):
+            put(x, c, ahead)
             left -= 1 << (HALVINGS - halvings)
-    put(motion.state[c], times(bank.step[c, key, HALVINGS], motion.state[c]))
+    times(bank.step, c, key, HALVINGS, x, ahead)
+    put(x, c, ahead)
     left -= 1
     change(c, bank, motion)
     # It stands for the rest of the step.
     key = key_of(c, bank, motion)
     for halvings in range(halved + 1, HALVINGS + 1):
         if left & (1 << (HALVINGS - halvings)):
-            put(motion.state[c], times(bank.step[c, key, halvings], motion.state[c]))
+            times(bank.step, c, key, halvings, x, ahead)
+            put(x, c, ahead)
 
 
 def _advance_share(c: int, share: float, step_s: float, bank: Bank, motion: Motion) -> None:
@@ -343,12 +360,18 @@ def _advance_share(c: int, share: float, step_s: float, bank: Bank, motion: Moti
     rest_s = (share - parts / PARTS) * step_s
     if rest_s > 0.0:
         # Too short for an event to matter: 0.24 us of a step of 1 ms.
-        rate = bank.rate[c, key_of(c, bank, motion)]
-        term = motion.state[c]
+        key, count = key_of(c, bank, motion), motion.state.shape[1]
+        term, then = np.empty(count), np.empty(count)
+        for i in range(count):
+            term[i] = motion.state[c, i]
         for power in range(1, _TAYLOR + 1):
-            term = times(rate, term)
-            for i in range(len(term)):
-                term[i] *= rest_s / power
+            for i in range(count):
+                total = 0.0
+                for j in range(count):
+                    total += bank.rate[c, key, i, j] * term[j]
+                then[i] = total * (rest_s / power)
+            for i in range(count):
+                term[i] = then[i]
                 motion.state[c, i] += term[i]
 
 
@@ -361,12 +384,12 @@ def _exhaust(c: int, bank: Bank, motion: Motion) -> None:
     if mode not in (AT_START, AT_END):
         return
     sign = 1.0 if mode == AT_END else -1.0
-    x, flow, air = motion.state[c], bank.masses[c, 2], bank.masses[c, 3]
+    x, flow, air = motion.state, bank.masses[c, 2], bank.masses[c, 3]
     most = _EMPTY * bank.numbers[c, _LENGTH]
-    if sign * x[air] > 0.9 * most and sign * x[flow] < 0.0:
-        x[air] = 0.0
-    elif sign * x[air] > most:
-        x[air] = sign * most
+    if sign * x[c, air] > 0.9 * most and sign * x[c, flow] < 0.0:
+        x[c, air] = 0.0
+    elif sign * x[c, air] > most:
+        x[c, air] = sign * most
 
 
 dot = njit(nogil=True)(_dot)

@@ -225,11 +225,17 @@ def _contact(
     m: int, time_s: float, orders: Orders, progress: Progress, bank: Bank, motion: Motion
 ) -> bool:
     cylinder = orders.contact_cylinder[m]
+    place = stroke_of(cylinder, bank, motion) if cylinder >= 0 else 0.0
+    return closed(m, place, time_s, orders, progress.free)
+
+
+def _closed(m: int, place: float, time_s: float, orders: Orders, free: IntArray) -> bool:
+    """Say whether a contact is closed while its cylinder has the stroke ``place``."""
+    cylinder = orders.contact_cylinder[m]
     if cylinder == -2:
         return bool(time_s < orders.break_s)
     if cylinder == -1:
-        return bool(progress.free[m] != 0)
-    place = stroke_of(cylinder, bank, motion)
+        return bool(free[m] != 0)
     if orders.contact_above[m]:
         return bool(place >= orders.contact_at[m])
     return bool(place <= orders.contact_at[m])
@@ -324,8 +330,9 @@ def _sample(
         out[at, PER_CYLINDER * c + 2] = orders.level[progress.plc[ROW] + 1, c]
         out[at, PER_CYLINDER * c + 3] = frame_of(c, bank, motion)
     for m in range(len(orders.contact_cylinder)):
-        closed = contact(m, time_s, orders, progress, bank, motion)
-        out[at, PER_CYLINDER * count + m] = 1.0 if closed else 0.0
+        place = out[at, PER_CYLINDER * max(orders.contact_cylinder[m], 0)]
+        shut = closed(m, place, time_s, orders, progress.free)
+        out[at, PER_CYLINDER * count + m] = 1.0 if shut else 0.0
     # With everything off the operation stays that of the last row.
     rows[at, 0], rows[at, 1] = progress.plc[ROW], progress.plc[LATER] - 1
 
@@ -386,6 +393,7 @@ def _run(
     return filled, ended_waits
 
 
+closed = njit(nogil=True)(_closed)
 contact = njit(nogil=True)(_contact)
 switch = njit(nogil=True)(_switch)
 move = njit(nogil=True)(_move)
