@@ -26,6 +26,7 @@ from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
 from threadline.machine.vary import ends_of
 from threadline.options import Options
 from threadline.plan import Plan
+from threadline.planning_so_far import PLANNING
 from threadline.signals import Commands, Recording
 from threadline.signals.files.common import Written
 from threadline.targets.write import Target
@@ -301,6 +302,7 @@ def prove(
     """
     check_machine(machine)
     if progress is not None:
+        PLANNING.reach(0.0)
         progress("planning", 0.0)
     plan = plan_job(open_job(job_file, machine, options), machine, options)
     return prove_plan(plan, spec, progress, trials, actual)

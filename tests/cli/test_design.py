@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -105,7 +106,9 @@ def test_the_work_goes_on_with_what_was_found(
     assert length.options["delay"] == pytest.approx(found["needle_delay_s"])
     assert length.limit == pytest.approx(0.05)
     # At the level of the redesign, which is that of prove.
-    code, text, err = run(capsys, "prove", seam, "-m", str(out), "--json")
+    again = shlex.split(content["command"])
+    assert again == ["threadline", "prove", seam, "-m", str(out)]
+    code, text, err = run(capsys, *again[1:], "--json")
     assert code == 0, err
     assert json.loads(text)["level"] == "repeated"
     assert run(capsys, "prove", seam, "-m", str(files / "mine.toml"), "--json")[0] == 1

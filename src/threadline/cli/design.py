@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.found import command_line, typed
 from threadline.cli.level import (
     NominalOption,
     RepeatsOption,
     TolerancesOption,
     YieldOption,
+    level_option,
     trials_of,
 )
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -153,15 +156,42 @@ def design(
         if output is not None and result.found is not None:
             written = write_design(result, result.found, output)
         page = None if report is None else write_design_report(result, report)
+    words = {
+        "--interpolation": None if interpolation == DEFAULT_INTERPOLATION_TEXT else interpolation,
+        "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
+        "--contour": contour,
+        "--feed": feed,
+        "--shaper": shaper,
+        "--law": law,
+    }
+    again = _again(job, written, result, {**words, **level_option(trials)})
     if json:
-        print_json(_content(result, [str(p) for p in written], page))
+        print_json(_content(result, [str(p) for p in written], page) | {"command": again})
     else:
         _show(result)
         for path in written:
             say(f"Wrote {path}")
+        if result.found is not None:
+            first = (
+                "" if needle is None else f'write needle_speed = "{needle}" in {job.name}, then '
+            )
+            say(f"To prove it: {first}{again or 'write the machine with -o FILE.toml first'}")
         if page is not None:
             say(f"Report: {page}")
     raise typer.Exit(0 if result.found is not None else 1)
+
+
+def _again(
+    job: Path, written: list[Path], result: DesignResult, words: Mapping[str, str | None]
+) -> str | None:
+    """Return the command that proves what was found and written; None where nothing was."""
+    if result.found is None or not written:
+        return None
+    smoothing_s = result.found.candidate.smoothing_s
+    ahead = {}
+    if smoothing_s is not None:
+        ahead = {"--feed-forward": "", "--smoothing": f"{typed(smoothing_s * 1e3)} ms"}
+    return command_line("prove", job, {"-m": written[0], **words, **ahead})
 
 
 def _plotted(text: str | None, known: tuple[str, ...] | None) -> tuple[str, str] | None:

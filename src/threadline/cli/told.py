@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from threadline.compiling import COMPILING
 from threadline.escaping import plain
 from threadline.foreign_messages import grouped
+from threadline.planning_so_far import PLANNING
 
 STDOUT = "standard output"
 """Name of standard output in errors, where a file has its path."""
@@ -25,6 +26,8 @@ _STDERR = 2  # its file descriptor
 _NEARLY = 99  # percent: what is left then is no measure of the time
 _EVERY_S = 50.0  # a minute without a word is too long
 _LOOK_S = 1.0
+_PLANNING = "planning"
+"""The stage that has no share: how long a motion is, is known once it is planned."""
 _STARTING_S = 0.6
 _STARTING = "starting ..."
 _ERASED = "\r" + " " * len(_STARTING) + "\r"
@@ -92,7 +95,8 @@ class Telling:
     def doing(self) -> str:
         """Return the stage, its share done, and the time left at the same rate."""
         if not self.stage or not self.fraction:
-            return self.stage
+            so_far = PLANNING.words() if self.stage == _PLANNING else ""
+            return f"{self.stage}, {so_far}" if so_far else self.stage
         percent = int(100.0 * self.fraction + 1e-9)
         if percent >= _NEARLY:
             return f"{self.stage}, nearly done"

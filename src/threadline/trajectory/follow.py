@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.durations.smoothing import smoothing_for
+from threadline.durations.smoothing import Smoothing, smoothing_for
+from threadline.errors import BudgetError
 from threadline.machine import Machine
 from threadline.path.types import PieceBlock, PlannedPath
+from threadline.planning_so_far import PLANNING
 from threadline.trajectory import profile
 from threadline.trajectory.pieces import (
     Allowance,
@@ -35,6 +37,7 @@ def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
     column = [machine.axis_names.index(axis) for axis in path.axes]
     limits = machine.velocity_limit[column], machine.acceleration_limit[column]
     smoothing = smoothing_for(machine, path.axes)
+    _refuse_endless(smoothing, machine, path.axes)
     run = _Run(limits, allowance(smoothing, path.radius_m, path.smoothing_m, *limits))
     for block in path:
         stops = np.flatnonzero(block.rest_after)
@@ -44,6 +47,22 @@ def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
             first = int(stop) + 1
         if first < len(block):
             yield from run.extend(block, first, len(block), ends=False)
+
+
+def _refuse_endless(smoothing: Smoothing, machine: Machine, axes: tuple[str, ...]) -> None:
+    """Refuse a jerk limit that by itself asks for more ticks than the machine file allows."""
+    ticks = smoothing.width_s / float(machine.tick_clock.period_s)
+    if ticks <= machine.tick_budget.si:
+        return
+    column = [machine.axis_names.index(axis) for axis in axes]
+    k = int(np.argmax(machine.acceleration_limit[column] / machine.jerk_limit[column]))
+    raise BudgetError(
+        f"with the jerk limit of axis {axes[k]}, its own or that along the path, its acceleration "
+        f"takes {smoothing.width_s:.3g} s to come and go, {ticks:.3g} ticks; the machine file "
+        f"allows {machine.tick_budget.si:.3g}",
+        place=machine.place,
+        remedy="Raise that jerk, lower the acceleration, or take another interpolation: optimal.",
+    )
 
 
 @dataclass(slots=True)
@@ -157,3 +176,4 @@ class _Run:
             operation=operation,
         )
         self.done += count
+        PLANNING.reach(self.begin_s + self.done * step)

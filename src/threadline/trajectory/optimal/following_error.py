@@ -8,6 +8,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import PlanError
+from threadline.planning_so_far import PLANNING
 from threadline.trajectory.optimal.followers import AFTER, BEFORE, Follower, Past, tangents
 from threadline.trajectory.optimal.in_time import in_time
 from threadline.trajectory.optimal.motion_limits import Limits
@@ -49,6 +50,7 @@ def followed(
             problem.solve(_GAP, cuts=1, idle=False)
         solution = problem.solution()
         block = in_time(solution, limits, begin_s)
+        PLANNING.reach(block.end_s, number + 1, _ROUNDS + _SLOWER_ROUNDS)
         strays = follower.strays(past, block)
         if strays.share.max() <= 1.0 and number >= _ROUNDS:
             return polished(problem, block, limits, follower, past)

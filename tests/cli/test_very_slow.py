@@ -1,0 +1,48 @@
+"""Motion that is planned for minutes: people are told how far it is, or what makes it so long."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from threadline.cli.main import main
+from threadline.cli.told import Telling
+from threadline.planning_so_far import PLANNING
+
+X_180 = str(Path(__file__).resolve().parents[2] / "examples" / "x-180.prg")
+
+
+def proved(machine: str, interpolation: str) -> object:
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", X_180, "-m", machine, "--interpolation", interpolation, "--nominal"])
+    return ended.value.code
+
+
+@pytest.mark.parametrize(
+    ("interpolation", "said"),
+    [
+        ("auto", r"planning, 10\.\d+ s of motion so far"),
+        ("optimal", r"planning, motion of 10\.\d+ s, time \d+ of at most 16"),
+    ],
+)
+def test_how_far_the_planning_has_come(interpolation: str, said: str) -> None:
+    """The program takes 10 s at its feed."""
+    PLANNING.reach(0.0)
+    assert Telling(stage="planning").doing() == "planning"
+    proved("lathe-winder", interpolation)
+    assert re.fullmatch(said, Telling(stage="planning").doing())
+    assert Telling(stage="searching").doing() == "searching"
+
+
+def test_a_jerk_that_takes_ages_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The winder's 10.5 m/s^2 would take three hundred years to come at 1e-9 m/s^3."""
+    machine = tmp_path / "slow.toml"
+    machine.write_text('base = "lathe-winder"\n[path]\njerk = "1e-9 m/s^3 exact, assumed"\n')
+    assert proved(str(machine), "auto") == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert re.search(r"slow\.toml.*with the jerk limit of axis [AX], .* ticks; the machine", err)
