@@ -35,8 +35,8 @@ DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
 _MOST_SAMPLES = 1 << 14
 """In one block: more of them leave the processor's cache and are paged in anew for each block."""
-_MOST_OF_RUNS = 1 << 17
-"""Samples times runs of one block: those of a few channels stay in the cache while judged."""
+_MOST_OF_RUNS = 1 << 18
+"""Samples times runs of one block: no block of use fits a core's cache, and each costs calls."""
 _LEAST_ROWS = 256
 
 

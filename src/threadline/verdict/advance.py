@@ -65,8 +65,8 @@ class _Progress(SweptMeasure):
         fresh = self._commanded(block) * self._radius_m
         first = len(self._command)
         command = np.concatenate([self._command, fresh])
-        heading = np.concatenate([self._heading, _headings(self._command, self._heading, fresh)])
         way, length = chord_ways(command)
+        heading = np.concatenate([self._heading, _headings(self._heading, way[first:])])
         self._command, self._heading = command, heading
         self._ceiling[0] = max(self._ceiling[0], (way**2).sum(axis=1).max())
         return ProgressPart(
@@ -139,18 +139,17 @@ def _by_time(finding: Finding) -> Finding:
     return replace(finding, note="; ".join(filter(None, (finding.note, COMMAND_BY_TIME))))
 
 
-def _headings(before: FloatArray, heading: FloatArray, fresh: FloatArray) -> FloatArray:
-    """Return (n, axes) the displacement of the command to each new place.
+def _headings(heading: FloatArray, way: FloatArray) -> FloatArray:
+    """Return (n, axes) the displacement of the command to each new place, by its ``way`` there.
 
     While the command stands it is the last displacement that was not 0; before the first motion 0.
     """
-    start = before[-1:] if len(before) else fresh[:1]
-    way = np.diff(fresh, axis=0, prepend=start)
-    known = heading[-1:] if len(heading) else np.zeros((1, fresh.shape[1]))
-    way = np.concatenate([known, way])
     moved = (way != 0.0).any(axis=1)
-    latest = np.maximum.accumulate(np.where(moved, np.arange(len(way)), 0))
-    return np.asarray(way[latest][1:])
+    if moved.all():
+        return way
+    known = heading[-1:] if len(heading) else np.zeros((1, way.shape[1]))
+    latest = np.maximum.accumulate(np.where(moved, np.arange(1, len(way) + 1), 0))
+    return np.asarray(np.concatenate([known, way])[latest])
 
 
 def start_progress(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001

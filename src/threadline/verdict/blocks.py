@@ -32,7 +32,7 @@ _PEAK_NAME = "{axis}.current_peak"
 _MOST = 1e15  # SI: a sample beyond it is no measurement
 _CHORDS = ("low", "high", "safe")
 _FEW = 1024  # samples: fewer wait for more, as every block costs each measure its calls,
-_OF_RUNS = 1 << 17  # unless there are so many of all runs: more would leave the cache again
+_OF_RUNS = 1 << 18  # unless there are so many of all runs, as in a block of the twin
 _COPIED = 60_000  # values of a column
 
 
@@ -165,7 +165,7 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
                 part.columns["commanded"] = part.columns["commanded"][:, 0]
             if numbers is not None:
                 # Where samples are missing it is unknown, as before the first.
-                told = np.nan_to_num(numbers[:, 0, 0], nan=-1.0)
+                told = np.where(np.isnan(numbers[:, 0, 0]), -1.0, numbers[:, 0, 0])
                 operation = np.rint(told).astype(np.int64)
                 # After its end a controller may say -1: the machine is still at its last operation.
                 operation = np.maximum.accumulate(np.maximum(operation, reached))
@@ -372,5 +372,6 @@ def _chords(fresh: _Held, path: PathWindow, before: FloatArray | None) -> dict[s
     path.reach(int(operation[-1]))
     commanded = fresh.columns.get("commanded")
     at_tool = None if commanded is None else commanded * path.radius_m
-    low, high = chords_under_way(path, operation, at_tool, before)
-    return {"low": low, "high": high, "safe": path.chord_from(operation) - 1 + path.first}
+    own = path.chords(operation)
+    low, high = chords_under_way(path, own, at_tool, before)
+    return {"low": low, "high": high, "safe": own[0] - 1 + path.first}

@@ -76,8 +76,8 @@ def _blocks(
     previous: int | None = None
     for points, operation in pieces:
         path.reach(int(operation[-1]) + beside)
-        begin = path.chord_from(operation) - beside + path.first
-        end = path.chord_to(operation) + beside + path.first
+        first, last = path.chords(operation)
+        begin, end = first - beside + path.first, last + beside + path.first
         path.drop(int(begin[0] if previous is None else previous))
         previous = int(begin[-1])
         end = np.minimum(end, path.first + len(path) - 1)

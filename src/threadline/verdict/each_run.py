@@ -160,9 +160,11 @@ def criterion_row(
     """Return what was found in ``runs`` runs; a value of the plan alone is repeated for each."""
     unit, limit = unit_of(kind, found.axis, plan), limit_of(criterion, plan)
     values = found.value if unit == "s" else np.where(np.isfinite(found.value), found.value, np.nan)
-    values = np.broadcast_to(values, (runs,))
-    failed = np.zeros(runs, dtype=np.bool_)
-    if limit is not None:
+    if len(values) != runs:
+        values = np.broadcast_to(values, (runs,))
+    if limit is None:
+        failed = np.zeros(runs, dtype=np.bool_)
+    else:
         failed = values > kind.slack * limit + kind.allowance
     return CriterionRow(
         name=criterion.name,

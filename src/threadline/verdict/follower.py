@@ -15,7 +15,9 @@ _ROUNDING = 1e-9  # of a sample: instants of two clocks that should be one may d
 
 def sample_interval_s(channel: Channel) -> float:
     """Return the time between two samples of a channel."""
-    return float(channel.clock.period_s * channel.stride)
+    period_s = channel.clock.period_s
+    # The quotient of two whole numbers is correctly rounded, and no fraction is shortened.
+    return period_s.numerator * channel.stride / period_s.denominator
 
 
 class Follower:

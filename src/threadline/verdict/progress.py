@@ -25,6 +25,15 @@ def _along(heading: FloatArray, start: FloatArray, end: FloatArray) -> float:
 _along_fast = njit(nogil=True)(_along)
 
 
+def _copy_row(rows: FloatArray, i: int, to: FloatArray) -> None:
+    """Copy row ``i``; to take a row out of an array would count references."""
+    for k in range(len(to)):
+        to[k] = rows[i, k]
+
+
+_copy_row_fast = njit(nogil=True)(_copy_row)
+
+
 def _refine(
     points: FloatArray,
     before: FloatArray,
@@ -35,29 +44,35 @@ def _refine(
 ) -> None:
     """Widen the chords ``first`` to ``last`` of each point by a neighbour that it is really on."""
     end = len(vertices) - 1
-    heading = np.zeros(points.shape[1])
+    axes = points.shape[1]
+    heading, point = np.zeros(axes), np.empty(axes)
+    start, stop = np.empty(axes), np.empty(axes)
     for i in range(len(points)):
-        for k in range(len(heading)):  # an assignment of the whole row takes seconds to compile
-            heading[k] = points[i, k] - (points[i - 1, k] if i else before[k])
+        _copy_row_fast(points, i, point)
+        for k in range(axes):  # an assignment of the whole row takes seconds to compile
+            heading[k] = point[k] - (points[i - 1, k] if i else before[k])
         own = np.inf
         chord = first[i]
         for c in range(first[i], last[i] + 1):
-            squared, _ = squared_to_segment(points[i], vertices[c - 1], vertices[c])
+            _copy_row_fast(vertices, c - 1, start)
+            _copy_row_fast(vertices, c, stop)
+            squared, _ = squared_to_segment(point, start, stop)
             if squared < own:
                 own, chord = squared, c
         own = np.sqrt(own)
-        ahead = _along_fast(heading, vertices[chord - 1], vertices[chord])
+        _copy_row_fast(vertices, chord - 1, start)
+        _copy_row_fast(vertices, chord, stop)
+        ahead = _along_fast(heading, start, stop)
         low, high = first[i], last[i]
         for side in range(2):
             other = low - 1 if side == 0 else high + 1
             if other < 1 or other > end:
                 continue
-            squared, _ = squared_to_segment(points[i], vertices[other - 1], vertices[other])
+            _copy_row_fast(vertices, other - 1, start)
+            _copy_row_fast(vertices, other, stop)
+            squared, _ = squared_to_segment(point, start, stop)
             nearer = own - np.sqrt(squared)
-            if nearer > same_m or (
-                nearer >= -same_m
-                and _along_fast(heading, vertices[other - 1], vertices[other]) > ahead
-            ):
+            if nearer > same_m or (nearer >= -same_m and _along_fast(heading, start, stop) > ahead):
                 if side == 0:
                     first[i] = other
                 else:
@@ -69,7 +84,7 @@ _refine_fast = njit(nogil=True)(_refine)
 
 def chords_under_way(
     path: PathWindow,
-    operation: IntArray,
+    own: tuple[IntArray, IntArray],
     commanded: FloatArray | None,
     before: FloatArray | None,
 ) -> tuple[IntArray, IntArray]:
@@ -83,15 +98,14 @@ def chords_under_way(
     ----------
     path
         Holds the operations and their neighbours.
-    operation
-        (n,) operation under way.
+    own
+        (n,) first and last chord of the operation under way, see ``PathWindow.chords``.
     commanded
         (n, axes) lengths at the tool, or None where the command was not recorded.
     before
         (axes,) the command before these, None at the start.
     """
-    first, last = path.chord_from(operation), path.chord_to(operation)
-    last = np.maximum(first, last)
+    first, last = own[0].copy(), np.maximum(*own)
     if commanded is not None and np.isfinite(commanded).all():
         points = np.ascontiguousarray(commanded)
         before = points[0] if before is None else before

@@ -92,6 +92,8 @@ class ReversalScan:
         begin = max(self._seen - path.first, 0)
         self._seen = path.first + len(path)
         vertices = path.vertices[begin:]
+        if not len(vertices):
+            return []
         first_direction = self.direction
         where = np.empty(len(vertices), dtype=np.int64)
         leaves = np.empty(len(vertices), dtype=np.int64)

@@ -228,16 +228,25 @@ def together(channels: Sequence[FloatArray | None]) -> FloatArray | None:
     if first is None or first.ndim == 1 or first.base is None:
         return None
     samples, runs = first.shape
-    size = first.itemsize
+    size, begin = first.itemsize, _address(first)
     for number, values in enumerate(channels):
         if values is None or values.base is not first.base or values.shape != first.shape:
             return None
         if values.strides != (len(channels) * runs * size, size):
             return None
-        if values.ctypes.data - first.ctypes.data != number * runs * size:
+        if _address(values) - begin != number * runs * size:
             return None
+    whole: Any = first.base
     shape, strides = (samples, len(channels), runs), (first.strides[0], runs * size, size)
+    alike = isinstance(whole, np.ndarray) and (whole.shape, whole.strides) == (shape, strides)
+    if alike and _address(whole) == begin:
+        return np.asarray(whole.transpose(0, 2, 1))
     return as_strided(first, shape, strides).transpose(0, 2, 1)
+
+
+def _address(values: FloatArray) -> int:
+    """Return where an array begins in memory."""
+    return int(values.__array_interface__["data"][0])
 
 
 def lanes(values: FloatArray) -> FloatArray:

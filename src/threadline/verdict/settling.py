@@ -28,18 +28,26 @@ class CommandEnd:
         """Return the sample of the block with which the standstill begins anew, if there is one."""
         commanded = block.commanded
         assert commanded is not None
-        before = commanded[:1] if self._last is None else self._last[None]
-        changed = (np.diff(commanded, axis=0, prepend=before) != 0).any(axis=1)
-        at = np.flatnonzero(changed)
-        fresh = self._last is None
-        self._last = commanded[-1]
-        if not len(at) and not fresh:
+        index = _last_change(commanded, self._last)
+        if index is None and self._last is None:
+            index = 0
+        self._last = commanded[-1].copy()
+        if index is None:
             return None
-        index = int(at[-1]) if len(at) else 0
         self.time_s = float(block.time_s[index])
         self.operation = None if block.operation is None else int(block.operation[index])
         self.position = commanded[index]
         return index
+
+
+def _last_change(commanded: FloatArray, before: FloatArray | None) -> int | None:
+    """Return the last of (n, axes) commands that is not the one before it, if there is one."""
+    if len(commanded) > 1 and (commanded[-1] != commanded[-2]).any():  # it is under way
+        return len(commanded) - 1
+    changed = np.flatnonzero((commanded[1:] != commanded[:-1]).any(axis=1))
+    if len(changed):
+        return int(changed[-1]) + 1
+    return 0 if before is not None and (commanded[0] != before).any() else None
 
 
 class _Residual:
@@ -66,6 +74,8 @@ class _Residual:
         begin = self._end.begins_at(block)
         if begin is not None:
             self._clear()
+        if block.time_s[-1] <= self._end.time_s:
+            return
         since = block.time_s - self._end.time_s
         after = self._after_s
         # At the first instant the command has just arrived: only later samples show the load

@@ -93,20 +93,17 @@ class PathWindow:
             self.speed_m_s = self.speed_m_s[surplus:]
             self.first += surplus
 
-    def chord_from(self, operation: IntArray) -> IntArray:
-        """Return (n,) the first chord of each operation; chord c ends at vertex c of the window.
+    def chords(self, operation: IntArray) -> tuple[IntArray, IntArray]:
+        """Return (n,) first and last chord of each operation; chord c ends at vertex c.
 
         An operation without motion (a dwell, an output) has the chord that led to where it is.
         """
         left = np.searchsorted(self.operation, operation, side="left")
-        # Where the operation has no vertex, its predecessor's chord is where the machine stands.
-        before = np.searchsorted(self.operation, operation, side="right") - 1
-        return np.clip(np.minimum(left, before), 1, max(len(self) - 1, 1)).astype(np.int64)
-
-    def chord_to(self, operation: IntArray) -> IntArray:
-        """Return (n,) the last chord of each operation."""
         last = np.searchsorted(self.operation, operation, side="right") - 1
-        return np.clip(last, 1, max(len(self) - 1, 1)).astype(np.int64)
+        most = max(len(self) - 1, 1)
+        # Where the operation has no vertex, its predecessor's chord is where the machine stands.
+        first = np.minimum(np.maximum(np.minimum(left, last), 1), most)
+        return first, np.minimum(np.maximum(last, 1), most)
 
     def remainder(self, point: FloatArray) -> Remainder | None:
         """Return what of the path lies after the window; reads it to its end, once.
