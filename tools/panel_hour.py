@@ -66,7 +66,13 @@ def press(page: Page, name: str) -> None:
 
 
 def go_on(page: Page) -> None:
-    """Start the program again where it has ended, from where it begins."""
+    """Start the program again where it has ended, from where it begins.
+
+    A page that a busy computer has kept waiting has lost control, and takes it again.
+    """
+    take = page.get_by_role("button", name="Take control", exact=True)
+    if take.is_visible():
+        take.click()
     start = page.get_by_role("button", name="Start", exact=True)
     if start.is_enabled():
         press(page, "Approach")
@@ -115,6 +121,10 @@ def watch(page: Page, pids: dict[str, int], minutes: float) -> None:
         )
     sys.stdout.write(f"page: {heaps[0]:.1f} MB at first, {max(heaps):.1f} at most\n")
     sys.stdout.write(f"over {over_s / 60.0:.0f} min, after the first {_SETTLED_S / 60.0:.0f}\n")
+    runs = page.evaluate("() => fetch('/api/runs').then((a) => a.json()).then((r) => r.length)")
+    if not runs:
+        sys.exit("no run was started: these figures are of a panel at rest")
+    sys.stdout.write(f"{runs} runs\n")
 
 
 def main() -> None:

@@ -33,6 +33,10 @@ from tests.panel.browsing import (
 from tests.panel.test_page_views import typed
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cone-dome-cylinder.prg"
+PLANNED_BESIDE_COMMANDED = """() => {
+  const told = document.getElementById("position").title.match(/planned (\\S+), commanded (\\S+),/);
+  return told && Math.abs(Number(told[1]) - Number(told[2])) < 3.0;
+}"""
 LONG_MS = 300_000.0
 """For a calculation, on a computer that is busy with other tests."""
 
@@ -120,6 +124,8 @@ def test_an_operators_day(browser: Browser, tmp_path: Path) -> None:
         press(page, "Resume")
         state(page, "running")
         moved_on(page, held)
+        # The plan is shown at the times at which the run comes to it: a hold moves it on.
+        page.wait_for_function(PLANNED_BESIDE_COMMANDED)
         press(page, "STOP")
         state(page, "idle")
         expect(page.locator("#progress-text")).to_contain_text("stopped")

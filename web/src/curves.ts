@@ -12,11 +12,13 @@ export class Curves {
   private times: number[] = [];
   private commanded: (number | null)[] = [];
   private measured: (number | null)[] = [];
+  private then: (number | null)[] = []; // what was planned for what the run did at each of the times
+  private behind = 0; // s by which the run is later than its plan: it was held, or began elsewhere
   private planned: [number[], number[]] = [[], []];
   private readonly position: uPlot;
   private readonly deviation: uPlot;
 
-  constructor(above: HTMLElement, below: HTMLElement) {
+  constructor(private readonly above: HTMLElement, below: HTMLElement) {
     const axes = [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, space: 22 }];
     const x = { time: false };
     const size = () => ({ width: Math.max(Math.min(above.clientWidth, window.innerWidth - 60), 280), height: 170 });
@@ -32,7 +34,7 @@ export class Curves {
     this.planned = figures?.planned[axis] ? [figures.times_s, figures.planned[axis].map((at) => at * scale)] : [[], []];
   }
 
-  clear(): void { this.times = []; this.commanded = []; this.measured = []; }
+  clear(): void { this.times = []; this.commanded = []; this.measured = []; this.then = []; this.behind = 0; }
 
   add(state: State, axis: string, scale: number): void {
     const at = state.axes[axis];
@@ -43,17 +45,38 @@ export class Curves {
     this.commanded.push(at.commanded === null ? null : at.commanded * scale);
     const actual = at.measured ?? at.load; // what has no encoder is shown by its load
     this.measured.push(actual === null ? null : actual * scale);
-    if (this.times.length > MOST) { this.times.shift(); this.commanded.shift(); this.measured.shift(); }
+    const run = state.progress;
+    const runs = run && run.ended === null;
+    this.behind = runs ? state.time_s - run.time_s : 0;
+    this.then.push(runs ? this.plannedAt(run.time_s) : null);
+    if (this.times.length > MOST) for (const kept of [this.times, this.commanded, this.measured, this.then]) kept.shift();
+  }
+
+  /** Where the plan is at a time of its own; null before and behind it. */
+  private plannedAt(time: number): number | null {
+    const [times, places] = this.planned;
+    const k = times.findIndex((t) => t >= time);
+    if (k < 0) return null;
+    const [from, to] = [times[k - 1], times[k]!];
+    if (from === undefined) return time < to - 1e-9 ? null : places[k]!;
+    return places[k - 1]! + ((places[k]! - places[k - 1]!) * (time - from)) / (to - from);
   }
 
   draw(running: boolean): void {
-    const now = this.times[this.times.length - 1] ?? 0;
-    const from = Math.max(0, now - SHOWN_S);
-    const times = [...new Set([...this.times, ...(running || !this.times.length ? this.planned[0] : [])])].filter((t) => t >= from && t <= Math.max(now + 5, from + SHOWN_S)).sort((a, b) => a - b);
+    const last = this.times.length - 1, now = this.times[last] ?? 0, behind = this.behind;
+    const from = Math.max(0, now - SHOWN_S), until = Math.max(now + 5, from + SHOWN_S);
+    const show = running || last < 0;
+    // What is planned is shown when the run came to it, and will come to it.
+    const places = new Map<number, number | null>();
+    if (show) {
+      this.times.forEach((t, k) => places.set(t, this.then[k] ?? null));
+      this.planned[0].forEach((t, k) => { if (last < 0 || t + behind > now) places.set(t + behind, this.planned[1][k]!); });
+    }
+    const times = [...new Set([...this.times, ...places.keys()])].filter((t) => t >= from && t <= until).sort((a, b) => a - b);
     const lookup = (keys: number[], values: (number | null)[]) => { const found = new Map(keys.map((key, k) => [key, values[k] ?? null])); return times.map((t) => found.has(t) ? found.get(t)! : undefined); };
-    const show = running || !this.times.length;
-    this.position.setData([times, show ? lookup(this.planned[0], this.planned[1]) : times.map(() => undefined), lookup(this.times, this.commanded), lookup(this.times, this.measured)] as uPlot.AlignedData);
+    this.position.setData([times, times.map((t) => places.get(t)), lookup(this.times, this.commanded), lookup(this.times, this.measured)] as uPlot.AlignedData);
     const difference = this.measured.map((m, k) => { const c = this.commanded[k]; return m === null || c === null || c === undefined ? null : m - c; });
     this.deviation.setData([times, lookup(this.times, difference)] as uPlot.AlignedData);
+    this.above.title = last < 0 ? "" : [["planned", this.then[last]], ["commanded", this.commanded[last]], ["measured", this.measured[last]]].filter(([, at]) => typeof at === "number").map(([name, at]) => `${name} ${(at as number).toFixed(2)}`).join(", ");
   }
 }

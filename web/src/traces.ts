@@ -35,7 +35,7 @@ export class Traces {
     const answer = await this.session.ask("/api/runs");
     if (!answer.ok) { say((await answer.text()).trim(), true); return; }
     const runs = (await answer.json()) as Kept[];
-    by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${one.ended}${one.text ? `, ${one.text}` : ""}, ${one.passed === null ? "not judged" : one.passed ? "in spec in this run" : "OUT OF SPEC"}`); found.value = one.run; return found; }));
+    by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${one.ended}${one.text ? `, ${one.text}` : ""}, ${one.passed === null ? "not judged" : one.passed ? "in spec in this run" : "not in spec in this run"}`); found.value = one.run; return found; }));
     if (runs.some((one) => one.run === before)) by<HTMLSelectElement>("kept").value = before;
     by<HTMLButtonElement>("export").disabled = runs.length === 0;
     if (runs.length) await this.load();
