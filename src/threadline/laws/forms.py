@@ -204,7 +204,9 @@ class Pieces:
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
         """Return the ``derivative``-th derivative at ``t``."""
         which = np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.begins) - 1)
-        kept = np.polynomial.polynomial.polyder(self.powers, derivative, axis=1)[which]
+        kept = self.powers[which]
+        for _ in range(derivative):
+            kept = kept[..., 1:] * np.arange(1, kept.shape[-1])
         since = t - self.begins[which]
         out = np.zeros_like(t)
         for column in range(kept.shape[-1] - 1, -1, -1):
