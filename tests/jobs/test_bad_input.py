@@ -64,6 +64,27 @@ def test_no_block_is_hidden_behind_a_line_separator(
     assert "line feed" in said
 
 
+@pytest.mark.parametrize("end", ["\r\n", "\r\r\n"])
+@pytest.mark.parametrize("before", [0, 3000])
+def test_carriage_returns_before_a_line_feed_end_a_line(
+    tmp_path: Path, end: str, before: int
+) -> None:
+    """PyCAM's public programs for grbl, converted for Windows twice, end their lines so."""
+    text = program(*["X1"] * before, "X1 ; note", "X2 Y3 (rest)")
+    moves = [
+        [
+            (item.target, item.source.line)
+            for item in read_job(path, MACHINE)
+            if hasattr(item, "target")
+        ]
+        for path in (
+            write(tmp_path, text, "plain.nc"),
+            write(tmp_path, text.replace("\n", end), "converted.nc"),
+        )
+    ]
+    assert moves[0] == moves[1] and len(moves[0]) == before + 2
+
+
 BLOCKS = [
     ("X1 (open", "a comment in parentheses is opened and not closed"),
     ("X1 close)", "a comment in parentheses is closed and not opened"),
