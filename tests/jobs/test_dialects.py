@@ -270,6 +270,19 @@ def test_a_program_ends_with_its_file(tmp_path: Path, xyza: Machine, dialect: st
             read(tmp_path, xyza, "G1 X5. F60\nG1 X6.\n", other)
 
 
+@pytest.mark.parametrize("dialect", ["grbl", "fluidnc"])
+def test_a_program_may_end_twice(tmp_path: Path, xyza: Machine, dialect: str) -> None:
+    """Laser posts write M5 M2 M2; what moves behind an end is refused as it was."""
+    text = "G1 X10 F600\nX20\nM2\n"
+    once = millimetres(read(tmp_path, xyza, text, dialect, "once.nc"))
+    assert millimetres(read(tmp_path, xyza, text + "M2\n\nM30\n", dialect, "twice.nc")) == once
+    for more in ("X30\n", "F500 M2\n"):
+        with pytest.raises(JobError, match="never run"):
+            moves(read(tmp_path, xyza, text + more, dialect, f"more{len(more)}.nc"))
+    with pytest.raises(JobError, match="never run"):
+        moves(read(tmp_path, xyza, text + "M2\n", "linuxcnc", "linuxcnc.nc"))
+
+
 def test_a_shifted_zero_in_a_subroutine_moves_on(tmp_path: Path, xyza: Machine) -> None:
     """G92 A0 behind each circuit: pass after pass begins where the last one ended."""
     text = "G1 X0 F60\nM98 P2 L500\nG92.1\nX0 A0\nM30\nO2\nX5 A90\nX0 A360\nG92 A0\nM99\n"

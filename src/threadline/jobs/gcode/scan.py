@@ -116,6 +116,8 @@ class Scanner:
             programs.begin(block.label, offset, block.line)
         elif programs.current is None:
             if self._begun:
+                if not self._reading.dialect.needs_end and _only_ends(block):
+                    return  # laser posts end twice
                 raise JobError(
                     "a block after the end of a program is never run",
                     place=self._file.place(block.line),
@@ -183,3 +185,9 @@ class Scanner:
     def rapid_f(self) -> int:
         """The first line of a G0 with an F of its own, 0 for none."""
         return int(self._plain.state[RAPID_F])
+
+
+def _only_ends(block: Block) -> bool:
+    """Say whether all that a block does is to end a program."""
+    moves = block.axes or block.action != -1 or block.motion != -1
+    return block.ends == "end" and not (moves or block.settings or block.feed is not None)
