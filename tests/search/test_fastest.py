@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.cli.found import alone_words
+from threadline.cli.found import alone_words, forbidden_words
 from threadline.machine import load_machine
 from threadline.search import feed_range_m_s, find_fastest
+from threadline.search.forbidden import joined
 from threadline.verdict import Result, Status, Verdict
 
 
@@ -92,6 +95,40 @@ def test_nothing_passes_and_what_fails_is_said_where_it_came_closest() -> None:
     assert found.limited_by == "contour_error"
     assert not found.verdict.passed
     assert found.verdict.results[0].measured == pytest.approx(1.5, abs=0.12)
+
+
+def spread_at(feed: float) -> Verdict:
+    """Below 1 one run passes and the spread of twenty does not; above, one run fails already."""
+    if feed > 1.0:
+        return verdict(1.0 + 0.01 * feed)
+    row = replace(verdict(1.2 + feed).results[0], name="repeatability")
+    return replace(verdict(0.5), results=(*verdict(0.5).results, row), runs=20)
+
+
+def test_what_fails_in_one_run_is_no_closer_than_what_fails_over_twenty() -> None:
+    """One run says nothing of the spread: its small excess is not where the search was closest."""
+    found = find_fastest(spread_at, 0.1, 10.0, points=21)
+    assert found.limited_by == "repeatability" and found.verdict.runs == 20
+    assert found.verdict.results[1].measured == pytest.approx(1.3)
+    slow, fast = found.forbidden
+    assert (slow.name, slow.low, slow.feeds, slow.repeated) == ("repeatability", 0.1, 11, 11)
+    assert (fast.name, fast.high, fast.feeds, fast.repeated) == ("contour_error", 10.0, 10, 0)
+    assert slow.high < fast.low
+    again = joined([*found.forbidden, *found.forbidden])
+    assert [(one.name, one.feeds) for one in again] == [
+        ("repeatability", 22),
+        ("contour_error", 20),
+    ]
+    lines = list(forbidden_words(found.forbidden, found.limited_by, "F {:.3g}".format))
+    assert lines[0] == ("repeatability fails from F 0.1 to F 1, contour_error from F 1.26 to F 10")
+    assert lines[1].startswith("11 of them pass in one run")
+
+
+def test_where_one_criterion_forbids_every_feed_it_fails_at_all() -> None:
+    found = find_fastest(lambda _: verdict(2.0), 0.1, 10.0, points=3)
+    assert list(forbidden_words(found.forbidden, found.limited_by, str)) == [
+        "contour_error fails at all"
+    ]
 
 
 def test_everything_passes_up_to_the_end_of_the_range() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,14 +18,16 @@ from tests.search.test_fastest import verdict
 from threadline.cli.controller_settings import settings_words
 from threadline.cli.main import main
 from threadline.jobs import Job, read_job
-from threadline.jobs.operations import Feed, FeedMode, Move, MoveRun, move_runs
+from threadline.jobs.operations import Feed, FeedMode, Move
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.options import Options
 from threadline.pipeline import plan_job, try_plan
+from threadline.plan import Plan
 from threadline.search import fastest_job
-from threadline.search.distinct import distinct_parts
+from threadline.search import feed as search_feed
+from threadline.search.distinct import distinct_parts, moves_in
 from threadline.search.fastest import Fastest, Interval, find_fastest
 from threadline.search.feed import fastest_feed
 from threadline.search.rungs import FastestJob, Rung
@@ -53,10 +56,6 @@ def written(folder: Path, blocks: list[str], machine: Machine) -> Job:
     path = folder / "job.nc"
     path.write_text("\n".join(["G21 G90 G94 F6000", *blocks, "M30"]) + "\n")
     return read_job(path, machine)
-
-
-def moves_in(job: Job) -> int:
-    return sum(len(item) for item in move_runs(job) if isinstance(item, MoveRun))
 
 
 def test_circuits_are_met_once(tmp_path: Path, machine: Machine) -> None:
@@ -167,6 +166,30 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     assert whole["velocity", "X"] > 1.2 * plain["velocity", "X"]
 
 
+def test_of_stretches_that_fail_the_shortest_alone_is_judged(
+    tmp_path: Path, machine: Machine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A feed is out of specification whichever stretch shows it: the shortest costs least."""
+    asked, parts = list[int](), list[Job]()
+    for count in (60, 12, 30):
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        parts.append(written(folder, winding_blocks(count), machine))
+
+    def failing(plan: Plan, *_: object) -> SimpleNamespace:
+        asked.append(moves_in(plan.job))
+        return SimpleNamespace(verdict=verdict(2.0))
+
+    monkeypatch.setattr(search_feed, "try_plan", failing)
+    file = tmp_path / "spec.toml"
+    file.write_text('name = "any"\n[[criteria]]\nname = "contour_error"\n')
+    spec, options = load_spec(file, machine), Options(interpolation="linear")
+    told = fastest_feed(
+        parts[0], machine, spec, options, low=0.05, high=0.1, points=3, near=0, parts=parts
+    )
+    assert told.best is None and asked == [moves_in(parts[1])] * 3 and asked[0] < 20
+
+
 def test_a_job_that_repeats_nothing_is_one_part(tmp_path: Path, machine: Machine) -> None:
     rng = np.random.default_rng(5)
     blocks = [f"G1 X{x:.3f} A{a:.3f}" for x, a in rng.uniform(0.0, 300.0, (200, 2))]
@@ -193,13 +216,14 @@ def test_time_that_is_over_gives_the_best_so_far() -> None:
     until = Until()
 
     def judged(feed: float) -> Verdict:
-        if feed > 0.5:
+        if feed < 0.5:
             until.ended = OUT_OF_TIME
         return verdict_at(feed)
 
     found = find_fastest(judged, 0.1, 10.0, points=9, near=4, until=until)
-    assert not found.complete and found.best is not None and 0.1 < found.best <= 1.0
-    assert found.intervals == (Interval(low=0.1, high=found.best),)
+    # From above: the highest feed of the scan that passes is known long before the slow ones.
+    assert not found.complete and found.best == pytest.approx(0.1 * 10.0**0.75, rel=2e-3)
+    assert found.intervals[0].high == found.best and found.intervals[0].low > 0.1
 
 
 def test_an_interrupt_gives_the_best_so_far_and_another_signal_does_not() -> None:
@@ -209,14 +233,14 @@ def test_an_interrupt_gives_the_best_so_far_and_another_signal_does_not() -> Non
     for signal_, answers in ((KeyboardInterrupt, True), (OtherError, False)):
 
         def judged(feed: float, raised: type[KeyboardInterrupt] = signal_) -> Verdict:
-            if feed > 0.5:
+            if feed < 0.5:
                 raise raised
             return verdict_at(feed)
 
         until = Until()
         if answers:
             found = find_fastest(judged, 0.1, 10.0, points=9, until=until)
-            assert not found.complete and found.best is not None and found.best < 0.5
+            assert not found.complete and found.best is not None and found.best > 0.5
             assert until.ended == INTERRUPTED
         else:
             with pytest.raises(OtherError):

@@ -16,6 +16,7 @@ from threadline.cli.found import (
     END,
     alone_words,
     command_line,
+    forbidden_words,
     limit_words,
     margin_words,
     merged,
@@ -53,6 +54,7 @@ from threadline.search import (
     feed_range_m_s,
 )
 from threadline.search.feed import searched_by
+from threadline.search.forbidden import joined
 from threadline.search.mismatch import F_WORDS, FEED
 from threadline.verdict import closing, criteria_json, verdict_rows
 
@@ -285,7 +287,12 @@ def _show(result: FastestJob, title: str, high: float | None) -> None:
     for line in _how_judged(result):
         say(line)
     if best.found.best is None:
-        say(f"no feed is in spec ({tried} tried): {best.found.limited_by} fails at all")
+        forbids = joined(one for rung in result.rungs for one in rung.found.forbidden)
+        why, *more = forbidden_words(
+            forbids, best.found.limited_by, lambda feed: _feed_text(result.by, feed)
+        )
+        for line in (f"no feed is in spec ({tried} tried): {why}", *more):
+            say(line)
         print_table("verdict where the search came closest", head, body)
         say(closing(best.found.verdict))
         return

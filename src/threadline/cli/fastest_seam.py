@@ -10,6 +10,7 @@ from threadline.cli.certainty import certainty_of
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import (
     alone_words,
+    forbidden_words,
     limit_words,
     margin_words,
     resolution_words,
@@ -135,7 +136,11 @@ def _content(found: Fastest) -> dict[str, Any]:
 
 def _show(found: Fastest, title: str) -> None:
     if found.best is None:
-        say(f"no needle speed is in spec ({found.tried} tried): {found.limited_by} fails at all")
+        why, *more = forbidden_words(
+            found.forbidden, found.limited_by, lambda speed: f"{typed(speed)} stitch/s"
+        )
+        for line in (f"no needle speed is in spec ({found.tried} tried): {why}", *more):
+            say(line)
         print_table("verdict where the search came closest", *verdict_rows(found.verdict))
         say(closing(found.verdict))
         return

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from threadline.search.allowance import ALLOWED, LIMITS
 from threadline.search.fastest import RANGE, Fastest
+from threadline.search.forbidden import Forbidden
 
 END = "the end of the search (--high)"
 AXES_ALONE = "the velocity limits of the axes"
@@ -69,6 +70,47 @@ def typed(value: float) -> str:
     ('32.4437', '39.5')
     """
     return f"{value:.12g}"
+
+
+def forbidden_words(
+    forbidden: Sequence[Forbidden], limited_by: str, told: Callable[[float], str]
+) -> Iterator[str]:
+    """Yield what forbids every feed that was tried, and a line on those that pass in one run.
+
+    >>> from threadline.search.forbidden import Forbidden
+    >>> slow = Forbidden(name="repeatability", low=1.0, high=5.0, feeds=9, repeated=9)
+    >>> fast = Forbidden(name="contour_error", low=6.0, high=8.0, feeds=3, repeated=0)
+    >>> for line in forbidden_words([slow, fast], "repeatability", "F {:g}".format):
+    ...     print(line)
+    repeatability fails from F 1 to F 5, contour_error from F 6 to F 8
+    9 of them pass in one run of the machine as its file says (--nominal) and fail over all runs
+
+    Parameters
+    ----------
+    limited_by
+        What fails where the search came closest; told alone where nothing else forbids a feed.
+    told
+        Returns the text of a feed.
+    """
+    if len(forbidden) < 2:
+        yield f"{limited_by} fails at all"
+    else:
+        each = (
+            f"{one.name}{' fails' if one is forbidden[0] else ''} {_span_words(one, told)}"
+            for one in forbidden
+        )
+        yield ", ".join(each)
+    repeated = sum(one.repeated for one in forbidden)
+    if repeated:
+        yield (
+            f"{repeated} of them pass in one run of the machine as its file says (--nominal) and "
+            "fail over all runs"
+        )
+
+
+def _span_words(one: Forbidden, told: Callable[[float], str]) -> str:
+    low, high = told(one.low), told(one.high)
+    return f"at {low}" if low == high else f"from {low} to {high}"
 
 
 def margin_words(margin: float) -> str:

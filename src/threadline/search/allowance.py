@@ -24,8 +24,9 @@ from threadline.option_words import LEAST_CONTOUR_M
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
 from threadline.search.edges import Interval
-from threadline.search.fastest import Fastest, worst_criterion
+from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
+from threadline.search.forbidden import closeness, worst_criterion
 from threadline.search.refused import beyond
 from threadline.search.rungs import Bound, FastestJob, Rung
 from threadline.search.until import Until, as_far_as
@@ -182,7 +183,7 @@ def _best(rungs: Mapping[float, Rung], otherwise: str) -> Rung:
     """Return the shortest that passes, with what forbids more; else the one that came closest."""
     passed = [amount for amount, rung in rungs.items() if rung.duration_s is not None]
     if not passed:
-        return min(rungs.values(), key=lambda rung: worst_criterion(rung.found.verdict)[1])
+        return min(rungs.values(), key=lambda rung: closeness(rung.found.verdict))
     at = min(passed, key=lambda amount: (rungs[amount].alone, rungs[amount].duration_s or math.inf))
     above = [amount for amount, rung in rungs.items() if rung.duration_s is None and amount > at]
     limited_by = rungs[min(above)].found.limited_by if above else otherwise

@@ -85,6 +85,11 @@ def distinct_parts(job: Job, machine: Machine) -> tuple[Job, ...]:
     )
 
 
+def moves_in(job: Job) -> int:
+    """Return how many moves a job has."""
+    return sum(len(item) for item in move_runs(job) if isinstance(item, MoveRun))
+
+
 def _read(job: Job, machine: Machine) -> _Moves | None:
     runs, before, count = [], dict[int, list[Operation]](), 0
     feeds: dict[Feed | None, int] = {}

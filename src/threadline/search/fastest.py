@@ -1,9 +1,9 @@
 """The fastest feed that stays in spec.
 
 Passing is not monotone in speed: a loop that rings at one feed can be quiet at a higher one. So
-the whole range is scanned first, then finer about every change between pass and fail, where a
-margin is so thin that the rounding of times to whole ticks decides, and then the edges of every
-interval that passes are refined.
+the whole range is scanned first, from above, then finer about every change between pass and fail,
+where a margin is so thin that the rounding of times to whole ticks decides, and then the edges of
+every interval that passes are refined.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from threadline.search.edges import (
     refined,
     typeable,
 )
+from threadline.search.forbidden import Forbidden, closest_of, forbidden, worst_criterion
 from threadline.search.until import HaltError, Until
-from threadline.verdict import Status, Verdict
+from threadline.verdict import Verdict
 
 SCAN_POINTS = 48
 EDGE_RELATIVE = 2e-3
@@ -66,6 +67,8 @@ class Fastest:
         was tried to another, and nothing is known of what lies between.
     every
         Whether every interval was looked into as closely as the fastest.
+    forbidden
+        When nothing passes: every criterion that forbids feeds, and which.
     """
 
     intervals: tuple[Interval, ...]
@@ -78,6 +81,7 @@ class Fastest:
     edge: float = EDGE_RELATIVE
     complete: bool = True
     every: bool = True
+    forbidden: tuple[Forbidden, ...] = ()
 
     @property
     def fastest(self) -> Interval | None:
@@ -211,13 +215,14 @@ def find_fastest(
         intervals = _between_tried(seen)
     intervals.reverse()
     if not intervals:
-        closest = min(seen.values(), key=lambda verdict: worst_criterion(verdict)[1])
+        closest = closest_of(seen.values())
         return Fastest(
             intervals=(),
             limited_by=worst_criterion(closest)[0],
             verdict=closest,
             tried=len(seen),
             complete=complete,
+            forbidden=forbidden(seen),
             **steps,
         )
     best = _first(intervals).high
@@ -261,10 +266,10 @@ def _searched(
     ``expects`` is told how many edges between pass and fail are refined, once that is known.
     """
     feeds = _spaced(*span, points)
-    passes = [verdict_at(feed).passed for feed in feeds]
+    passes = _passes(verdict_at, feeds)
     if near:
         feeds = _finer(feeds, _about(passes), near)
-        passes = [verdict_at(feed).passed for feed in feeds]
+        passes = _passes(verdict_at, feeds)
     expects(sum(before != after for before, after in pairwise(passes)))
     intervals = _bounded(verdict_at, feeds, passes, edge_relative)
     if near:
@@ -294,9 +299,7 @@ def _searched_from_above(
     about: set[int] = set()
     while True:
         feeds = _finer(scan, about, near)
-        intervals = _bounded(
-            verdict_at, feeds, [verdict_at(feed).passed for feed in feeds], edge_relative
-        )
+        intervals = _bounded(verdict_at, feeds, _passes(verdict_at, feeds), edge_relative)
         expects(1)
         held: list[Interval] = []
         while intervals and all(part.alone for part in held):
@@ -308,6 +311,15 @@ def _searched_from_above(
         if gap in about or gap == len(scan) - 1:
             return intervals + held
         about |= {gap - 1, gap, gap + 1}
+
+
+def _passes(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:
+    """Return whether each feed passes. The highest is tried first.
+
+    It takes the least time to simulate, and what fails is seen at once: so a search that is ended
+    early has the highest of the feeds that pass, and has not spent its time on the slow ones.
+    """
+    return [verdict_at(feed).passed for feed in reversed(feeds)][::-1]
 
 
 def _bounded(
@@ -356,22 +368,3 @@ def _spaced(low: float, high: float, points: int) -> list[float]:
     share = (high / low) ** (1.0 / (points - 1)) - 1.0
     inner = [typeable(float(f), share * float(f)) for f in np.geomspace(low, high, points)[1:-1]]
     return [low, *inner, high]
-
-
-def worst_criterion(verdict: Verdict) -> tuple[str, float]:
-    """Return the criterion that exceeds its limit by the largest factor, and the factor.
-
-    A required criterion that was not measured, or one whose limit is zero, exceeds it by
-    infinitely much, but is named only when no other fails.
-    """
-    worst, factor, unbounded = "", 0.0, ""
-    for result in verdict.results:
-        if result.status is Status.FAILED and result.limit and result.measured is not None:
-            ratio = result.measured / result.limit
-            if ratio > factor:
-                worst, factor = result.name, ratio
-        elif result.status is Status.FAILED or (
-            result.status is Status.NOT_MEASURED and result.required
-        ):
-            unbounded = unbounded or result.name
-    return worst or unbounded, math.inf if unbounded else factor

@@ -16,6 +16,7 @@ from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
 from threadline.plan import Following
+from threadline.search.distinct import moves_in
 from threadline.search.edges import used
 from threadline.search.fastest import (
     EDGE_RELATIVE,
@@ -126,7 +127,9 @@ def fastest_feed(
     seen, every
         As ``find_fastest`` takes them.
     """
-    judged_jobs = [LongMoves.of(part, machine) for part in parts or (job,)]
+    # Where one of the shortest shows already that a feed fails, the others need no simulation.
+    shortest_first = sorted(parts, key=moves_in) if len(parts) > 1 else parts or (job,)
+    judged_jobs = [LongMoves.of(part, machine) for part in shortest_first]
     lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
 
     def judged(feed_m_s: float) -> Verdict:

@@ -7,26 +7,27 @@ share of the limits are searched together, and the shortest job wins.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 
-from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
+from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.option_words import LEAST_SHARE
 from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job, try_plan
 from threadline.search.allowance import fastest_allowed
-from threadline.search.distinct import distinct_parts
+from threadline.search.distinct import distinct_parts, moves_in
 from threadline.search.edges import Interval
 from threadline.search.fastest import (
     NEAR_POINTS,
     Fastest,
     check_range,
-    worst_criterion,
 )
 from threadline.search.feed import fastest_feed, feed_range_m_s, searched_by
+from threadline.search.forbidden import closeness, worst_criterion
 from threadline.search.long_moves import LongMoves
 from threadline.search.rungs import FastestJob, Rung
 from threadline.search.shares import Shares
@@ -177,8 +178,8 @@ def fastest_job(
         best=best,
         rungs=_ordered(rungs),
         left_out=never,
-        moves=_moves_in(job),
-        judged_moves=sum(map(_moves_in, parts)),
+        moves=moves_in(job),
+        judged_moves=sum(map(moves_in, parts)),
         parts=len(parts) if repeats else 0,
         cut=cut,
         whole=whole,
@@ -224,10 +225,6 @@ def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bo
     )
 
 
-def _moves_in(job: Job) -> int:
-    return sum(len(item) for item in move_runs(job) if isinstance(item, MoveRun))
-
-
 def _of_whole(
     best: Rung,
     job: Job,
@@ -269,8 +266,11 @@ def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:
     return plan_job(job, machine, replace(options, feed_forward_s=None)).intent.historical
 
 
-def _order(rung: Rung) -> float:
-    return float("inf") if rung.duration_s is None else rung.duration_s
+def _order(rung: Rung) -> tuple[float, tuple[bool, float]]:
+    """Return what the best has least of: its duration, or, without any in spec, its distance."""
+    if rung.duration_s is None:
+        return math.inf, closeness(rung.found.verdict)
+    return rung.duration_s, (False, 0.0)
 
 
 def _duration_s(
