@@ -139,6 +139,15 @@ def test_a_path_far_shorter_than_its_tolerance_takes_the_straight_way():
     assert motion.duration_s == pytest.approx(4.0 * (0.1 / 100.0) ** (1 / 3), rel=5e-3)
 
 
+def test_dense_points_beside_a_curve_take_hardly_longer_than_the_curve():
+    """Points up to 2 um beside an arc, 0.2 mm apart: it took 5 times as long to follow them all."""
+    turn = np.arange(400) * 2e-4 / 0.05
+    arc = 0.05 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    beside = np.random.default_rng(11).uniform(-2e-6, 2e-6, arc.shape)
+    limits = (1.0, 10.0, 1000.0, 1e-4)
+    assert retime(arc + beside, *limits).duration_s < 1.1 * retime(arc, *limits).duration_s
+
+
 def test_one_point_and_equal_points_are_no_motion():
     assert retime([[1.0, 2.0]], 1.0, 1.0).duration_s == 0.0
     assert retime([[1.0, 2.0]] * 5, 1.0, 1.0, 1.0).duration_s == 0.0

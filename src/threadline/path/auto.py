@@ -25,6 +25,7 @@ from threadline.path.polygon import (
 )
 from threadline.path.runs import COINCIDENT_M, Chunk, Vertices, join_vertices, runs
 from threadline.path.spans import pieces_of
+from threadline.path.thinned import Thinner
 from threadline.path.types import PieceBlock, ProgrammedPath
 
 _AHEAD = 1  # number of vertices beyond a chord on which its control points depend
@@ -38,15 +39,20 @@ def auto_pieces(
     cut_m: float,
     near_m: float = COINCIDENT_M,
     beside_end: float = 1.0,
+    *,
+    thin: bool = False,
 ) -> Iterator[PieceBlock]:
     """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
 
     Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
-    the one before it is left out; ``beside_end`` is as for ``pieces_of``.
+    the one before it is left out; ``beside_end`` is as for ``pieces_of``. With ``thin``, chords
+    take the place of moves where the program is rough (``Thinner``); the pieces of a chord belong
+    to the last of its moves.
     """
     run = _Run(programmed.radius_m, programmed.local, cut_m, beside_end)
+    thinner = Thinner(programmed.radius_m, cut_m) if thin else None
     for chunk in runs(programmed, near_m):
-        yield from run.extend(chunk)
+        yield from run.extend(chunk if thinner is None else thinner.thinned(chunk))
 
 
 def points_added(programmed: ProgrammedPath, cut_m: float) -> int:
@@ -78,7 +84,8 @@ class _Run:
         while True:
             length, turn = turns(self.vertices.positions, self.radius_m, self.local)
             # At a corner too tight for a curve within the tolerance the motion comes to rest.
-            tight = np.flatnonzero(self.cut_m < EVEN_CUT * LEAST_SPACING_M * turn)
+            least_m = self.cut_m - self.vertices.beside_m.max()
+            tight = np.flatnonzero(least_m < EVEN_CUT * LEAST_SPACING_M * turn)
             tight = tight[tight >= max(self.first_chord, 1)]
             if not len(tight):
                 break

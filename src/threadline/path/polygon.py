@@ -120,11 +120,12 @@ def _turns(positions, radius_m, shares):
 
 
 @njit(error_model="numpy")
-def corner_spacing(length_m, turn, cut_m, spacing):
+def corner_spacing(length_m, turn, cut_m, beside_m, spacing):
     """Write the (n,) distances of the points to be added beside each vertex, 0 for none.
 
-    ``cut_m`` is the largest distance at the tool between the spline and the vertex, and between
-    the spline and the chords. The points stand at most half way to the next vertex.
+    ``cut_m``, less what the program is beside the chord into a vertex (``beside_m``) and the next
+    one, is the largest distance at the tool between the spline and the vertex, and between the
+    spline and the chords. The points stand at most half way to the next vertex.
     """
     count = len(turn)
     for v in range(count):
@@ -132,7 +133,8 @@ def corner_spacing(length_m, turn, cut_m, spacing):
         if turn[v] > 0.0:
             before = length_m[v - 1] if v > 0 else 0.0
             after = length_m[v] if v < count - 1 else 0.0
-            unit = cut_m / turn[v]
+            beside = max(beside_m[v], beside_m[v + 1] if v < count - 1 else 0.0)
+            unit = (cut_m - beside) / turn[v]
             if max(before, after) * ANY_CUT > unit:
                 spacing[v] = min(unit / EVEN_CUT, 0.5 * min(before, after))
 
@@ -155,13 +157,14 @@ def control_polygon(
     length_m, turn
         (n - 1,) lengths and (n,) turns of ``turns``.
     cut_m
-        Largest distance of the spline from vertices and chords, at the tool.
+        Largest distance of the spline from the program, at the tool.
     """
     columns = _points(
         vertices.positions,
         vertices.nominal_s,
         vertices.operation,
         vertices.line,
+        vertices.beside_m,
         length_m,
         turn,
         cut_m,
@@ -172,11 +175,11 @@ def control_polygon(
 
 
 @njit(error_model="numpy")
-def _points(positions, nominal_s, operation, line, length_m, turn, cut_m, first, stop):
+def _points(positions, nominal_s, operation, line, beside_m, length_m, turn, cut_m, first, stop):
     """Return the columns of the control points of chords ``first`` to ``stop``."""
     axes = positions.shape[1]
     spacing = np.empty(len(turn))
-    corner_spacing(length_m, turn, cut_m, spacing)
+    corner_spacing(length_m, turn, cut_m, beside_m, spacing)
     share = np.empty(MOST_POINTS)
     count = 0
     for c in range(first, stop):

@@ -17,6 +17,7 @@ ROUNDING = 1e-14
 """Or nearer than this share of where it is: of so short a way hardly a digit is left."""
 _LEAST = 2  # vertices of a run
 _AT_A_TIME = 4096  # vertices; their control points and pieces stay in a cache
+_NOTHING = np.zeros(_AT_A_TIME)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,13 +25,14 @@ class Vertices:
     """Vertices without repetitions; row i of a column is of vertex i or of the move into it.
 
     ``positions`` are (n, axes) in m or rad; ``nominal_s``, ``operation`` and ``line`` are (n,), as
-    in ``VertexBlock``.
+    in ``VertexBlock``; ``beside_m`` is how far what was left out of the program is from the move.
     """
 
     positions: FloatArray
     nominal_s: FloatArray
     operation: IntArray
     line: IntArray
+    beside_m: FloatArray
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -42,6 +44,7 @@ class Vertices:
             nominal_s=self.nominal_s[rows],
             operation=self.operation[rows],
             line=self.line[rows],
+            beside_m=self.beside_m[rows],
         )
 
 
@@ -54,6 +57,7 @@ def join_vertices(first: Vertices | None, second: Vertices) -> Vertices:
         nominal_s=np.concatenate([first.nominal_s, second.nominal_s]),
         operation=np.concatenate([first.operation, second.operation]),
         line=np.concatenate([first.line, second.line]),
+        beside_m=np.concatenate([first.beside_m, second.beside_m]),
     )
 
 
@@ -160,5 +164,6 @@ def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, Flo
                 nominal_s=block.nominal_s[rows],
                 operation=block.operation[rows],
                 line=block.line[rows],
+                beside_m=_NOTHING[: len(block.line[rows])],
             )
             yield own, block.rest[rows], block.dwell_s[rows]

@@ -41,11 +41,12 @@ def retime(
     """Return the fastest motion from the first of ``points`` to the last, at rest at both.
 
     The path runs along the straight lines between the points and rounds the corners; it is never
-    farther than the tolerance from those lines, and they from it. The limits of the axes and
-    ``centripetal`` are exceeded at no instant, but for rounding (by a thousandth at most);
-    ``path_velocity``, ``path_acceleration`` and ``path_jerk`` are held at instants that lie close,
-    and nothing is proven between those. Lengths may be in any unit, the same in all arguments;
-    times are in seconds.
+    farther than the tolerance from those lines, and they from it. Dense points beside a curve are
+    not followed one by one where the tolerance lets a chord pass many of them. The limits of the
+    axes and ``centripetal`` are exceeded at no instant, but for rounding (by a thousandth at
+    most); ``path_velocity``, ``path_acceleration`` and ``path_jerk`` are held at instants that lie
+    close, and nothing is proven between those. Lengths may be in any unit, the same in all
+    arguments; times are in seconds.
 
     Parameters
     ----------
@@ -126,7 +127,12 @@ def retime(
         timing=Timing.FASTEST,
         historical=False,
         blocks=Stream(
-            auto_pieces, programmed, (1.0 - _NEAR_SHARE) * width, _NEAR_SHARE * width, CUTTING_ENDS
+            auto_pieces,
+            programmed,
+            (1.0 - _NEAR_SHARE) * width,
+            _NEAR_SHARE * width,
+            CUTTING_ENDS,
+            thin=True,
         ),
     )
     # It will be read many times: the motion is worked out once and kept.
