@@ -13,9 +13,9 @@ import re
 from functools import cache
 from typing import Any
 
-from blark.parse import parse_source_code
 from lark import Token, Tree
 
+from tests.plc.parsed import parsed
 from tests.plc.reading import Unit, unit_of
 
 COMMENT = re.compile(r"\(\*.*?\*\)", re.DOTALL)
@@ -63,9 +63,7 @@ def _declared(kind: str, head: str) -> Unit:
 @cache
 def _one_declaration(kind: str, section: str, declaration: str) -> Unit:
     text = f"{kind} yy\n{section}\n{declaration};\nEND_VAR\nEND_{kind}\n"
-    result = parse_source_code(text)
-    assert result.exception is None, (text, result.exception)
-    (tree,) = result.tree.children
+    (tree,) = parsed(text).children
     return unit_of(tree)
 
 
@@ -97,7 +95,7 @@ def _tree(statement: str) -> Tree[Any]:
     numbers = [number for _, number in NUMBER.findall(statement)]
     counter = itertools.count(FIRST)
     shape = NUMBER.sub(lambda match: f"{match[1] or ''}{next(counter)}", statement)
-    tree = copy.deepcopy(_parsed(shape))
+    tree = copy.deepcopy(parsed(shape, "statement_list"))
     for branch in tree.iter_subtrees():
         for index, child in enumerate(branch.children):
             if isinstance(child, Token) and str(child) in named:
@@ -111,10 +109,3 @@ def _tree(statement: str) -> Tree[Any]:
                 put += 1
     assert put == len(numbers), statement
     return tree
-
-
-@cache
-def _parsed(shape: str) -> Tree[Any]:
-    result = parse_source_code(shape, starting_rule="statement_list")
-    assert result.exception is None, (shape, result.exception)
-    return result.tree
