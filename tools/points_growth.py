@@ -4,7 +4,8 @@
 to 2 um beside a curve, streamed through smoothing and timing. Each number of points has a process
 of its own: seconds of the processor for each point, its largest memory, and the motion's time.
 What is compiled was compiled, and every kernel was used, before the clock begins.
-``--picture FILE`` draws both against the number of points.
+``--every-point`` follows each of them, as jobs are followed; without it chords pass many, as in
+``retime``. ``--picture FILE`` draws both against the number of points.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def vertices(count: int) -> Iterator[VertexBlock]:
         )  # fmt: skip
 
 
-def planned(count: int) -> tuple[float, float]:
+def planned(count: int, *, thin: bool) -> tuple[float, float]:
     """Return the seconds of the processor, and of the motion."""
     programmed = ProgrammedPath(
         axes=("X", "Y", "Z"), radius_m=np.ones(3), blocks=Stream(vertices, count)
@@ -58,7 +59,7 @@ def planned(count: int) -> tuple[float, float]:
         interpolation="optimal",
         timing=Timing.FASTEST,
         historical=False,
-        blocks=Stream(auto_pieces, programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M),
+        blocks=Stream(auto_pieces, programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M, thin=thin),
     )
     begun, end_s = process_time(), 0.0
     for block in limited_blocks(path, LIMITS):
@@ -66,10 +67,13 @@ def planned(count: int) -> tuple[float, float]:
     return process_time() - begun, end_s
 
 
-def measured(power: int) -> tuple[float, float, float]:
+def measured(power: int, *, thin: bool) -> tuple[float, float, float]:
     """Return us of the processor a point, MB of memory and s of motion, in a process of its own."""
     told = subprocess.run(
-        [sys.executable, "-m", "tools.points_growth", str(power)],
+        [
+            *(sys.executable, "-m", "tools.points_growth", str(power)),
+            *(() if thin else ("--every-point",)),
+        ],
         check=True,
         stdout=subprocess.PIPE,
         text=True,
@@ -114,15 +118,17 @@ def main() -> None:
     parser.add_argument("first", type=int)
     parser.add_argument("last", type=int, nargs="?", help="without it: the three numbers alone")
     parser.add_argument("--picture", type=Path)
+    parser.add_argument("--every-point", action="store_true")
     asked = parser.parse_args()
+    thin = not asked.every_point
     if asked.last is None:
-        planned(500)
-        seconds, motion_s = planned(10**asked.first)
+        planned(500, thin=thin)
+        seconds, motion_s = planned(10**asked.first, thin=thin)
         memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
         print(1e6 * seconds / 10**asked.first, memory_mb, motion_s)
         return
     powers = range(asked.first, asked.last + 1)
-    rows = [measured(power) for power in powers]
+    rows = [measured(power, thin=thin) for power in powers]
     if asked.picture is not None:
         draw(powers, rows, asked.picture)
 

@@ -11,7 +11,7 @@ from threadline.path.polygon import STRAIGHT
 APART = 4  # legs between the directions that are compared
 ALIKE = 0.28
 """A program is rough where directions change by less than this share of all turns between."""
-LIKE = 0.15
+LIKE = 0.3
 """It is uneven where a turn differs by more than this share from the one before."""
 DENSE = 4.0
 """Vertices are dense where legs are shorter, on average, than as many tolerances."""

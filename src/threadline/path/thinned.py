@@ -30,6 +30,8 @@ LEAST = 4  # legs of a chord: fewer are not worth the tolerance
 MANY = 12  # legs of a chord where the program is uneven, but not rough: there it gains less
 WINDOW = 28  # legs, on which is decided how the program is
 VALID = 40  # legs, for which it is then taken to be so
+BENDS = 0.25
+"""What an uneven program may turn beside its first chord: tighter curves gain too little."""
 GROWS = 2.0  # a chord is no longer than as many of what is before it: the knots are spaced so
 
 
@@ -196,22 +198,15 @@ def _chord(
             begin, end, least = 0, 1, LEAST if aside else MANY
         for level in range(begin, end):
             thin_m = shares[level] * cut_m
-            k, free = _walked(
-                positions,
-                radius_m,
-                here,
-                start,
-                limit,
-                thin_m,
-                GROWS * before_m,
-                centre,
-                radius,
-                reach,
-            )
+            k = _walked(positions, radius_m, here, start, limit, thin_m, centre, radius, reach)
             if k == limit and waits:
                 return -1, False, 0.0, first
-            if k - start < (2 if not free else least if k < limit else LEAST):
+            if k - start < (LEAST if k == limit and aside else least):
                 continue
+            if rough != ROUGH and not aside and _turned(positions, radius_m, start, k) > BENDS:
+                continue
+            while k > start + 2 and reach[k - start - 1] > GROWS * before_m:
+                k -= 1
             if k == limit and meets:
                 _towards(positions, radius_m, here, k, d)
                 strayed = _strayed(positions, radius_m, here, d, start, k)
@@ -242,6 +237,22 @@ def _from_vertex(positions, radius_m, here, k):
 
 
 @njit(error_model="numpy")
+def _turned(positions, radius_m, start, stop):
+    """Return the difference of the directions of the first leg and the last between vertices."""
+    axes = positions.shape[1]
+    first, last, squared = 0.0, 0.0, 0.0
+    for j in range(axes):
+        first += ((positions[start + 1, j] - positions[start, j]) * radius_m[j]) ** 2
+        last += ((positions[stop, j] - positions[stop - 1, j]) * radius_m[j]) ** 2
+    first, last = np.sqrt(first), np.sqrt(last)
+    for j in range(axes):
+        before = (positions[start + 1, j] - positions[start, j]) / first
+        after = (positions[stop, j] - positions[stop - 1, j]) / last
+        squared += ((after - before) * radius_m[j]) ** 2
+    return np.sqrt(squared)
+
+
+@njit(error_model="numpy")
 def _towards(positions, radius_m, here, k, d):
     """Write the way from ``here`` to vertex ``k``."""
     for j in range(len(d)):
@@ -249,10 +260,8 @@ def _towards(positions, radius_m, here, k, d):
 
 
 @njit(error_model="numpy")
-def _walked(positions, radius_m, here, start, limit, thin_m, most_m, centre, radius, reach):
+def _walked(positions, radius_m, here, start, limit, thin_m, centre, radius, reach):
     """Return the last vertex up to ``limit`` that one chord from ``here`` can pass.
-
-    False beside it says that the chord would be longer than ``most_m``.
 
     Written for each vertex: of the directions of chords that pass all up to it within ``thin_m``,
     a ball (a centre and a radius), and how far the place of the vertex is along the chord.
@@ -271,7 +280,7 @@ def _walked(positions, radius_m, here, start, limit, thin_m, most_m, centre, rad
         squared += w[j] * w[j]
     far = np.sqrt(squared)
     if not far > 0.0:
-        return start, True
+        return start
     for j in range(axes):
         centre[0, j] = w[j] / far
     radius[0], reach[0] = thin_m / far, far
@@ -283,8 +292,6 @@ def _walked(positions, radius_m, here, start, limit, thin_m, most_m, centre, rad
             w[j] = positions[k + 1, j] * radius_m[j] - here[j]
             squared += w[j] * w[j]
         far = max(far, np.sqrt(squared))
-        if far > most_m and n > 1:
-            return k, False
         per, gap = 1.0 / far, 0.0
         for j in range(axes):
             w[j] = w[j] * per - centre[n - 1, j]
@@ -302,7 +309,7 @@ def _walked(positions, radius_m, here, start, limit, thin_m, most_m, centre, rad
             centre[n, j] = centre[n - 1, j] + move * w[j]
         radius[n], reach[n] = left, far
         k += 1
-    return k, True
+    return k
 
 
 @njit(error_model="numpy")
