@@ -122,7 +122,8 @@ def main() -> None:
     asked = parser.parse_args()
     thin = not asked.every_point
     if asked.last is None:
-        planned(500, thin=thin)
+        planned(2000, thin=False)  # in windows
+        planned(4000, thin=thin)
         seconds, motion_s = planned(10**asked.first, thin=thin)
         memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
         print(1e6 * seconds / 10**asked.first, memory_mb, motion_s)

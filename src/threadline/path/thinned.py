@@ -145,7 +145,10 @@ def _thin(
             break  # where it ends is not known yet
         if k == start + 1 and rough == UNEVEN:
             rough, until = SMOOTH, start + WINDOW  # the tube of a chord is too short for its gain
-        before_m = np.sqrt((d * d).sum())
+        squared = 0.0
+        for j in range(axes):
+            squared += d[j] * d[j]
+        before_m = np.sqrt(squared)
         for j in range(axes):
             if met:  # a vertex is met bit for bit
                 here[j] = positions[k, j] * radius_m[j]
