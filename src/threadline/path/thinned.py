@@ -136,11 +136,15 @@ def _thin(
             while next_kept < last and not kept[next_kept]:
                 next_kept += 1
             limit = min(start + MOST, next_kept)
-        k, met, strayed, level = _chord(
-            positions, radius_m, cut_m, shares, rough, aside, level, before_m, start, limit,
-            limit == last or kept[limit], not ends and limit == last and limit - start < MOST,
-            here, d, centre, radius, reach,
-        )  # fmt: skip
+        if limit - start < LEAST:  # told here: a call with so many arrays takes longer than this
+            k, met, strayed = start + 1, True, _from_vertex(positions, radius_m, here, start)
+            _towards(positions, radius_m, here, k, d)
+        else:
+            k, met, strayed, level = _chord(
+                positions, radius_m, cut_m, shares, rough, aside, level, before_m, start, limit,
+                limit == last or kept[limit], not ends and limit == last and limit - start < MOST,
+                here, d, centre, radius, reach,
+            )  # fmt: skip
         if k < 0:
             break  # where it ends is not known yet
         if k == start + 1 and rough == UNEVEN:
