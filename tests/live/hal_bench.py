@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import os
 import shutil
 import socket
 import subprocess
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -85,9 +87,12 @@ def awake(test: Callable[P, None]) -> Callable[P, None]:
             except AssertionError as error:
                 if k == TRIES - 1 or not any(text in str(error) for text in SLEPT):
                     raise
-                end_hal()
             else:
                 return
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
+                gc.collect()
+            end_hal()
 
     return again
 

@@ -308,6 +308,7 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
         executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+    assert killed_it, executor.ended  # or HAL was kept off the processor before
     assert executor.state is State.FAULT
     assert executor.ended is not None
     assert executor.ended[0] is Ended.FAULT

@@ -80,10 +80,11 @@ def forbidden_words(
     >>> from threadline.search.forbidden import Forbidden
     >>> slow = Forbidden(name="repeatability", low=1.0, high=5.0, feeds=9, repeated=9)
     >>> fast = Forbidden(name="contour_error", low=6.0, high=8.0, feeds=3, repeated=0)
-    >>> for line in forbidden_words([slow, fast], "repeatability", "F {:g}".format):
-    ...     print(line)
-    repeatability fails from F 1 to F 5, contour_error from F 6 to F 8
-    9 of them pass in one run of the machine as its file says (--nominal) and fail over all runs
+    >>> first, second = forbidden_words([slow, fast], "repeatability", "F {:g}".format)
+    >>> first
+    'repeatability fails from F 1 to F 5, contour_error from F 6 to F 8'
+    >>> second
+    '9 of them pass in one run of the machine as its file says (--nominal) and fail over all runs'
 
     Parameters
     ----------
