@@ -87,10 +87,12 @@ def awake(test: Callable[P, None]) -> Callable[P, None]:
             except AssertionError as error:
                 if k == TRIES - 1 or not any(text in str(error) for text in SLEPT):
                     raise
+                slept = error
             else:
                 return
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing
+                del slept  # and with it what the test had open
                 gc.collect()
             end_hal()
 
