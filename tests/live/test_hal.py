@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from contextlib import closing, nullcontext
@@ -23,6 +24,7 @@ from tests.live.hal_bench import (
     told_in,
     unhurried,
 )
+from tests.live.kill_bench import child
 from threadline import machine as machine_package
 from threadline.cli.main import main
 from threadline.errors import LinkFaultError
@@ -269,26 +271,29 @@ def killed(tick: int, folder: Path, whom: str) -> np.ndarray:
     box = folder / "box"
     with bridge(winder(), ZERO, box, plant=False) as far:
         there, here = os.pipe()
-        pid = os.fork()
-        if not pid:
+
+        def run(end: socket.socket = far.end, told: int = here) -> None:
             execute(
-                far.end, winder(), table_of_counts(ROWS),
-                lambda executor, _: os.write(here, b"!") if executor.tick >= tick else None,
+                end, winder(), table_of_counts(ROWS),
+                lambda executor, _: os.write(told, b"!") if executor.tick >= tick else None,
             )  # fmt: skip
-            os._exit(0)
-        far.end.close()
-        os.close(here)  # ours: where the run ends before, nothing is read
-        assert os.read(there, 1) == b"!", "this computer slept, and the run ended before"
-        os.kill(pid if whom == "executor" else far.pid, signal.SIGKILL)
-        seen = len(told_in(box, 3)) if box.exists() else 0
-        if whom == "bridge":
-            time.sleep(1.0)  # longer than what the fifo holds
-            with box.open("ab") as more:
-                more.write(left_samples(winder()).tobytes())
-        os.waitpid(far.pid, 0)
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
-    os.close(there)
+
+        pid = child(run)
+        try:
+            far.end.close()
+            os.close(here)  # ours: where the run ends before, nothing is read
+            assert os.read(there, 1) == b"!", "this computer slept, and the run ended before"
+            os.kill(pid if whom == "executor" else far.pid, signal.SIGKILL)
+            seen = len(told_in(box, 3)) if box.exists() else 0
+            if whom == "bridge":
+                time.sleep(1.0)  # longer than what the fifo holds
+                with box.open("ab") as more:
+                    more.write(left_samples(winder()).tobytes())
+                os.waitpid(far.pid, 0)
+        finally:  # its end of the link would keep the process in front of HAL alive
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+            os.close(there)
     x, _ = on_path(box)
     assert len(x) > seen
     assert ends_at_rest(box)
