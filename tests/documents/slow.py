@@ -42,12 +42,12 @@ SLOW: dict[str, dict[str, str]] = {
     "results-stitcher.md": {
         "python -m tools.robust_corners examples/stitcher-robust.seam.toml "
         'src/threadline/machine/library/stitcher.spec.toml "100 %" 45': (
-            "a minute; tests/test_robust_plan.py on two of the nine"
+            "16 s; tests/test_robust_plan.py on two of the nine"
         ),
         "threadline prove examples/stitcher-robust-length.seam.toml -m stitcher "
         "-s examples/stitcher-place.spec.toml --feed-forward "
         '--robust "100 %" --ends "100 %" --nominal': (
-            "46 s; tests/control/test_robust_averages.py on a mean speed"
+            "17 s; tests/control/test_robust_averages.py on a mean speed"
         ),
         "pytest tests/twin/test_stitcher.py tests/twin/test_hybrid.py": OF_TESTS,
         "python -m tools.long_seam 1e6 FOLDER": "writes the job of the next",

@@ -35,7 +35,9 @@ another axis has its speed: 1 % and 95 % are asked of seams, and a tenth across 
 _SPARE = 0.012  # of the wanted speed: so much more is there where it costs little
 _FIRST_ROWS = 512  # every so many instants are in the first program
 _MOST_ROUNDS = 40
-_CLOSE = 2e-4  # of the step: no instant is violated by more
+_CLOSE = 1e-5  # of the step: no instant is violated by more
+_RISES = 1e-9  # of the cost
+_NEAR = 0.01  # of the step: instants that are further within are left out of the next program
 MEAN_S = 0.0021
 """Time over which a speed is taken, and a little more."""
 _SEEN = 16.0  # times the time for a change: so long after it a load is looked at
@@ -116,11 +118,14 @@ class RobustWeights:
         speed.
     cost
         What was made least: the error, and a little of what drives and weights are asked for.
+    slack
+        By which bands were left, in the order of the program's unknowns.
     """
 
     weights: FloatArray
     error: float
     cost: float
+    slack: FloatArray
 
 
 @dataclass(slots=True)
@@ -149,6 +154,7 @@ def robust_weights(
     degree: int,
     grid_s: float,
     samples: int,
+    near: RobustWeights | None = None,
 ) -> RobustWeights | None:
     """Return the weights of which all machines leave the least error; None where there are none.
 
@@ -165,6 +171,9 @@ def robust_weights(
     grid_s, samples
         Instants at which the answers are looked at; ``machines`` are given at
         ``frequencies_rad_s(grid_s, samples)``.
+    near
+        Weights of a problem that is much like this one: the first program has the instants that
+        bind them, and fewer programs are solved. The result is the same.
     """
     omega = frequencies_rad_s(grid_s, samples)
     spline = np.sinc(omega * step_s / (2.0 * np.pi)) ** (degree + 1)
@@ -179,10 +188,12 @@ def robust_weights(
         for index, one in enumerate(axis.machines)
         for band in _bands(axis, one, index == 0, t, change, shape)
     ]
-    return _least(bands, np.asarray(shift_s / step_s))
+    return _least(bands, np.asarray(shift_s / step_s), near)
 
 
-def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
+def _least(
+    bands: Sequence[_Band], shift: FloatArray, near: RobustWeights | None
+) -> RobustWeights | None:
     """Return the weights, of the moment 0 about ``shift``, with the least error over all bands."""
     from scipy.optimize import linprog
 
@@ -195,6 +206,12 @@ def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
     spikes[:, :count] = np.vstack([np.eye(count), -np.eye(count)])
     spikes[:, -1] = -1.0
     chosen = [np.arange(0, len(band.R), _FIRST_ROWS) for band in bands]
+    if near is not None:
+        chosen = [
+            np.union1d(at, np.flatnonzero(_peaks(_over(band, near.weights, near.slack), -_NEAR)))
+            for at, band in zip(chosen, bands, strict=True)
+        ]
+    least = -np.inf
     for _ in range(_MOST_ROUNDS):
         rows, limits = [spikes], [np.zeros(2 * count)]
         for band, at in zip(bands, chosen, strict=True):
@@ -218,16 +235,20 @@ def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
         if found.x is None:
             return None
         weights, slack = np.asarray(found.x[:count]), np.asarray(found.x[count:])
-        done = True
-        for number, band in enumerate(bands):
-            peaks = _violated(band, weights, slack)
-            if len(peaks):
-                chosen[number] = np.union1d(chosen[number], peaks)
-                done = False
-        if done:
+        over = [_over(band, weights, slack) for band in bands]
+        peaks = [np.flatnonzero(_peaks(one)) for one in over]
+        if not any(len(new) for new in peaks):
             return RobustWeights(
-                weights=weights, error=float(slack[_ERROR]), cost=float(np.asarray(cost) @ found.x)
+                weights=weights, error=float(slack[_ERROR]), cost=float(found.fun), slack=slack
             )
+        # What is left out may come back: the least cost rises from program to program, so that
+        # none is met twice.
+        rises = found.fun > least + _RISES
+        least = max(found.fun, least)
+        chosen = [
+            np.union1d(at[one[at] > -_NEAR] if rises else at, new)
+            for at, one, new in zip(chosen, over, peaks, strict=True)
+        ]
     raise PlanError(
         f"averages for machines within their tolerances: {_MOST_ROUNDS} linear programs do not "
         "settle",
@@ -235,13 +256,17 @@ def _least(bands: Sequence[_Band], shift: FloatArray) -> RobustWeights | None:
     )
 
 
-def _violated(band: _Band, weights: FloatArray, slack: FloatArray) -> NDArray[np.intp]:
-    """Return the rows at which a band is left by most, in their neighbourhood."""
+def _over(band: _Band, weights: FloatArray, slack: FloatArray) -> FloatArray:
+    """Return by how much a band is left at each instant, negative within it."""
     value = band.R @ weights
     allowed = 0.0 if band.slack is None else float(slack[band.slack])
-    over = np.maximum(value - band.high, band.low - value) - allowed
+    return np.maximum(value - band.high, band.low - value) - allowed
+
+
+def _peaks(over: FloatArray, above: float = _CLOSE) -> NDArray[np.bool_]:
+    """Say at which instants a band is left by more than elsewhere in their neighbourhood."""
     before, after = np.append(-np.inf, over[:-1]), np.append(over[1:], -np.inf)
-    return np.flatnonzero((over > _CLOSE) & (over >= before) & (over >= after))
+    return np.asarray((over > above) & (over >= before) & (over >= after))
 
 
 def _bands(

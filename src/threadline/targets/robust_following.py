@@ -184,6 +184,7 @@ class _Program:
         self.axes = axes
         self._names = names
         self._change_s, self._grid_s, self._samples = change_s, grid_s, samples
+        self._near: RobustWeights | None = None
 
     def speed_or_length(
         self, ways: _Ways, turn_s: float | None
@@ -275,7 +276,7 @@ class _Program:
         return min(found, key=lambda weights: weights.cost, default=None)
 
     def _solved(self, axis: StepOfSpeed, changes: Sequence[ChangeOfSpeed]) -> RobustWeights | None:
-        return robust_weights(
+        found = robust_weights(
             axis,
             changes,
             count=_COUNT,
@@ -283,7 +284,10 @@ class _Program:
             degree=DEGREE,
             grid_s=self._grid_s,
             samples=self._samples,
+            near=self._near,
         )
+        self._near = found or self._near
+        return found
 
 
 def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
