@@ -34,7 +34,7 @@ that every machine has where it has its speed, and largest share with which a lo
 another axis has its speed: 1 % and 95 % are asked of seams, and a tenth across adds 0.5 %."""
 _SPARE = 0.012  # of the wanted speed: so much more is there where it costs little
 _FIRST_ROWS = 512  # every so many instants are in the first program
-_MOST_ROUNDS = 40
+_MOST_ROUNDS = 100
 _CLOSE = 1e-5  # of the step: no instant is violated by more
 _RISES = 1e-9  # of the cost
 _NEAR = 0.01  # of the step: instants that are further within are left out of the next program
@@ -235,16 +235,17 @@ def _least(
         if found.x is None:
             return None
         weights, slack = np.asarray(found.x[:count]), np.asarray(found.x[count:])
+        reached = float(np.asarray(cost) @ found.x)
         over = [_over(band, weights, slack) for band in bands]
         peaks = [np.flatnonzero(_peaks(one)) for one in over]
         if not any(len(new) for new in peaks):
             return RobustWeights(
-                weights=weights, error=float(slack[_ERROR]), cost=float(found.fun), slack=slack
+                weights=weights, error=float(slack[_ERROR]), cost=reached, slack=slack
             )
         # What is left out may come back: the least cost rises from program to program, so that
         # none is met twice.
-        rises = found.fun > least + _RISES
-        least = max(found.fun, least)
+        rises = reached > least + _RISES
+        least = max(reached, least)
         chosen = [
             np.union1d(at[one[at] > -_NEAR] if rises else at, new)
             for at, one, new in zip(chosen, over, peaks, strict=True)
