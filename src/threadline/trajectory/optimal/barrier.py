@@ -155,9 +155,27 @@ def derivatives(b, length, rows, tangent, weight):
 @njit()
 def solved(matrix, g):
     """Return z of ``matrix z = -g`` by L D L'; entry (i, k) is that of row i and column i + k."""
-    size = len(g)
+    z = np.empty(len(g))
+    one, two, d = _factors(matrix)
+    _substitute(one, two, d, g, z)
+    return z
+
+
+@njit()
+def solved_all(matrix, rows):
+    """Return the z of ``matrix z = -g`` for every row g of ``rows``."""
+    out = np.empty(rows.shape)
+    one, two, d = _factors(matrix)
+    for r in range(len(rows)):
+        _substitute(one, two, d, rows[r], out[r])
+    return out
+
+
+@njit()
+def _factors(matrix):
+    """Return the two diagonals of L and that of D."""
+    size = len(matrix)
     one, two, d = np.zeros(size), np.zeros(size), np.zeros(size)
-    z = np.empty(size)
     for i in range(size):
         pivot = matrix[i, 0]
         if i >= 2:
@@ -171,6 +189,14 @@ def solved(matrix, g):
             pivot -= one[i] * one[i] * d[i - 1]
         # A pivot of which rounding left nothing: that unknown stays where it is in this step.
         d[i] = pivot if pivot > _LEAST_PIVOT * matrix[i, 0] else _HELD * matrix[i, 0]
+    return one, two, d
+
+
+@njit()
+def _substitute(one, two, d, g, z):
+    """Write the z of ``L D L' z = -g``."""
+    size = len(g)
+    for i in range(size):
         v = -g[i]
         if i >= 1:
             v -= one[i] * z[i - 1]
@@ -184,7 +210,6 @@ def solved(matrix, g):
         if i + 2 < size:
             v -= two[i + 2] * z[i + 2]
         z[i] = v
-    return z
 
 
 @njit()

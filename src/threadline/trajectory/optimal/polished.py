@@ -123,7 +123,7 @@ def _newton(
     step = barrier.solved(matrix, g)
     if len(weights):
         # (B + W' D W)^-1 = B^-1 - B^-1 W' (D^-1 + W B^-1 W')^-1 W B^-1; across is -W B^-1.
-        across = np.stack([barrier.solved(matrix, row) for row in weights])
+        across = barrier.solved_all(matrix, weights)
         inner = np.diag(slack**2 / weight) - across @ weights.T
         step = step + across.T @ np.linalg.solve(inner, weights @ step)
         nearer = weights @ step

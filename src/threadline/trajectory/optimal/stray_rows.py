@@ -10,6 +10,7 @@ load seen at t and its place at t', an error along the unit vector n changes by
 
 where D(t) is the sum of what is added to the elements before t.
 """
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
 
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.trajectory.optimal.followers import Follower, Strays
 from threadline.trajectory.optimal.solve import Solution
 from threadline.trajectory.types import TrajectoryBlock
@@ -63,17 +65,14 @@ def stray_rows(
     seen_s = strays.time_s[0] + strays.tick[chosen] * strays.fine * step
     rows = np.zeros((len(chosen), len(tau)))
     for k, (period_s, taps) in enumerate(_taps(follower)):
-        back = np.arange(len(taps)) * period_s
-        for r, place in enumerate(chosen):
-            if towards[r, k] == 0.0:
-                continue
-            told_s = (seen_s[r] - back)[::-1]
-            inside = (told_s >= block.start_s[0]) & (told_s <= block.end_s)
-            speed = np.zeros(len(told_s))
-            speed[inside] = block.evaluate(told_s[inside], 1)[:, k] * follower.radius_m[k]
-            weight = towards[r, k] * taps[::-1] * speed
-            passed = np.clip((strays.time_s[place] - start) / tau, 0.0, 1.0)
-            rows[r] += weight.sum() * passed - _passed(weight, told_s, start, tau)
+        told_s = (seen_s[:, None] - np.arange(len(taps)) * period_s)[:, ::-1]
+        inside = (told_s >= block.start_s[0]) & (told_s <= block.end_s)
+        speed = np.zeros(told_s.shape)
+        speed[inside] = block.evaluate(told_s[inside], 1)[:, k] * follower.radius_m[k]
+        weight = towards[:, k, None] * taps[::-1] * speed
+        passed = np.clip((strays.time_s[chosen, None] - start) / tau, 0.0, 1.0)
+        rows += weight.sum(axis=1)[:, None] * passed
+        rows -= _passed(weight, np.ascontiguousarray(told_s), start, tau)
     by_y = -0.5 / 3.0 * solution.y**-1.5 / follower.tolerance_m
     return Rows(
         weights=_by_coefficients(rows[:, :, None] * by_y, solution.elements.length),
@@ -89,15 +88,25 @@ def _taps(follower: Follower) -> list[tuple[float, FloatArray]]:
     ]
 
 
-def _passed(
-    weight: FloatArray, times_s: FloatArray, start: FloatArray, tau: FloatArray
-) -> FloatArray:
-    """Return for each element the sum of weights times the share of it passed at rising times."""
-    mass = np.concatenate([[0.0], np.cumsum(weight)])
-    moment = np.concatenate([[0.0], np.cumsum(weight * times_s)])
-    low, high = np.searchsorted(times_s, start), np.searchsorted(times_s, start + tau)
-    within = moment[high] - moment[low] - start * (mass[high] - mass[low])
-    return np.asarray(mass[-1] - mass[high] + within / tau)
+@njit()
+def _passed(weight, times_s, start, tau):
+    """Return (m, n) sums of (m, t) weights times the share of an element passed at rising times."""
+    many, width = weight.shape
+    out = np.empty((many, len(start)))
+    mass, moment = np.zeros(width + 1), np.zeros(width + 1)
+    for r in range(many):
+        for j in range(width):
+            mass[j + 1] = mass[j] + weight[r, j]
+            moment[j + 1] = moment[j] + weight[r, j] * times_s[r, j]
+        low, high = 0, 0
+        for i in range(len(start)):
+            while low < width and times_s[r, low] < start[i]:
+                low += 1
+            while high < width and times_s[r, high] < start[i] + tau[i]:
+                high += 1
+            within = moment[high] - moment[low] - start[i] * (mass[high] - mass[low])
+            out[r, i] = mass[width] - mass[high] + within / tau[i]
+    return out
 
 
 def _by_coefficients(by_y: FloatArray, length: FloatArray) -> FloatArray:
