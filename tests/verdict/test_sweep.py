@@ -17,7 +17,7 @@ from threadline.options import options_of
 from threadline.pipeline import plan_job
 from threadline.plan import Plan
 from threadline.plant.values import Values
-from threadline.signals import tick_table
+from threadline.signals import Recording, tick_table
 from threadline.twin import simulate_runs
 from threadline.verdict import load_spec, sweep
 from threadline.verdict.finding import Finding
@@ -54,20 +54,25 @@ SWEPT = (
 )
 
 
-def found(plan: Plan, names: tuple[str, ...]) -> list[Finding]:
-    """Return the finding of every run, axis and measure, with its place."""
+def recorded(plan: Plan) -> Recording:
+    """Return the runs, side by side."""
     random = np.random.default_rng(1994)
     phases = random.random((256, 3))[:RUNS]
     own = plan.machine.bodies["x"].inertia.si
     numbers = {"bodies.x.inertia": own * random.uniform(0.95, 1.05, 256)[:RUNS]}
     values = Values.of(plan.machine, numbers)
-    recording = simulate_runs(tick_table(plan.commands), values, encoder_phase=phases)
+    return simulate_runs(tick_table(plan.commands), values, encoder_phase=phases)
+
+
+def found(plan: Plan, names: tuple[str, ...], only: int | None = None) -> list[Finding]:
+    """Return the finding of every run, or of one, axis and measure, with its place."""
+    recording = recorded(plan) if only is None else recorded(plan).run(only + 1)
     run = open_run(recording, plan, load_spec(None, plan.machine).lag_s)
     one = Pass(run, {(name, ()): MEASURES[name] for name in names}, together=False)
     read_all([one], [])
     rows = one.found()
     assert set(rows) == {(name, ()) for name in names}
-    return [row.of(k) for same in rows.values() for row in same for k in range(RUNS)]
+    return [row.of(k) for same in rows.values() for row in same for k in range(recording.runs)]
 
 
 @pytest.mark.parametrize("profile", ["", CONE], ids=["one radius", "a profile"])
@@ -87,6 +92,9 @@ def test_findings_and_places_are_the_same_however_few_samples_are_brought_in(
     # A measure finds alone what it finds in company.
     alone = [finding for name in SWEPT for finding in found(plan, (name,))]
     assert alone == whole
+    # So does a run by itself, which is in no sweep.
+    for k in (0, RUNS - 1):
+        assert found(plan, SWEPT, k) == whole[k::RUNS]
     # Somewhere the worst is between two samples, which are whole ticks.
     ticks = np.array([finding.time_s for finding in whole[:RUNS]]) / machine.tick_clock.period_s
     assert (np.abs(ticks.astype(float) - np.rint(ticks.astype(float))) > 1e-3).any()

@@ -13,7 +13,7 @@ from threadline.verdict.blocks import judged_blocks
 from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import chord_ways
+from threadline.verdict.nearest import chord_ways, lengths_squared
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -68,7 +68,8 @@ class _Progress(SweptMeasure):
         way, length = chord_ways(command)
         heading = np.concatenate([self._heading, _headings(self._heading, way[first:])])
         self._command, self._heading = command, heading
-        self._ceiling[0] = max(self._ceiling[0], (way**2).sum(axis=1).max())
+        if np.isfinite(self._ceiling[0]):
+            self._ceiling[0] = max(self._ceiling[0], lengths_squared(way).max())
         return ProgressPart(
             command=command,
             way=way,
@@ -144,7 +145,9 @@ def _headings(heading: FloatArray, way: FloatArray) -> FloatArray:
 
     While the command stands it is the last displacement that was not 0; before the first motion 0.
     """
-    moved = (way != 0.0).any(axis=1)
+    moved = way[:, 0] != 0.0
+    for axis in range(1, way.shape[1]):
+        moved |= way[:, axis] != 0.0
     if moved.all():
         return way
     known = heading[-1:] if len(heading) else np.zeros((1, way.shape[1]))

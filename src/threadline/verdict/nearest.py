@@ -17,27 +17,6 @@ _NOTHING_M2 = 1e-26  # a place that is no farther from the path is on it, but fo
 _MOST_PARTS = 32  # of a way that wait: one more for each halving, down to the finest
 
 
-def _squared_to_segment(
-    point: FloatArray, start: FloatArray, end: FloatArray
-) -> tuple[float, float]:
-    """Return the squared distance of a point to a segment, and where on it (0..1)."""
-    along = 0.0
-    length = 0.0
-    for k in range(len(point)):
-        direction = end[k] - start[k]
-        along += (point[k] - start[k]) * direction
-        length += direction * direction
-    where = 0.0 if length <= 0.0 else min(max(along / length, 0.0), 1.0)
-    squared = 0.0
-    for k in range(len(point)):
-        gap = point[k] - start[k] - where * (end[k] - start[k])
-        squared += gap * gap
-    return squared, where
-
-
-squared_to_segment = njit(nogil=True)(_squared_to_segment)
-
-
 def _weighed_to_segment(
     point: FloatArray, start: FloatArray, end: FloatArray, share: FloatArray
 ) -> float:
@@ -65,8 +44,16 @@ def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     Chord c ends at vertex c; row 0 is nothing.
     """
     way = np.diff(vertices, axis=0, prepend=vertices[:1])
-    squared = (way**2).sum(axis=1)
+    squared = lengths_squared(way)
     return way, np.where(squared > 0.0, squared, 1.0)
+
+
+def lengths_squared(ways: FloatArray) -> FloatArray:
+    """Return (m,) squared lengths of (m, axes) ways, faster than numpy sums the axes of each."""
+    squared = ways[:, 0] ** 2
+    for axis in range(1, ways.shape[1]):
+        squared += ways[:, axis] ** 2
+    return squared
 
 
 def _nearest_of_all(
@@ -206,6 +193,68 @@ _none_farther_fast = njit(nogil=True)(_none_farther)
 _alike_fast = njit(nogil=True)(_alike)
 
 
+def _look_between(
+    here: FloatArray,
+    there: FloatArray,
+    low: int,
+    high: int,
+    left_from: int,
+    led_to: int,
+    vertices: FloatArray,
+    of: FloatArray,
+    worst: FloatArray,
+    at: IntArray,
+    part: FloatArray,
+    worst_chord: IntArray,
+    r: int,
+    number: int,
+) -> None:
+    """Raise ``worst[r]``, squared, where the way between two points is farther than its ends.
+
+    ``left_from`` is a chord near the first point, ``led_to`` one near the second; ``low`` to
+    ``high`` are those that count. Where the worst is: see ``between``.
+    """
+    least = max(worst[r], _NOTHING_M2)
+    if _none_farther_fast(here, there, max(left_from, low), led_to, vertices, of, least):
+        return
+    axes = len(here)
+    lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
+    start, stop = np.empty(axes), np.empty(axes)
+    left = 1
+    lows[0], highs[0] = 0.0, 1.0
+    while left:
+        left -= 1
+        a, b = lows[left], highs[left]
+        for n in range(axes):
+            start[n] = here[n] + a * (there[n] - here[n])
+            stop[n] = here[n] + b * (there[n] - here[n])
+        # No place of this part is farther than its ends from any one chord.
+        bound = np.inf
+        for c in range(low, high + 1):
+            first = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
+            second = weighed_to_segment(stop, vertices[c - 1], vertices[c], of)
+            bound = min(bound, max(first, second))
+        if bound <= max(worst[r], _NOTHING_M2) or b - a < _FINEST:
+            continue
+        middle = 0.5 * (a + b)
+        for n in range(axes):
+            start[n] = 0.5 * (start[n] + stop[n])
+        best, nearest = np.inf, -1
+        for c in range(low, high + 1):
+            away = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
+            if away < best:
+                best, nearest = away, c
+        if best > worst[r]:
+            worst[r], at[r], part[r], worst_chord[r] = best, number, middle, nearest
+        if left + 2 <= _MOST_PARTS:
+            lows[left], highs[left] = a, middle
+            lows[left + 1], highs[left + 1] = middle, b
+            left += 2
+
+
+look_between = njit(nogil=True)(_look_between)
+
+
 def _between(
     points: FloatArray,
     before: FloatArray,
@@ -230,10 +279,8 @@ def _between(
     point that the way leads to, counted from ``number`` on, ``part`` of the way (0..1), and the
     nearest chord ``worst_chord``. The way counts with the shares of the point that it leads to.
     """
-    lows, highs = np.empty(_MOST_PARTS), np.empty(_MOST_PARTS)
     axes = points.shape[1]
-    here, there, start, stop = np.empty(axes), np.empty(axes), np.empty(axes), np.empty(axes)
-    of = np.ones(axes)
+    here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
     for i in range(len(points)):
         known = chord_before if i == 0 else chord[i - 1]
         if _alike_fast(chord[i], only[i + 1], known, only[i]):
@@ -249,39 +296,10 @@ def _between(
                 there[a] = points[i, a, r]
                 if share is not None:
                     of[a] = share[i, a, r]
-            least = max(worst[r], _NOTHING_M2)
-            if _none_farther_fast(here, there, max(left_from, low), led_to, vertices, of, least):
-                continue
-            left = 1
-            lows[0], highs[0] = 0.0, 1.0
-            while left:
-                left -= 1
-                a, b = lows[left], highs[left]
-                for n in range(axes):
-                    start[n] = here[n] + a * (there[n] - here[n])
-                    stop[n] = here[n] + b * (there[n] - here[n])
-                # No place of this part is farther than its ends from any one chord.
-                bound = np.inf
-                for c in range(low, high + 1):
-                    first = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
-                    second = weighed_to_segment(stop, vertices[c - 1], vertices[c], of)
-                    bound = min(bound, max(first, second))
-                if bound <= max(worst[r], _NOTHING_M2) or b - a < _FINEST:
-                    continue
-                middle = 0.5 * (a + b)
-                for n in range(axes):
-                    start[n] = 0.5 * (start[n] + stop[n])
-                best, nearest = np.inf, -1
-                for c in range(low, high + 1):
-                    away = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
-                    if away < best:
-                        best, nearest = away, c
-                if best > worst[r]:
-                    worst[r], at[r], part[r], worst_chord[r] = best, number + i, middle, nearest
-                if left + 2 <= _MOST_PARTS:
-                    lows[left], highs[left] = a, middle
-                    lows[left + 1], highs[left + 1] = middle, b
-                    left += 2
+            look_between(
+                here, there, low, high, left_from, led_to, vertices, of,
+                worst, at, part, worst_chord, r, number + i,
+            )  # fmt: skip
 
 
 nearest_chords_each = njit(nogil=True)(_nearest_chords)

@@ -41,7 +41,7 @@ def _ahead(
     return along
 
 
-_ahead_fast = njit(nogil=True)(_ahead)
+ahead = njit(nogil=True)(_ahead)
 
 
 def _bounds(
@@ -260,7 +260,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                     while value[(origin + k) % rows, r] > least[r]:
                         k += 1
                     start = k - 1 if k > begin else k
-                    side[r] = _ahead_fast(
+                    side[r] = ahead(
                         points[i, :, r],
                         command[start],
                         way[k],

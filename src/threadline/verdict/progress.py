@@ -6,32 +6,40 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
-from threadline.verdict.nearest import squared_to_segment
 from threadline.verdict.window import PathWindow
 
 _SAME_M = 1e-6  # two chords nearer to the command than this to each other are the same line there
 
 
-def _along(heading: FloatArray, start: FloatArray, end: FloatArray) -> float:
-    """Return the part of ``heading`` along a chord."""
-    along = 0.0
-    length = 0.0
-    for k in range(len(heading)):
-        along += heading[k] * (end[k] - start[k])
-        length += (end[k] - start[k]) ** 2
+def _squared(points: FloatArray, i: int, vertices: FloatArray, chord: int) -> float:
+    """Return the squared distance of point ``i`` to a chord."""
+    along, length, squared = 0.0, 0.0, 0.0
+    for k in range(points.shape[1]):
+        direction = vertices[chord, k] - vertices[chord - 1, k]
+        along += (points[i, k] - vertices[chord - 1, k]) * direction
+        length += direction * direction
+    where = 0.0 if length <= 0.0 else min(max(along / length, 0.0), 1.0)
+    for k in range(points.shape[1]):
+        start = vertices[chord - 1, k]
+        gap = points[i, k] - start - where * (vertices[chord, k] - start)
+        squared += gap * gap
+    return squared
+
+
+def _along(
+    points: FloatArray, before: FloatArray, i: int, vertices: FloatArray, chord: int
+) -> float:
+    """Return the part of the way to point ``i`` that is along a chord; ``before`` is point -1."""
+    along, length = 0.0, 0.0
+    for k in range(points.shape[1]):
+        direction = vertices[chord, k] - vertices[chord - 1, k]
+        along += (points[i, k] - (points[i - 1, k] if i else before[k])) * direction
+        length += direction * direction
     return along / np.sqrt(length) if length > 0.0 else 0.0
 
 
+_squared_fast = njit(nogil=True)(_squared)
 _along_fast = njit(nogil=True)(_along)
-
-
-def _copy_row(rows: FloatArray, i: int, to: FloatArray) -> None:
-    """Copy row ``i``; to take a row out of an array would count references."""
-    for k in range(len(to)):
-        to[k] = rows[i, k]
-
-
-_copy_row_fast = njit(nogil=True)(_copy_row)
 
 
 def _refine(
@@ -42,37 +50,28 @@ def _refine(
     last: IntArray,
     same_m: float,
 ) -> None:
-    """Widen the chords ``first`` to ``last`` of each point by a neighbour that it is really on."""
+    """Widen the chords ``first`` to ``last`` of each point by a neighbour that it is really on.
+
+    Rows are indexed through: to take one out of an array would count references.
+    """
     end = len(vertices) - 1
-    axes = points.shape[1]
-    heading, point = np.zeros(axes), np.empty(axes)
-    start, stop = np.empty(axes), np.empty(axes)
     for i in range(len(points)):
-        _copy_row_fast(points, i, point)
-        for k in range(axes):  # an assignment of the whole row takes seconds to compile
-            heading[k] = point[k] - (points[i - 1, k] if i else before[k])
-        own = np.inf
-        chord = first[i]
-        for c in range(first[i], last[i] + 1):
-            _copy_row_fast(vertices, c - 1, start)
-            _copy_row_fast(vertices, c, stop)
-            squared, _ = squared_to_segment(point, start, stop)
+        low, high = first[i], last[i]
+        own, chord = np.inf, low
+        for c in range(low, high + 1):
+            squared = _squared_fast(points, i, vertices, c)
             if squared < own:
                 own, chord = squared, c
         own = np.sqrt(own)
-        _copy_row_fast(vertices, chord - 1, start)
-        _copy_row_fast(vertices, chord, stop)
-        ahead = _along_fast(heading, start, stop)
-        low, high = first[i], last[i]
+        ahead = _along_fast(points, before, i, vertices, chord)
         for side in range(2):
             other = low - 1 if side == 0 else high + 1
             if other < 1 or other > end:
                 continue
-            _copy_row_fast(vertices, other - 1, start)
-            _copy_row_fast(vertices, other, stop)
-            squared, _ = squared_to_segment(point, start, stop)
-            nearer = own - np.sqrt(squared)
-            if nearer > same_m or (nearer >= -same_m and _along_fast(heading, start, stop) > ahead):
+            nearer = own - np.sqrt(_squared_fast(points, i, vertices, other))
+            if nearer > same_m or (
+                nearer >= -same_m and _along_fast(points, before, i, vertices, other) > ahead
+            ):
                 if side == 0:
                     first[i] = other
                 else:

@@ -16,6 +16,7 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.verdict.boxes import (
     COMPANY,
+    NO_BOXES,
     Boxes,
     enclose,
     nearest_in_boxes,
@@ -32,6 +33,7 @@ from threadline.verdict.nearest import (
 )
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
+from threadline.verdict.single_run import contour_of_one, nearest_of_one, progress_of_one
 from threadline.verdict.tracking import TrackingPart
 from threadline.verdict.turning import TurningPart, follow_turnings
 
@@ -224,8 +226,44 @@ def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     if not parts.keys().isdisjoint(_OF_DRIVES):
         peak, rms, dac = _that(parts, _NO_PEAK), _that(parts, _NO_RMS), _that(parts, _NO_DAC)
         _sweep_drives_fast(peak, rms, dac, at_once)
-    if not parts.keys() <= _OF_DRIVES:
+    if parts.keys() <= _OF_DRIVES:
+        return
+    if block.runs == 1:
+        _over_places_of_one(block, parts)
+    else:
         _over_places(block, parts, at_once)
+
+
+def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
+    """Go over the places of a block of a single run, measure by measure."""
+    assert block.actual is not None
+    contour, progress = _that(parts, _NO_CONTOUR), _that(parts, _NO_PROGRESS)
+    turning, tracking = _that(parts, _NO_TURNING), _that(parts, _NO_TRACKING)
+    if tracking.at.size:
+        raise_to_farthest(lanes(block.actual), tracking.command, tracking.size, tracking.at, 0)
+    if block.path is None:
+        return
+    points = block.at_tool[:, :, 0]
+    if len(turning.closed):
+        follow_turnings(block.at_tool, NO_BOXES, block.time_s, 0, turning)
+    if not (len(contour.worst) or len(progress.worst)):
+        return
+    path, begin, end = block.window()
+    way, length = chord_ways(path.vertices)
+    none = np.empty((0, points.shape[1]))
+    squared, chord = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+    shares = block.shares
+    if shares is None or len(progress.worst):
+        nearest_of_one(points, begin, end, path.vertices, way, length, none, squared, chord)
+    if len(progress.worst):
+        progress_of_one(points, squared, progress)
+    if not len(contour.worst):
+        return
+    share = vertex_share = none
+    if shares is not None and path.shares is not None:
+        share, vertex_share = shares[:, :, 0], path.shares
+        nearest_of_one(points, begin, end, path.vertices, way, length, share, squared, chord)
+    contour_of_one(points, squared, chord, path.vertices, share, vertex_share, contour)
 
 
 def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -> None:

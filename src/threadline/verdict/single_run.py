@@ -1,0 +1,228 @@
+"""Contour and progress of a single run: what a sweep finds of it, without a loop over runs.
+
+A loop over one run costs more than what it does. How many axes there are is no part of what is
+compiled: one function serves all machines. The operations and their order are those of the loops
+over many runs (``nearest``, ``boxes``, ``places``), so that a run has the same bits in any company.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
+from threadline.verdict.contour import ContourPart
+from threadline.verdict.nearest import look_between
+from threadline.verdict.places import ProgressPart, ahead
+
+
+def _nearest_chords(
+    points: FloatArray,
+    begin: IntArray,
+    end: IntArray,
+    vertices: FloatArray,
+    way: FloatArray,
+    length: FloatArray,
+    share: FloatArray,
+    squared: FloatArray,
+    chord: IntArray,
+) -> None:
+    """Fill in the squared distance of each of (n, axes) points to the chords that count for it.
+
+    ``chord`` is the first of the nearest. ``share``, (n, axes), is what each axis counts with; it
+    is empty where they count alike. As ``nearest.nearest_of_all``.
+    """
+    axes, weighed = points.shape[1], len(share) > 0
+    for i in range(len(points)):
+        least, nearest = np.inf, begin[i]
+        for c in range(begin[i], end[i] + 1):
+            along, size, away = 0.0, length[c], 0.0
+            if weighed:
+                size = 0.0
+                for a in range(axes):
+                    part = share[i, a] * way[c, a]
+                    along += share[i, a] * (points[i, a] - vertices[c - 1, a]) * part
+                    size += part * part
+                size = size if size > 0.0 else 1.0
+            else:
+                for a in range(axes):
+                    along += (points[i, a] - vertices[c - 1, a]) * way[c, a]
+            where = along / size
+            where = where if where > 0.0 else 0.0
+            where = where if where < 1.0 else 1.0
+            for a in range(axes):
+                gap = points[i, a] - vertices[c - 1, a] - where * way[c, a]
+                if weighed:
+                    gap *= share[i, a]
+                away += gap * gap
+            if away < least:
+                least, nearest = away, c
+        squared[i], chord[i] = least, nearest
+
+
+nearest_of_one = njit(nogil=True, error_model="numpy")(_nearest_chords)
+
+
+def _to_vertex(
+    points: FloatArray,
+    before: FloatArray,
+    i: int,
+    vertices: FloatArray,
+    v: int,
+    share: FloatArray,
+) -> tuple[float, float]:
+    """Return the squared distance of a vertex to the way to point i, and where on it (0..1)."""
+    axes, weighed = points.shape[1], len(share) > 0
+    along, size, away = 0.0, 0.0, 0.0
+    for a in range(axes):
+        start = points[i - 1, a] if i else before[a, 0]
+        of = share[v, a] if weighed else 1.0
+        step = of * (points[i, a] - start)
+        along += of * (vertices[v, a] - start) * step
+        size += step * step
+    where = along / (size if size > 0.0 else 1.0)
+    where = where if where > 0.0 else 0.0
+    where = where if where < 1.0 else 1.0
+    for a in range(axes):
+        start = points[i - 1, a] if i else before[a, 0]
+        gap = vertices[v, a] - start - where * (points[i, a] - start)
+        if weighed:
+            gap *= share[v, a]
+        away += gap * gap
+    return away, where
+
+
+_to_vertex_fast = njit(nogil=True, error_model="numpy")(_to_vertex)
+
+
+def _leave_path(
+    points: FloatArray,
+    squared: FloatArray,
+    chord: IntArray,
+    vertices: FloatArray,
+    share: FloatArray,
+    vertex_share: FloatArray,
+    part: ContourPart,
+) -> None:
+    """Raise the worst to the samples, and to the ways to them; lower what vertices have come to.
+
+    ``squared`` and ``chord``, (n,), are of the nearest chord of each sample. A vertex that is as
+    near as the worst is left as it is.
+    """
+    # Each look into a tuple would count references.
+    (
+        begin, end, time_s, before, chord_before, fresh, worst, at, place, nearest, best,
+        best_time_s,
+    ) = part  # fmt: skip
+    samples, axes = points.shape
+    here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
+    if fresh:
+        for a in range(axes):
+            before[a, 0] = points[0, a]
+        chord_before[0] = chord[0]
+    for i in range(samples):
+        if squared[i] > worst[0]:
+            worst[0], at[0], place[0], nearest[0] = squared[i], i, 1.0, chord[i]
+        left_from = chord[i - 1] if i else chord_before[0]
+        if chord[i] != left_from:
+            for a in range(axes):
+                here[a] = points[i - 1, a] if i else before[a, 0]
+                there[a] = points[i, a]
+                if len(share):
+                    of[a] = share[i, a]
+            low, high = min(begin[i], begin[i + 1]), max(end[i], end[i + 1])
+            look_between(
+                here, there, low, high, left_from, chord[i], vertices, of,
+                worst, at, place, nearest, len(worst) - 1, i,
+            )  # fmt: skip
+        least = worst[0]
+        for v in range(begin[i] - 1, end[i + 1] + 1):
+            if best[v, 0] > least:
+                away, where = _to_vertex_fast(points, before, i, vertices, v, vertex_share)
+                if away < best[v, 0]:
+                    best[v, 0] = away
+                    best_time_s[v, 0] = time_s[i] + where * (time_s[i + 1] - time_s[i])
+    for a in range(axes):
+        before[a, 0] = points[samples - 1, a]
+    chord_before[0] = chord[samples - 1]
+
+
+contour_of_one = njit(nogil=True, error_model="numpy")(_leave_path)
+
+
+def _advance(
+    points: FloatArray,
+    off: FloatArray,
+    command: FloatArray,
+    way: FloatArray,
+    inverse: FloatArray,
+    heading: FloatArray,
+    counts: tuple[int, int, int],
+    places: IntArray,
+    value: FloatArray,
+    worst: FloatArray,
+    at: IntArray,
+    side: FloatArray,
+) -> None:
+    """Advance the places of the command by (n, axes) samples: ``places.move_on`` of one run.
+
+    ``counts`` are ``first``, ``number`` and ``lag`` of the part.
+    """
+    first, number, lag = counts
+    samples, axes = points.shape
+    rows, origin = len(value), number - first
+    low, high, most = places[0], places[1], worst[0]
+    for i in range(samples):
+        last = first + i
+        begin = max(last - lag, 0)
+        carry, least = 0.0 if number + i == 0 else np.inf, np.inf
+        value[(origin + last) % rows, 0] = np.inf
+        row = (origin + low) % rows
+        while low < begin:  # the lag excuses them no longer: the tool has moved on
+            carry = value[row, 0] if value[row, 0] < carry else carry
+            low, row = low + 1, row + 1 if row + 1 < rows else 0
+        k = low
+        while True:
+            # Of the first place only its end is within the lag.
+            start, per_length = (k - 1, inverse[k]) if k > begin else (k, 0.0)
+            carry = value[row, 0] if value[row, 0] < carry else carry
+            along, away = 0.0, 0.0
+            for a in range(axes):
+                along += (points[i, a] - command[start, a]) * way[k, a]
+            where = along * per_length
+            where = where if where > 0.0 else 0.0
+            where = where if where < 1.0 else 1.0
+            for a in range(axes):
+                gap = points[i, a] - command[start, a] - where * way[k, a]
+                away += gap * gap
+            error = away - off[i]
+            error = error if error > carry else carry
+            value[row, 0] = error
+            least = error if error < least else least
+            if k == last or not least > most:  # good enough: no later place is better
+                break
+            k, row = k + 1, row + 1 if row + 1 < rows else 0
+        for later in range(k + 1, high + 1):
+            value[(origin + later) % rows, 0] = np.inf
+        high = k
+        if least > most:
+            most, at[0] = least, number + i
+            k = low
+            while value[(origin + k) % rows, 0] > least:
+                k += 1
+            within = k > begin
+            start, per_length = (k - 1, inverse[k]) if within else (k, 0.0)
+            side[0] = ahead(points[i], command[start], way[k], per_length, heading[k])
+    places[0], places[1], worst[0] = low, high, most
+
+
+_advance_fast = njit(nogil=True, error_model="numpy")(_advance)
+
+
+def progress_of_one(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
+    """Advance the places of the command by (n, axes) samples that are ``off`` the path, squared."""
+    _advance_fast(
+        points, off, part.command, part.way, part.inverse, part.heading,
+        (part.first, part.number, part.lag), part.places, part.value, part.worst, part.at,
+        part.side,
+    )  # fmt: skip
