@@ -47,7 +47,7 @@ class Values(Locked):
     def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
         """Return ``machine`` with numbers ``replaced``; their paths and lengths are checked."""
         given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
-        known = tuple(_paths(machine))
+        known = tuple(_paths(machine)) if given else ()
         for path in given:
             if path not in known:
                 raise OptionError(
