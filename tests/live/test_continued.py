@@ -37,15 +37,25 @@ JOBS = {
     "lathe-winder": ("x-180.prg", "3 s", None),
     "stepper-winder": ("helix.gcode", "5 s", None),
     "letter-placer": ("letter-cycle.toml", "5 s", "um-zv"),
-    "schiffli-frame": ("rosette.dst", "20 s", None),
+    "schiffli-frame": ("", "5 s", None),
 }
+SHORT: list[Path] = []  # the design of the frame, where its fixture wrote it
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _short_design(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Forty stitches of two to eight millimetres, for the frame to sew."""
+    ways = np.random.default_rng(4).integers(20, 81, (40, 2)) * np.array([1, -1])
+    SHORT[:] = [tmp_path_factory.mktemp("design") / "forty.exp"]
+    SHORT[0].write_bytes(ways.astype(np.int8).tobytes())
 
 
 @cache
 def planned(name: str) -> Plan:
     job, _, shaper = JOBS[name]
     machine, options = load_machine(name), Options(shaper=shaper)
-    return plan_job(open_job(EXAMPLES / job, machine, options), machine, options)
+    file = EXAMPLES / job if job else SHORT[0]
+    return plan_job(open_job(file, machine, options), machine, options)
 
 
 def run(
