@@ -20,13 +20,9 @@ from threadline.trajectory.firmware.firmware_moves import Moves
 _STRAIGHT = 0.999999  # of the cosine: grbl and Marlin call a corner straight, or a full turn, here
 _SMALL = 1.0  # mm: shorter moves of a bend count as an arc, in Marlin
 _OCTAGON = -0.7071067812
-_ARCSINE = (
-    84.31466202, -242.7199627, 262.8130562, -131.1123477, 29.66153956, -1.451838349, 0.032843707,
-)  # fmt: skip
-"""W. R. Franklin's polynomial, "Arcsin", wrfranklin.org, by which Marlin measures how moves bend.
-
-It is up to 0.033 rad off, and 0.033 rad where they do not bend.
-"""
+_TABLE = 16  # intervals, each half as wide as the one before
+_CENTRED = 1.00751495
+"""By what Marlin's table of arc cosines multiplies them, for errors of both signs."""
 
 
 def along_axes(limits: FloatArray, directions: FloatArray) -> FloatArray:
@@ -65,9 +61,7 @@ def by_junction_deviation(
     bend = after - before
     size = np.linalg.norm(bend, axis=1)
     size[size == 0.0] = 1.0
-    limit = along_axes(acceleration, bend / size[:, None])
-    if most is not None:
-        limit = np.minimum(limit, most[1:])
+    limit = along_axes(acceleration, bend / size[:, None]) if most is None else most[1:]
     # Marlin keeps the cosine from -1; grbl takes any speed there.
     half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -_STRAIGHT, 1.0)))
     square = limit * deviation * half / (1.0 - half)
@@ -75,10 +69,22 @@ def by_junction_deviation(
         square[cosine < -_STRAIGHT] = np.inf
     if arcs:
         short = (moves.length[1:] < _SMALL) & (cosine < _OCTAGON)
-        angle = 0.5 * np.pi - np.polyval(_ARCSINE, np.clip(-cosine, 0.0, 1.0))
+        angle = _arc_cosine(np.clip(-cosine, 0.0, _STRAIGHT))
         square = np.where(short, np.minimum(square, moves.length[1:] * limit / angle), square)
     square[cosine > _STRAIGHT] = 0.0
     return np.asarray(square)
+
+
+def _arc_cosine(cosine: FloatArray) -> FloatArray:
+    """Return (n,) angles as Marlin has them, on chords between the ends of its table's intervals.
+
+    The ends are 1 - 2^-k, and the last is ``_STRAIGHT``; but for the two outermost their angles are
+    by ``_CENTRED`` too large.
+    """
+    ends = np.append(1.0 - 0.5 ** np.arange(_TABLE), _STRAIGHT)
+    angle = np.arccos(ends)
+    angle[1:-1] *= _CENTRED
+    return np.asarray(np.interp(cosine, ends, angle))
 
 
 def by_jumps(moves: Moves, jumps: FloatArray) -> FloatArray:

@@ -41,6 +41,61 @@ def entries_of_ring(most, gain, ring, begin):
 
 
 @njit()
+def entries_in_marlin(most, least, gain, ring, goes_on, begin):
+    """Return the (n + 1,) squares of speed at the ends of n moves, as Marlin comes to them.
+
+    With every move that is added it looks back as far as speeds can rise, and not behind a move
+    that stays as it is, even if that would let those before it begin faster; then it looks forward.
+    The move that is under way and the start of the one behind it are left as they are.
+
+    Parameters
+    ----------
+    most, least : (n,)
+        Greatest and least v^2 at the start of each move.
+    gain : (n,)
+        2 a s: how much v^2 can change along each move.
+    ring : int
+        Moves that are held, without the one under way.
+    goes_on : bool
+        Whether moves are under way before the first; else the ring is filled before anything moves.
+    begin : float
+        v^2 at the start of the first move.
+    """
+    count = len(most)
+    found = np.zeros(count + 1)
+    sure, bound = np.copy(least), np.copy(most)
+    changed = np.zeros(count, np.bool_)
+    found[0] = sure[0] = bound[0] = begin
+    for new in range(1, count):
+        busy = new - ring
+        if busy < 0 or (busy == 0 and not goes_on):
+            busy = -1
+        found[new] = behind = least[new]
+        i = new
+        while i > busy + 1:
+            able = min(behind + gain[i], bound[i])
+            if found[i] == bound[i] or found[i] == able:
+                break
+            found[i], changed[i] = able, True
+            behind = able
+            i -= 1
+        changed[new] = True
+        for i in range(max(busy, 0) + 1, new + 1):
+            if not changed[i]:
+                continue
+            changed[i] = False
+            if i - 1 == busy:
+                found[i] = sure[i]
+            elif found[i] != sure[i]:
+                able = found[i - 1] + gain[i - 1]
+                if able < found[i]:
+                    found[i] = bound[i] = max(able, sure[i])
+                sure[i] = found[i]
+    found[count] = least[count - 1]
+    return found
+
+
+@njit()
 def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
     """Plan moves so that none speeds up only to slow down at once.
 

@@ -16,6 +16,9 @@ from threadline.trajectory.types import TrajectoryBlock
 
 AT_ONCE = 16_384  # moves in hand before some are planned; more where fewer are not settled
 
+Taken = tuple[FloatArray, FloatArray, FloatArray, IntArray]
+"""Of n moves: (n, axes) starts, (n, axes) ways, (n,) times at the feed and (n,) operations."""
+
 
 @dataclass(slots=True)
 class MovesInHand(ABC):
@@ -42,11 +45,13 @@ class MovesInHand(ABC):
         """Take in moves and yield what they settle; all, and the dwell, where the run ends."""
         start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
         moves = way.any(axis=1)
-        self.start.append(start[moves])
-        self.way.append(way[moves])
-        self.nominal_s.append(block.nominal_s[rows][moves])
-        self.operation.append(block.operation[rows][moves])
-        self.waiting += int(moves.sum())
+        nominal_s, operation = block.nominal_s[rows][moves], block.operation[rows][moves]
+        taken = self._made((start[moves], way[moves], nominal_s, operation), ends)
+        self.start.append(taken[0])
+        self.way.append(taken[1])
+        self.nominal_s.append(taken[2])
+        self.operation.append(taken[3])
+        self.waiting += len(taken[0])
         if self.waiting and (ends or self.waiting >= AT_ONCE):
             self._join()
             yield from self._settle(ends)
@@ -59,6 +64,10 @@ class MovesInHand(ABC):
         self._keep(self.waiting)
         self.begun = False
         self._rest()
+
+    def _made(self, taken: Taken, ends: bool) -> Taken:  # noqa: ARG002 - Marlin's moves may wait
+        """Return the moves that are made of those taken; ``ends`` where the machine rests then."""
+        return taken
 
     @abstractmethod
     def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:

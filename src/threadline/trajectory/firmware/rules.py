@@ -46,6 +46,8 @@ class Rules:
         (axes,) mm or degrees in a m or rad.
     velocity, acceleration
         (axes,) limits in mm and degrees.
+    steps
+        (axes,) in a mm or degree; None for so many that they do not count.
     """
 
     planner: FirmwarePlanner
@@ -53,6 +55,7 @@ class Rules:
     scale: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
+    steps: FloatArray | None = None
 
     @classmethod
     def of(cls, planner: FirmwarePlanner, machine: Machine, axes: tuple[str, ...]) -> Rules:
@@ -66,6 +69,7 @@ class Rules:
             scale,
             machine.velocity_limit[column] * scale,
             machine.acceleration_limit[column] * scale,
+            machine.counts_per_unit[column] / scale,
         )
 
     def moves(self, way: FloatArray, nominal_s: FloatArray) -> Moves:
@@ -73,27 +77,34 @@ class Rules:
 
         ``nominal_s`` is the time at the programmed feed, 0 for a rapid move.
         """
+        length = self.length(way)
         way = way * self.scale
-        length = self._length(way)
         direction = way / length[:, None]
         fastest = along_axes(self.velocity, direction)
         acceleration = along_axes(self.acceleration, direction)
-        most = np.inf
+        most = self.most_acceleration
         planner = self.planner
         if isinstance(planner, KlipperPlanner):
-            most = planner.acceleration.si * MM
             plain = (direction * self._plane != 0.0).any(axis=1)
             fastest = np.where(plain, np.minimum(fastest, planner.velocity.si * MM), fastest)
             alone = along_axes(self._of_axes(planner.alone), direction)
             acceleration = np.minimum(acceleration, np.where(plain, most, alone))
-        elif isinstance(planner, MarlinPlanner) and planner.acceleration is not None:
-            acceleration = np.minimum(acceleration, planner.acceleration.si * MM)
+        elif isinstance(planner, MarlinPlanner):
+            acceleration = np.minimum(acceleration, most)
         elif isinstance(planner, RepRapPlanner) and planner.acceleration is not None:
             travel = np.where(self._across(direction), planner.acceleration.si * MM, np.inf)
             acceleration = np.minimum(acceleration, travel)
         with np.errstate(divide="ignore"):
             asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
         return Moves(length, direction, np.minimum(asked, fastest), acceleration, most)
+
+    @property
+    def most_acceleration(self) -> float:
+        """What Klipper's and Marlin's settings give every move, infinite for none."""
+        planner = self.planner
+        if isinstance(planner, KlipperPlanner | MarlinPlanner) and planner.acceleration is not None:
+            return planner.acceleration.si * MM
+        return np.inf
 
     def corners(self, moves: Moves) -> FloatArray:
         """Return the (n,) greatest v^2 at the start of each of n moves, the first from rest."""
@@ -162,7 +173,9 @@ class Rules:
             return [LINEAR + _SECOND, _TURNING]
         return [LINEAR, _SECOND, _TURNING]
 
-    def _length(self, way: FloatArray) -> FloatArray:
+    def length(self, way: FloatArray) -> FloatArray:
+        """Return the (n,) lengths of (n, axes) displacements, m and rad, as the firmware counts."""
+        way = way * self.scale
         if isinstance(self.planner, GrblPlanner):
             return np.asarray(np.linalg.norm(way, axis=1))
         found = np.zeros(len(way))
