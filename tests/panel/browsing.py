@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -60,9 +61,26 @@ def state(page: Page, name: str) -> None:
 
 def ready(page: Page) -> None:
     press(page, "Take control")
-    press(page, "Enable")
-    press(page, "Home all")
+    press_until(page, "Enable", "enabled")
+    press_until(page, "Home all", "homing|idle")
     state(page, "idle")
+
+
+def press_until(page: Page, text: str, names: str) -> None:
+    """Press a button until one of some states is shown.
+
+    A command is refused where the state that its sender has seen is older than half a second, as on
+    a busy computer it is.
+    """
+    shown = page.locator("#state")
+    wanted = re.compile(rf"({names})(:|$)")
+    for _ in range(20):
+        with suppress(WaitedTooLong):  # it cannot be pressed any more, as the state came late
+            page.get_by_role("button", name=text, exact=True).click(timeout=5_000)
+        with suppress(AssertionError):
+            expect(shown).to_have_text(wanted, timeout=5_000)
+            return
+    raise AssertionError(f"{text} was pressed 20 times: {shown.inner_text()}")
 
 
 def x_mm(page: Page) -> float:

@@ -22,12 +22,17 @@ SPEED = 0.5
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
+def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
+    """A browser; one without a view in three dimensions where the module has ``FLAT``.
+
+    Without a graphics card that view takes half of the time of a page.
+    """
     from playwright.sync_api import sync_playwright
 
     from tests.panel.browsing import CHROMIUM
 
-    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader"]
+    flat = getattr(request.module, "FLAT", False)
+    arguments = ["--no-sandbox", "--disable-3d-apis" if flat else "--enable-unsafe-swiftshader"]
     with sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         yield found
