@@ -95,17 +95,25 @@ def _tree(statement: str) -> Tree[Any]:
     numbers = [number for _, number in NUMBER.findall(statement)]
     counter = itertools.count(FIRST)
     shape = NUMBER.sub(lambda match: f"{match[1] or ''}{next(counter)}", statement)
-    tree = copy.deepcopy(parsed(shape, "statement_list"))
-    for branch in tree.iter_subtrees():
-        for index, child in enumerate(branch.children):
-            if isinstance(child, Token) and str(child) in named:
-                branch.children[index] = Token(child.type, named[str(child)])
-    put = 0
-    for branch in tree.iter_subtrees():
-        for index, child in enumerate(branch.children):
-            if isinstance(child, Token) and child.isdigit() and int(child) >= FIRST:
-                number = numbers[int(child) - FIRST]
-                branch.children[index] = Token(child.type, number)
-                put += 1
+    tree, put = _filled(parsed(shape, "statement_list"), named, numbers)
     assert put == len(numbers), statement
     return tree
+
+
+def _filled(tree: Tree[Any], named: dict[str, str], numbers: list[str]) -> tuple[Tree[Any], int]:
+    """Return a tree with names and numbers in the place of what stands for them, and how many."""
+    children: list[Any] = []
+    put = 0
+    for child in tree.children:
+        if isinstance(child, Tree):
+            branch, more = _filled(child, named, numbers)
+            children.append(branch)
+            put += more
+        elif isinstance(child, Token) and str(child) in named:
+            children.append(Token(child.type, named[str(child)]))
+        elif isinstance(child, Token) and child.isdigit() and int(child) >= FIRST:
+            children.append(Token(child.type, numbers[int(child) - FIRST]))
+            put += 1
+        else:
+            children.append(child)
+    return Tree(tree.data, children), put
