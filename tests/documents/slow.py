@@ -35,6 +35,9 @@ SLOW: dict[str, dict[str, str]] = {
         "python tools/memory_bounds.py": "half an hour",
         "python -m tools.points_growth 3 5 --every-point "
         "--picture docs/pictures/points-growth.png": ("times and memory of one computer"),
+        "python -m tools.points_growth 3 7 --picture docs/pictures/points-growth-chords.png": (
+            "a minute; times and memory of one computer"
+        ),
         "python -m tools.smoother_corners": "half a minute; what a path could gain",
         "python -m tools.random_paths 1000 200000": "a minute",
         "python -m tools.random_paths 60000 300000": "an hour",

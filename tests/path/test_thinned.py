@@ -15,6 +15,7 @@ from threadline.path.runs import runs
 from threadline.path.thinned import SHARES, Thinner
 from threadline.path.types import ProgrammedPath, VertexBlock
 from threadline.signals import Stream
+from threadline.trajectory import retime
 
 CUT_M = 1e-4
 
@@ -228,3 +229,22 @@ def test_the_polygon_of_rough_points_turns_less():
     length, turn = turns(found, np.ones(2))
     bend = turn[1:-1] / (0.5 * (length[1:] + length[:-1]))
     assert bend.max() < 2.0 / 0.05  # of the circle's own; of the points it is beyond 200 / m
+
+
+def test_chords_beside_a_circle_are_alike_and_turn_as_it_does():
+    """Long and short in turn, they would bend the path where the curve does not."""
+    t = np.arange(2500) * 1e-4 / 0.1
+    points = 0.1 * np.stack([np.cos(t), np.sin(t)], axis=1)
+    points += np.random.default_rng(4).uniform(-2e-6, 2e-6, points.shape)
+    found = thinned(programmed(points))["positions"]
+    length, turn = turns(found, np.ones(2))
+    ratio = length[1:-2] / length[2:-1]
+    assert len(ratio) > 20 and max(ratio.max(), 1.0 / ratio.min()) < 1.15
+    bend = turn[2:-2] / (0.5 * (length[2:-1] + length[1:-2]))
+    assert bend == pytest.approx(1.0 / 0.1, rel=0.15)
+
+
+def test_a_motion_along_rough_points_takes_as_long_as_along_their_curve():
+    limits = 1.0, 10.0, 1000.0, CUT_M
+    rough, smooth = (retime(noisy(600, b, radius=0.1), *limits).duration_s for b in (2e-6, 0.0))
+    assert rough == pytest.approx(smooth, rel=0.01)

@@ -26,6 +26,7 @@ class Vertices:
 
     ``positions`` are (n, axes) in m or rad; ``nominal_s``, ``operation`` and ``line`` are (n,), as
     in ``VertexBlock``; ``beside_m`` is how far what was left out of the program is from the move.
+    All are read-only, so that what reads them is compiled for one kind of array.
     """
 
     positions: FloatArray
@@ -33,6 +34,13 @@ class Vertices:
     operation: IntArray
     line: IntArray
     beside_m: FloatArray
+
+    def __post_init__(self) -> None:
+        self.positions.flags.writeable = False
+        self.nominal_s.flags.writeable = False
+        self.operation.flags.writeable = False
+        self.line.flags.writeable = False
+        self.beside_m.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.positions)
