@@ -12,6 +12,8 @@ from threadline.jobs import read_job
 from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.machine import load_machine
 from threadline.machine.firmware import machine_text, parse_answers, read_settings
+from threadline.machine.program_rules import Programs
+from threadline.machine.quantity import parse_machine_quantity
 from threadline.machine.radii import with_radii
 
 Mutate = Callable[[random.Random, bytes], bytes]
@@ -20,7 +22,12 @@ Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], 
 _WINDER = load_machine("lathe-winder")
 _LIKE = {"A": "A", "X": "X", "Y": "Y", "Z": "X", "B": "A", "C": "A"}
 MACHINE = dataclasses.replace(
-    _WINDER, axes={name: _WINDER.axes[like] for name, like in _LIKE.items()}, inputs={}
+    _WINDER,
+    axes={name: _WINDER.axes[like] for name, like in _LIKE.items()},
+    inputs={},
+    programs=Programs(
+        offsets={"G54": {}, "G55": {"X": parse_machine_quantity("9 mm exact, assumed", ("m",))}}
+    ),
 )
 
 
@@ -300,7 +307,9 @@ _WORDS = (
     "G19", "G20", "G21", "G90", "G91", "G92 X{n} A{n}", "G92.1", "G92.2", "G92.3", "G28 X Y",
     "G28", "G28.1", "G80", "G4 P{n}", "G5 X{n} Y{n} I{n} J{n} P{n} Q{n}", "M3 S{n}", "M5", "M8",
     "M104 S{n}", "M117 what {n}", "M400", "T1 M6", "G40 G49 G54", "X{n}", "A{n}", "G93", "G94",
-    "M98 P2 L3", "O2", "M99", "M30", "G1 X5 F60*{n}", "G53 X1", "(a {n})", "; b {n}",
+    "M98 P2 L3", "O2", "M99", "M30", "G1 X5 F60*{n}", "G53 X{n}", "(a {n})",
+    "G54", "G55", "G56", "G54 G55", "G55 G1 X{n} F60", "G91 G53 G0 X{n}", "M2", "M62 P{n}", "M65",
+    "G41 D1", "#1 = {n}", "X[#1 + {n}]", "; b {n}",
 )  # fmt: skip
 
 

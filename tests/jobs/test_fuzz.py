@@ -14,7 +14,7 @@ import pytest
 from threadline.errors import UnitError
 from threadline.units import parse_exact_time_s, parse_quantity
 
-CASES = {"part-program": 300, "units": 300, "par": 100, "radii": 150}
+CASES = {"part-program": 300, "units": 300, "par": 100, "radii": 150, "program-winder": 150}
 JUDGED = ("judge-channels", "judge-blocks", "judge-axes")  # tests/verdict has cases of them
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "fuzz.py"
 

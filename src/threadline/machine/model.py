@@ -12,7 +12,11 @@ from threadline.machine.acting_radius import check_radii
 from threadline.machine.axis_arrays import AxisArrays
 from threadline.machine.controllers import Controller
 from threadline.machine.design import Design
-from threadline.machine.motion_planner import FirmwarePlanner, check_by_axis
+from threadline.machine.motion_planner import (
+    FirmwarePlanner,
+    check_by_axis,
+    check_units_of_axes,
+)
 from threadline.machine.parts import (
     STRICT,
     Axis,
@@ -183,6 +187,8 @@ class Machine(AxisArrays):
             check_known(axis.load or {}, self.bodies, f"{where}.load", "body")
             check_known(axis.frame or {}, self.bodies, f"{where}.frame", "body")
         check_known(self.programs.base_axes, self.axes, "programs.base_axes", "axis")
+        for system, zero in self.programs.offsets.items():
+            check_units_of_axes(zero, f"programs.offsets.{system}", "", self.axes, self.rotary)
         for name, switch in self.inputs.items():
             check_known([switch.axis], self.axes, f"inputs.{name}.axis", "axis")
             check_known([switch.cuts], self.motors, f"inputs.{name}.cuts", "drive")

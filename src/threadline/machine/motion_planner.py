@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field, StrictBool, model_validator
@@ -183,8 +183,19 @@ def check_by_axis(planner: FirmwarePlanner, axes: Collection[str], rotary: Colle
     """
     for key, unit in (("jump", "/s"), ("alone", "/s^2")):
         given: dict[str, Quantity] = getattr(planner, key, {})
-        check_known(given, axes, f"planner.{key}", "axis")
-        for name, value in given.items():
-            own = f"{'rad' if name in rotary else 'm'}{unit}"
-            if value.unit != own:
-                raise ValueError(f"planner.{key}.{name} is in {value.unit}, the axis in {own}")
+        check_units_of_axes(given, f"planner.{key}", unit, axes, rotary)
+
+
+def check_units_of_axes(
+    given: Mapping[str, Quantity],
+    key: str,
+    unit: str,
+    axes: Collection[str],
+    rotary: Collection[str],
+) -> None:
+    """Check numbers by axis, of ``unit`` behind m or rad, as ``check_by_axis`` does."""
+    check_known(given, axes, key, "axis")
+    for name, value in given.items():
+        own = f"{'rad' if name in rotary else 'm'}{unit}"
+        if value.unit != own:
+            raise ValueError(f"{key}.{name} is in {value.unit}, the axis in {own}")

@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from threadline.machine.parts import STRICT
+from threadline.machine.quantity import Quantity, Units
 
 FeedRule = Literal[
     "fastest-axis", "base-axes", "path", "cadfil", "linuxcnc", "rs274", "grbl", "fluidnc",
@@ -17,6 +18,9 @@ FeedRule = Literal[
 DialectName = Literal["winder", "linuxcnc", "grbl", "fluidnc", "marlin", "fanuc", "x-winder"]
 """Dialects of part programs; ``threadline.jobs.gcode.dialects`` defines each."""
 
+System = Annotated[str, Field(pattern=r"^G5[4-9]$")]
+Offset = Annotated[Quantity, Units(("m", "rad"))]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Programs:
@@ -24,11 +28,14 @@ class Programs:
 
     ``feed_mode`` is the rule for the meaning of F, that of the dialect when left out. ``base_axes``
     are the axes whose speed F is under the rule ``base-axes``, and are given with no other.
+    ``offsets`` are the places of G54 to G59 in the machine's own system, by axis; what is not given
+    is 0.
     """
 
     dialect: DialectName = "winder"
     feed_mode: FeedRule | None = None
     base_axes: tuple[Annotated[str, Field(pattern=r"^[A-Z]$")], ...] = ()
+    offsets: dict[System, dict[str, Offset]] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _base(self) -> Programs:

@@ -14,7 +14,9 @@ _MAX_LABEL = 10**9
 _LIMIT = MAX_MAGNITUDE * ONE
 
 _MOTIONS = {0: 0, 10: 1, 20: 2, 30: 3, 50: 5, 800: CANCEL}
-_MODES = frozenset({"units", "distance", "feed", "blending", "plane"})
+_MODES = frozenset({"units", "distance", "feed", "blending", "plane", "system", "machine"})
+_FIRST_SYSTEM = 540  # without effect where it is the only one
+_OUTPUTS = (62, 63, 64, 65)
 _SPINDLE: dict[str, float] = {"on": 1.0, "off": 0.0}
 _ENDS = frozenset({"stop", "end", "call", "return"})
 _CURVE = "IJKRQ"
@@ -33,7 +35,7 @@ class Block(NamedTuple):
     action
         Ten times 4, 28, 28.1 or 92 to 92.3, else -1.
     settings
-        Ten times the G words of units, distance, feed, blending and plane.
+        Ten times the G words of units, distance, feed, blending, plane and coordinate system.
     axes
         Index of the axis and exact number, in the order written.
     feed
@@ -104,7 +106,7 @@ def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the
     feed = p = passes = spindle = None
     dwell_s: float | None = None
     p_number = ""
-    waits = False
+    waits = output = False
     seen = ""
     groups: tuple[str, ...] = ()
     for letter, number in words:
@@ -129,6 +131,7 @@ def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the
                 action = code
             elif group in _MODES:
                 settings = (*settings, code)
+                idle = (*idle, f"G{number}") if code == _FIRST_SYSTEM else idle
             else:
                 idle = (*idle, f"G{number}")
             continue
@@ -150,6 +153,7 @@ def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the
             else:
                 waits = waits or effect in {"rest", "wait"}
                 idle = (*idle, f"M{number}") if effect in {"idle", "wait"} else idle
+                output = output or code in _OUTPUTS
             if dialect.one_command:
                 break
             continue
@@ -193,7 +197,18 @@ def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the
     ):  # fmt: skip
         curved = bool(motion in _CURVED or (motion == -1 and curve))
         _check_use(
-            action, motion, program, feed, p, passes, axes, settings, curved, dwell_s, line, reading
+            action,
+            motion,
+            program,
+            feed,
+            p,
+            passes,
+            axes,
+            settings,
+            curved or output,
+            dwell_s,
+            line,
+            reading,
         )
     return Block(
         line, motion, action, settings, axes, feed, p, 1 if passes is None else passes, curve,
@@ -210,7 +225,7 @@ def _check_use(
     passes: int | None,
     axes: tuple[tuple[int, int], ...],
     settings: tuple[int, ...],
-    curved: bool,
+    taken: bool,
     dwell_s: float | None,
     line: int,
     reading: Reading,
@@ -221,7 +236,7 @@ def _check_use(
         raise JobError(
             f"feed F {feed / ONE:g} must be greater than 0", place=place, remedy="Give a feed."
         )
-    if p is not None and p < 0 and not curved:  # a control point may lie anywhere
+    if p is not None and p < 0 and not taken:  # a control point may lie anywhere
         raise JobError(f"P {p / ONE:g} must not be negative", place=place)
     if action == 40 and (axes or dwell_s is None):
         what = "has no P" if dwell_s is None else "stands with axis words"
@@ -236,7 +251,7 @@ def _check_use(
             place=place,
             remedy="Write two blocks.",
         )
-    users = (action == 40) + (program == 98) + (640 in settings) + curved
+    users = (action == 40) + (program == 98) + (640 in settings) + taken
     if p is not None and users != 1:
         what = "has no use in this block" if users == 0 else "could belong to two words"
         raise JobError(f"P {what}", place=place, remedy="P belongs to G4, G64 or M98.")

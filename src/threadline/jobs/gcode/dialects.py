@@ -1,11 +1,13 @@
 """The dialects of part programs: the words that a controller takes, and their effects.
 
 A word moves, sets a mode, or has no effect on motion; a warning names each of the last once. Words
-that would change motion in a way that is not modelled (tool lengths, other coordinate systems,
-canned cycles, limits set by the program) are in no table and refused. Sources: ``linuxcnc``:
-LinuxCNC 2.9, G Codes and M Codes; ``grbl``: grbl 1.1 wiki and gcode.c; ``fluidnc``: the same with
-FluidNC's wiki; ``marlin``: Marlin 2.1, marlinfw.org/meta/gcode; ``fanuc``: B-63174EN; ``winder``:
-the printed winder's program with the words that ``docs/part-programs.md`` lists.
+that would change motion in a way that is not modelled (tool lengths, cutter radii, canned cycles,
+limits set by the program) are in no table and refused; ``WHY`` says of some what they do.
+
+Sources: ``linuxcnc``: LinuxCNC 2.9, G Codes and M Codes; ``grbl``: grbl 1.1 wiki and gcode.c;
+``fluidnc``: the same with FluidNC's wiki; ``marlin``: Marlin 2.1, marlinfw.org/meta/gcode;
+``fanuc``: B-63174EN; ``winder``: the printed winder's program with the words that
+``docs/part-programs.md`` lists.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ _CNC = {
     **_WINDER, **_ARCS, **_OFFSETS, 281: "action", 800: "motion", 610: "blending",
     400: "cutter", 490: "length", 540: "system",
 }  # fmt: skip
+_SYSTEMS = {**{code: "system" for code in range(540, 600, 10)}, 530: "machine"}
+_OUTPUTS: dict[int, MMode] = dict.fromkeys((62, 63, 64, 65), "idle")
 _PROGRAM: dict[int, MMode] = {0: "stop", 2: "end", 30: "end", 5: "off"}
 _CALLS: dict[int, MMode] = {98: "call", 99: "return"}
 _CNC_M: dict[int, MMode] = {
@@ -67,6 +71,8 @@ class Dialect:
         Effect of each M word.
     idle_letters
         Letters of words for spindle and tool magazine, which have no effect on motion.
+    streams
+        Whether the lines behind M2 or M30 are run, too: grbl ends no file, whose sender does.
     idle_groups
         Groups of G words that only cancel or select a default, and so have no effect on motion.
     needs_end
@@ -96,6 +102,7 @@ class Dialect:
         default_factory=lambda: frozenset({"cutter", "length", "system", "centres", "canned"})
     )
     needs_end: bool = True
+    streams: bool = False
     rapid_is_feed: bool = False
     each_g: bool = False
     homes: bool = False
@@ -104,7 +111,19 @@ class Dialect:
     one_command: bool = False
 
 
-_GRBL = Dialect(name="grbl", feed_rule="grbl", g=_CNC, m=_CNC_M, idle_letters="ST", needs_end=False)
+_GRBL = Dialect(
+    name="grbl", feed_rule="grbl", g={**_CNC, **_SYSTEMS}, m=_CNC_M, idle_letters="ST",
+    needs_end=False, streams=True,
+)  # fmt: skip
+_CYCLE = "a canned cycle, whose moves are not modelled"
+_RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
+WHY: Mapping[int, str] = {
+    410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
+    430: "compensation of the tool's length", 431: "compensation of the tool's length",
+    **dict.fromkeys((382, 383, 384, 385), "probing, whose end nobody knows before"),
+    **dict.fromkeys((730, *range(810, 900, 10)), _CYCLE),
+}  # fmt: skip
+"""What G words are that no dialect here has, by ten times their number."""
 DIALECTS: Mapping[str, Dialect] = {
     "winder": Dialect(
         name="winder", feed_rule="fastest-axis", g=_WINDER, m={**_PROGRAM, **_CALLS}
@@ -112,14 +131,17 @@ DIALECTS: Mapping[str, Dialect] = {
     "linuxcnc": Dialect(
         name="linuxcnc",
         feed_rule="linuxcnc",
-        g={**_CNC, 50: "motion", 611: "blending", 922: "action", 923: "action", 970: "speed"},
-        m={**_CNC_M, **_CALLS},
+        g={
+            **_CNC, **_SYSTEMS, 50: "motion", 611: "blending", 922: "action", 923: "action",
+            970: "speed",
+        },
+        m={**_CNC_M, **_CALLS, **_OUTPUTS},
         idle_letters="ST",
         idle_groups=frozenset({"cutter", "length", "system", "centres", "speed"}),
     ),
     "grbl": _GRBL,
     "fluidnc": Dialect(
-        name="fluidnc", feed_rule="fluidnc", g=_GRBL.g, m=_CNC_M, idle_letters="ST",
+        name="fluidnc", feed_rule="fluidnc", g=_GRBL.g, m={**_CNC_M, **_OUTPUTS}, idle_letters="ST",
         needs_end=False,
     ),
     "marlin": Dialect(
@@ -142,7 +164,7 @@ DIALECTS: Mapping[str, Dialect] = {
         name="fanuc",
         feed_rule="fanuc",
         g={
-            **_MOTION, **_MODES, **_ARCS, 920: "action", 40: "action", 280: "action",
+            **_MOTION, **_MODES, **_ARCS, **_SYSTEMS, 920: "action", 40: "action", 280: "action",
             800: "motion", 610: "blending", 400: "cutter", 490: "length", 540: "system",
             690: "rotation", 150: "polar", 970: "speed", 980: "return", 990: "return",
         },

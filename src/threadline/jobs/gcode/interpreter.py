@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +19,10 @@ from threadline.jobs.gcode.frames import Frame, KeptText
 from threadline.jobs.gcode.kept_feeds import KeptFeeds, value_of
 from threadline.jobs.gcode.plain_reader import PlainReader, plain_reader
 from threadline.jobs.gcode.program_zero import Zeros
-from threadline.jobs.gcode.subprograms import Program, Structure
+from threadline.jobs.gcode.subprograms import Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE
+from threadline.jobs.gcode.work_offsets import FIRST, MACHINE, SYSTEMS
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -42,6 +43,7 @@ _MM_PER_M = 1000 * ONE
 _FINE = ONE // kernel.STEPS
 _LENGTHS = "XYZUVW"
 _MILLIMETRE = 10  # tenths of a millimetre
+_ANEW = (170, FIRST, 900, 940)  # with G1: what M2 and M30 set (grbl 1.1, gcode.c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class PartProgram:
         (axes,) whether an axis is linear.
     rule
         Meaning of F in G94.
+    systems
+        Zeros of work coordinate systems (``work_offsets``).
     """
 
     file: SourceFile
@@ -61,6 +65,7 @@ class PartProgram:
     structure: Structure
     linear: tuple[bool, ...]
     rule: FRule
+    systems: Mapping[int, tuple[int, ...]]
 
     def runs(self) -> Iterator[Operation | MoveRun]:
         """Return the operations from the start position on, moves in runs.
@@ -75,9 +80,9 @@ class PartProgram:
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
         """Return the operations with passes that repeat each other given once.
 
-        From its third pass on a subroutine makes the same moves in every pass: its first pass has
-        set every mode that it sets, and its second, in these modes, has placed every axis that it
-        places absolutely. The third pass therefore stands for all that follow.
+        From its third pass on a subroutine makes the same moves in every pass: the first has set
+        its modes, and the second, in these, has placed every axis that it places absolutely. The
+        third pass therefore stands for all that follow.
 
         Returns
         -------
@@ -112,7 +117,7 @@ class Interpreter:
         self._linear = program.linear
         self._dialect = program.reading.dialect
         self._exact = [0] * len(program.linear)
-        self._zeros = Zeros(len(program.linear))
+        self._zeros = Zeros(len(program.linear), program.systems)
         self._curves = Curves(program.reading, program.linear)
         self._position = [0.0] * len(program.linear)
         self._motion = -1
@@ -129,10 +134,7 @@ class Interpreter:
         self._feeds = KeptFeeds(program.rule)
 
     def run(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return the operations, moves in runs where the kernel has read them.
-
-        Each comes with the number of times it happens and the line of the main program's call.
-        """
+        """Return operations and runs, with their times and the line of the main program's call."""
         structure = self._program.structure
         frames = [Frame(structure.main, self._text.lines_of(structure.main), 1, 1)]
         while frames:
@@ -157,11 +159,10 @@ class Interpreter:
                 yield operation, frame.times, frame.line
             if block.program == 98:
                 callee = structure.programs[(block.p or 0) // ONE]
-                turns = self._turns(callee, block)
-                line = frame.line or block.line
-                frames.append(
-                    Frame(callee, self._text.lines_of(callee), 1, turns, frame.times, line)
-                )
+                # A subroutine without operations needs only one pass.
+                turns = block.passes if structure.totals[callee.label].operations else 1
+                line, text = frame.line or block.line, self._text.lines_of(callee)
+                frames.append(Frame(callee, text, 1, turns, frame.times, line))
                 self._passes = (*self._passes, 1)
             elif block.ends == "return":
                 if frame.folded > 1:
@@ -176,8 +177,15 @@ class Interpreter:
                 else:
                     frames.pop()
                     self._passes = self._passes[:-1]
-            elif block.ends == "end":
+            elif self._ends(block):
                 return
+            elif block.ends == "end":
+                self._motion = 1
+                self._set(_ANEW)
+
+    def _ends(self, block: Block) -> bool:
+        """Say whether nothing is run behind a block that ends a program."""
+        return block.ends == "end" and block.line >= self._program.structure.main.closes
 
     def _advance(self, frame: Frame) -> None:
         """Set the position to the one after all passes that were folded into one."""
@@ -192,11 +200,6 @@ class Interpreter:
         self._exact[index] = exact
         linear = self._linear[index]
         self._position[index] = exact / _MM_PER_M if linear else math.radians(exact / ONE)
-
-    def _turns(self, callee: Program, block: Block) -> int:
-        """Return the number of passes; a subroutine without operations needs only one."""
-        totals = self._program.structure.totals[callee.label]
-        return block.passes if totals.operations else 1
 
     def _read_plain(self, lines: Lines) -> MoveRun | None:
         """Read plain blocks with the compiled reader; return their moves, None without any."""
@@ -271,8 +274,10 @@ class Interpreter:
             yield ToolEvent("spindle", block.spindle, self._source(block))
         if block.waits:
             yield Dwell(0.0, self._source(block))
-        if block.ends in {"stop", "end"}:
+        if block.ends == "stop" or self._ends(block):
             yield Stop(block.ends == "end", self._source(block))
+        elif block.ends == "end":
+            yield Dwell(0.0, self._source(block))
 
     def _source(self, block: Block) -> Source:
         return Source(self._path, block.line, self._passes)
@@ -289,6 +294,8 @@ class Interpreter:
                 self._feed = None
             elif code in (170, 180, 190):
                 self._curves.plane = code
+            elif code in SYSTEMS:
+                self._zeros.choose(code)
 
     def _feed_of(self, value: float) -> Feed:
         """Return the feed with ``value`` in the present mode."""
@@ -300,8 +307,10 @@ class Interpreter:
 
     def _go(self, block: Block) -> None:
         """Set the position to that of the axis words of ``block``."""
+        base: Sequence[int] = self._exact if self._relative else self._zeros.offset
+        if MACHINE in block.settings:
+            base = self._zeros.machine
         for index, value in block.axes:
-            base = self._exact if self._relative else self._zeros.offset
             self._put(index, base[index] + self._scaled(index, value))
 
     def _move(self, block: Block) -> Iterator[Operation]:

@@ -13,6 +13,7 @@ from threadline.jobs.gcode.scan import Scanner
 from threadline.jobs.gcode.subprograms import Structure
 from threadline.jobs.gcode.textfile import SourceFile, identify
 from threadline.jobs.gcode.words import ONE
+from threadline.jobs.gcode.work_offsets import zeros_of
 from threadline.jobs.operations import Job, OperationStream
 from threadline.machine import Machine
 from threadline.signals import Stream
@@ -83,7 +84,8 @@ def read_part_program(
         )
     _check_budget(structure, file, machine)
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
-    program = PartProgram(file, reading, structure, linear, rule)
+    systems = zeros_of(scanner.systems, machine, file)
+    program = PartProgram(file, reading, structure, linear, rule, systems)
     return Job(
         name=path.name,
         file=str(path),
@@ -169,6 +171,14 @@ def _warnings(scanner: Scanner, file: SourceFile, rapid_is_feed: bool) -> tuple[
         warnings.append(
             f"{file.place(scanner.rapid_f)}: F of a G0 sets the feed of later moves; the G0 itself "
             "goes as fast as the limits allow."
+        )
+    if findings.anew:
+        lines = ", ".join(map(str, findings.anew[:_MAX_WARNINGS]))
+        more = " ..." if len(findings.anew) > _MAX_WARNINGS else ""
+        warnings.append(
+            f"{file.place(findings.anew[0])}: M2 and M30 (lines {lines}{more}) set G1 G17 G54 G90 "
+            "G94 and end nothing: grbl goes on with what its sender sends. One that takes them out "
+            "leaves the modes as they are."
         )
     if findings.waits:
         warnings.append(

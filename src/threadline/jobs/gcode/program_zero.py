@@ -1,8 +1,10 @@
-"""The programmed zero and the home position of a part program: G92 to G92.3 and G28.1."""
+"""The programmed zero and the home position: G92 to G92.3, G54 to G59, and G28.1."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+
+from threadline.jobs.gcode.work_offsets import MACHINE
 
 _HOME, _SHIFT, _SUSPEND, _RESTORE = 281, 920, 922, 923
 
@@ -16,10 +18,21 @@ class Zeros:
         Position of the programmed zero.
     home
         Position to which G28 moves.
+    machine
+        Zero of the machine's own system.
+
+    Parameters
+    ----------
+    systems
+        Zero of each work coordinate system, by ten times its G word, and of the machine; none where
+        a program uses one system alone.
     """
 
-    def __init__(self, axes: int) -> None:
+    def __init__(self, axes: int, systems: Mapping[int, tuple[int, ...]]) -> None:
         self.offset = [0] * axes
+        self.machine = systems.get(MACHINE, (0,) * axes)
+        self._systems = systems
+        self._system = (0,) * axes
         self.home = [0] * axes
         self._kept = [0] * axes  # while G92.2 has set the offset aside
 
@@ -39,7 +52,18 @@ class Zeros:
                 for index, offset in enumerate(self.offset)
             ]
         elif code == _RESTORE:
-            self.offset = list(self._kept)
+            self.offset = _moved(self._kept, self._system, 1)
         else:
-            self._kept = self.offset if code == _SUSPEND else [0] * len(self.offset)
-            self.offset = [0] * len(self.offset)
+            shift = _moved(self.offset, self._system, -1)
+            self._kept = shift if code == _SUSPEND else [0] * len(self.offset)
+            self.offset = list(self._system)
+
+    def choose(self, code: int) -> None:
+        """Go over to a work coordinate system, ten times its G word; what G92 shifted stays."""
+        system = self._systems.get(code, self._system)
+        self.offset = _moved(_moved(self.offset, self._system, -1), system, 1)
+        self._system = system
+
+
+def _moved(values: Sequence[int], by: Sequence[int], times: int) -> list[int]:
+    return [value + times * way for value, way in zip(values, by, strict=True)]

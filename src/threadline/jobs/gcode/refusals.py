@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NoReturn
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import Reading, knowing
+from threadline.jobs.gcode.dialects import WHY, Reading, knowing
 from threadline.jobs.gcode.words import ONE
 
 AXIS_LETTERS = "ABCXYZ"
@@ -60,6 +60,12 @@ def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading
             f"{letter} {_short(number)}: the machine {reading.machine!r} has no axis {letter}",
             place=place,
             remedy=f"Its axes are {', '.join(reading.axes)}; choose another machine (-m).",
+        )
+    if letter == "G" and code in WHY:
+        raise JobError(
+            f"G{_short(number)} is {WHY[code]}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
         )
     known = {
         "G": f"Known G words are {_list('G', [c / 10 for c in dialect.g])}.",

@@ -12,9 +12,10 @@ from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.in_force import FeedNotes
 from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS
 from threadline.jobs.gcode.plain_reader import plain_reader
-from threadline.jobs.gcode.subprograms import Call, Collector, Structure
+from threadline.jobs.gcode.subprograms import Call, Collector, Program, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE
+from threadline.jobs.gcode.work_offsets import FIRST, SystemsUsed
 
 TAPE = "%"
 _MAX_REMEMBERED = 1000
@@ -35,6 +36,8 @@ class Findings:
         The first line of each word without effect on motion.
     waits
         The first line where a program waits for a temperature.
+    anew
+        Lines of M2 and M30 behind which other lines are run.
     """
 
     feeds: FeedNotes = field(default_factory=FeedNotes)
@@ -42,6 +45,7 @@ class Findings:
     blends: list[int] = field(default_factory=list)
     idle: dict[str, int] = field(default_factory=dict)
     waits: int = 0
+    anew: list[int] = field(default_factory=list)
 
 
 class Scanner:
@@ -53,6 +57,8 @@ class Scanner:
         self._reading = reading
         self._programs = Collector(file)
         self._plain = plain_reader(reading, (True,) * len(reading.axes), follow=False)
+        self.systems = SystemsUsed()
+        self._ended: tuple[Block, int] | None = None  # and the byte behind it
         self._tapes: list[int] = []
         self._begun = False
 
@@ -70,6 +76,8 @@ class Scanner:
             program = self._programs.current
             if program is not None and self._plain.worth_trying():
                 count = self._plain.read(lines)
+                if count:
+                    self._go_on(program)
                 program.moves += count
                 self._note_plain(program.label, count)
                 if count or not lines.more():
@@ -83,8 +91,13 @@ class Scanner:
                 self._take(block, offset, lines.offset)
         number = max(1, lines.number - 1)
         program = self._programs.current
-        if program is not None and not self._reading.dialect.needs_end:
+        if program is not None and self._ended is not None:
+            block, behind = self._ended
+            program.closes = block.line
+            self._programs.end(block.program, behind)
+        elif program is not None and not self._reading.dialect.needs_end:
             program.stops += 1
+            program.closes = number + 1
             self._programs.end(30, lines.offset)
         if len(self._tapes) == 1:
             raise JobError(
@@ -127,6 +140,12 @@ class Scanner:
         self._begun = True
         program = programs.current
         assert program is not None
+        if self._ended is not None:
+            if _only_ends(block):
+                return
+            self._go_on(program)
+        moves = bool(block.axes) and block.action in (-1, 280)
+        self.systems.take(block.settings, block.line, moves=moves)
         if block.action == 280:
             program.moves += 2
         elif block.axes and block.action == -1:
@@ -139,8 +158,21 @@ class Scanner:
             self.findings.feeds.call(program.label, block.p // ONE, block.passes)
             call = program.calls.setdefault(block.p // ONE, Call(block.line, 0))
             call.passes += block.passes
+        elif block.ends == "end" and program.label is None and self._reading.dialect.streams:
+            self._ended = block, behind
         elif block.ends in {"end", "return"}:
             programs.end(block.program, behind)
+
+    def _go_on(self, program: Program) -> None:
+        """Go on behind the end of a program, where that resets modes and ends nothing."""
+        if self._ended is None:
+            return
+        self.findings.anew.append(self._ended[0].line)
+        del self.findings.anew[_MAX_REMEMBERED:]
+        self.findings.feeds.set_mode(program.label, 940)
+        self._plain.state[MOTION] = 1
+        self.systems.now = FIRST
+        self._ended = None
 
     @property
     def moved_axes(self) -> list[int]:
@@ -150,6 +182,8 @@ class Scanner:
     def _note_plain(self, program: int | None, count: int) -> None:
         """Note what the plain reader has found in ``count`` blocks of a program."""
         plain = self._plain
+        if count:
+            self.systems.take((), int(plain.out_line[0]), moves=True)
         (with_word,) = np.nonzero(plain.out_word[:count] >= 0)
         words, first = np.unique(plain.out_word[with_word], return_index=True)
         for word, at in zip(words.tolist(), with_word[first].tolist(), strict=True):

@@ -39,6 +39,8 @@ class Program:
         Number of the M word that ends it: 99, 2 or 30; None while it is open.
     moves
         Number of its own moves, without those of subroutines.
+    closes
+        The line behind whose end nothing of it is run, where lines behind others are.
     stops
         Number of its own stops, dwells and tool events.
     calls
@@ -51,6 +53,7 @@ class Program:
     end: int = 0
     ends_with: int | None = None
     moves: int = 0
+    closes: int = 0
     stops: int = 0
     calls: dict[int, Call] = field(default_factory=dict)
 

@@ -192,6 +192,12 @@ def _diagnose(text: str, file: str, line: int) -> NoReturn:
         )
     if re.match(rf"[A-Za-z][ \t]*{_NUMBER}\.", rest):
         raise JobError(f"{_shown(word)} is not a number", place=place, remedy="Correct it.")
+    if re.match(r"[A-Za-z]?[ \t]*[#\[]", rest):
+        raise JobError(
+            f"{_shown(rest)}: parameters and expressions are not read",
+            place=place,
+            remedy="Have the program written with numbers alone.",
+        )
     if rest[:1].isascii() and rest[:1].isalpha():
         raise JobError(
             f"{_shown(rest)}: the letter {rest[0].upper()} has no number",

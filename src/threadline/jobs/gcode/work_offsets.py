@@ -1,0 +1,92 @@
+"""Work coordinate systems: G54 to G59, and G53, which goes by the machine's own.
+
+Where a system has its zero is kept in the control, and is not in the program. A program that moves
+in one system alone is read with its zero there, as one in G54 is. One that moves in several, or by
+G53, needs to be told where they are in the machine's own (``[programs.offsets]``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from threadline.errors import JobError
+from threadline.jobs.gcode.textfile import SourceFile
+from threadline.jobs.gcode.words import ONE
+from threadline.machine import Machine
+
+FIRST, MACHINE = 540, 530
+SYSTEMS = range(540, 600, 10)
+_FINE = 10**7  # parts of a millimetre or degree, as fine as plain blocks are read
+_OTHERS = (
+    'Name the zero of each in the machine file, like [programs.offsets] G54 = { X = "0 mm exact, '
+    'assumed" }, or give each a program of its own.'
+)
+
+
+@dataclass(slots=True)
+class SystemsUsed:
+    """The coordinate systems in which a file moves, noted as it is scanned.
+
+    Attributes
+    ----------
+    lines
+        The first line of a move in each, by ten times its G word.
+    """
+
+    lines: dict[int, int] = field(default_factory=dict)
+    now: int = FIRST
+
+    def take(self, settings: Sequence[int], line: int, *, moves: bool) -> None:
+        """Note the G words of a block, and whether it moves."""
+        for code in settings:
+            if code in SYSTEMS:
+                self.now = code
+        if moves:
+            self.lines.setdefault(MACHINE if MACHINE in settings else self.now, line)
+
+
+def zeros_of(
+    used: SystemsUsed, machine: Machine, file: SourceFile
+) -> Mapping[int, tuple[int, ...]]:
+    """Return the exact (axes,) zero of each system that is used, from that of the first one.
+
+    Raises
+    ------
+    JobError
+        If there are several and the machine file does not say where one is.
+    """
+    first = next((code for code in used.lines if code != MACHINE), FIRST)
+    if set(used.lines) <= {first}:
+        return {}
+    found = {MACHINE: (0,) * len(machine.axis_names)}
+    for code in {first, *used.lines} - {MACHINE}:
+        name = f"G{code // 10}"
+        told = machine.programs.offsets.get(name)
+        if told is None:
+            line = max(used.lines.values())
+            names = " and ".join(f"G{one // 10}" for one in used.lines)
+            raise JobError(
+                f"the program moves by {names}: how far {name} is from the machine's zero, the "
+                "control alone knows",
+                place=file.place(line),
+                remedy=_OTHERS,
+            )
+        found[code] = tuple(
+            _exact(
+                told[axis].si * (1e3 if machine.axes[axis].kind == "linear" else math.degrees(1.0))
+            )
+            if axis in told
+            else 0
+            for axis in machine.axis_names
+        )
+    begin = found[first]
+    return {
+        code: tuple(value - zero for value, zero in zip(values, begin, strict=True))
+        for code, values in found.items()
+    }
+
+
+def _exact(value: float) -> int:
+    return round(value * _FINE) * (ONE // _FINE)

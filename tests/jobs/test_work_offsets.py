@@ -1,0 +1,127 @@
+"""Work coordinate systems, programs one behind another, and outputs that move nothing.
+
+Sources: grbl 1.1, gcode.c: M2 and M30 set G1 G17 G54 G90 G94, keep F and units, and end nothing;
+G53 goes by the machine's own system, whatever G91 says. LinuxCNC, G Codes: G54 to G59.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from tests.jobs.made_machines import made_machine
+
+from threadline.errors import InputError, JobError
+from threadline.jobs import Dwell, Job, Move, Stop, read_job
+from threadline.machine import Machine
+
+OFFSETS = """[programs]
+dialect = "grbl"
+[programs.offsets]
+G54 = { X = "100 mm exact, assumed", Y = "-5 mm exact, assumed" }
+G55 = { X = "130 mm exact, assumed", A = "90 deg exact, assumed" }
+"""
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return made_machine(tmp_path_factory.mktemp("plain"), "XYZ", "A")
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return made_machine(tmp_path_factory.mktemp("told"), "XYZ", "A", OFFSETS)
+
+
+def read(folder: Path, machine: Machine, text: str, dialect: str = "grbl") -> Job:
+    path = folder / "a.nc"
+    path.write_text(text)
+    return read_job(path, machine, dialect=dialect)
+
+
+def places(job: Job) -> list[tuple[float, ...]]:
+    """X and Y in mm behind every move."""
+    moves = (one for one in job if isinstance(one, Move))
+    return [tuple(round(1e3 * p, 9) for p in move.target[:2]) for move in moves]
+
+
+@pytest.mark.parametrize("dialect", ["linuxcnc", "grbl", "fluidnc", "fanuc"])
+def test_a_program_in_one_system_has_its_zero_there(
+    tmp_path: Path, plain: Machine, dialect: str
+) -> None:
+    text = "{} G21 G90\nG1 X10. Y2. F600\nG92 X0.\nX5.\nM30\n"
+    first = places(read(tmp_path, plain, text.format("G54"), dialect))
+    assert places(read(tmp_path, plain, text.format("G56"), dialect)) == first
+    assert first == [(10.0, 2.0), (15.0, 2.0)]
+
+
+def test_systems_lie_as_far_apart_as_the_machine_file_says(tmp_path: Path, told: Machine) -> None:
+    """The zero of the first is where the job begins; G92 goes along, and G53 knows no shift."""
+    text = (
+        "G1 F600 X10 Y0\nG55 X10\nY1\nG91 X1\nG90 G54 X0\nG92 X100\nX101\nG55 X101\n"
+        "G91 G53 X100 Y-5\nG90 X101\nM2\n"
+    )
+    assert places(read(tmp_path, told, text)) == [
+        (10, 0), (40, 0), (40, 6), (41, 6), (0, 6), (1, 6), (31, 6), (0, 0), (31, 0),
+    ]  # fmt: skip
+    job = read(tmp_path, told, "G1 F600 X10\nG55 A0\nM2\n")
+    assert [one.target[3] for one in job if isinstance(one, Move)][-1] == pytest.approx(
+        1.5707963268
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("G1 X1 F60\nG55 X2\nM2\n", "a.nc:2: the program moves by G54 and G55: how far G5"),
+        ("G55 G1 X1 F60\nG53 X2\nM2\n", "a.nc:2: the program moves by G55 and G53: how far G55"),
+        ("G1 X1 F60\nG56 X2\nM2\n", "by G54 and G56: how far G56"),
+    ],
+)
+def test_what_the_control_alone_knows_is_asked_for(
+    tmp_path: Path, plain: Machine, told: Machine, text: str, said: str
+) -> None:
+    machine = told if "G56" in text else plain
+    with pytest.raises(JobError) as caught:
+        read(tmp_path, machine, text)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert "programs.offsets" in str(caught.value)
+
+
+def test_offsets_are_of_axes_in_their_units(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"programs.offsets.G54.A is in m, the axis in rad"):
+        made_machine(tmp_path, "X", "A", OFFSETS.replace('Y = "-5', 'A = "-5'))
+
+
+def test_grbl_goes_on_behind_the_end_of_a_program(tmp_path: Path, plain: Machine) -> None:
+    """Modes are set anew, F stays, and the machine rests between; the last end is the end."""
+    text = "G91 G0 X1\nG1 X1 F60\nG18\nM30\nX5\nY1\nG0 X9\nM2\n(over)\n\nM30\n"
+    job = read(tmp_path, plain, text)
+    assert places(job) == [(1, 0), (2, 0), (5, 0), (5, 1), (9, 1)]
+    operations = list(job)
+    assert [type(one) for one in operations if not isinstance(one, Move)] == [Dwell, Stop]
+    assert operations[3].source.line == 5 and operations[3].feed == operations[1].feed
+    (said,) = [warning for warning in job.warnings if "end nothing" in warning]
+    assert "a.nc:4" in said and "lines 4)" in said
+    open_end = read(tmp_path, plain, "G1 X1 F60\nM30\nX2\n")
+    assert places(open_end) == [(1, 0), (2, 0)] and isinstance(list(open_end)[-1], Stop)
+    for dialect in ("fluidnc", "linuxcnc"):
+        with pytest.raises(JobError, match="never run"):
+            read(tmp_path, plain, text, dialect)
+
+
+@pytest.mark.parametrize("dialect", ["linuxcnc", "fluidnc"])
+def test_outputs_move_nothing(tmp_path: Path, plain: Machine, dialect: str) -> None:
+    job = read(tmp_path, plain, "G1 X1 F60\nM62 P0\nM65 P3\nX2\nM30\n", dialect)
+    assert places(job) == [(1, 0), (2, 0)]
+    assert any("M62 (line 2), M65 (line 3)" in warning for warning in job.warnings)
+    with pytest.raises(JobError, match="unknown word M62"):
+        read(tmp_path, plain, "G1 X1 F60\nM62 P0\n", "grbl")
+
+
+@pytest.mark.parametrize("block", ["#<up> = 5", "G1 X[#5 + 1]", "X#<up>", "o100 if [#1 GT 2]"])
+def test_parameters_and_expressions_are_refused_by_name(
+    tmp_path: Path, plain: Machine, block: str
+) -> None:
+    with pytest.raises(JobError, match=r"parameters and expressions are not read|no number"):
+        read(tmp_path, plain, f"G1 X1 F60\n{block}\nM30\n", "fluidnc")
