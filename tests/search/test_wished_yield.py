@@ -125,7 +125,7 @@ def test_a_yield_that_no_tolerance_reaches_is_said(asked: tuple[Plan, Spec]) -> 
 
 
 def test_the_set_is_told_where_the_yield_is_too_low(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "200", "--json"]
+    words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "100", "--json"]
     with pytest.raises(SystemExit) as ended:
         main([*words, "--at-least", "85 %"])
     content = json.loads(capsys.readouterr().out)
