@@ -18,7 +18,7 @@ from threadline.plant.suspicions import suspicions
 from threadline.plant.values import Values
 from threadline.twin.prescribed import advances_of
 from threadline.twin.switching import SAMPLE_S
-from threadline.twin.switching_cylinder import cylinders_of
+from threadline.twin.switching_tables import cylinders_of
 
 PLACER = {
     "bodies.head.inertia": "1e-300 kg",

@@ -22,7 +22,8 @@ from threadline.plant.pneumatic import (
     step_ringing,
 )
 from threadline.plant.values import Values
-from threadline.twin.switching_cylinder import advance, cylinders_of
+from threadline.twin.switching_cylinder import advance
+from threadline.twin.switching_tables import cylinders_of
 
 M1, MC, M2, K1, K2, B1, B2 = 19.78 + 53.76, 1.0, 6.0, 2.7e4, 1e8, 24.0, 1.5
 """Table 1 of the paper; Mc is what reproduces its eigenvalues."""

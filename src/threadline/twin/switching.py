@@ -23,7 +23,6 @@ from threadline.signals import (
     Stream,
     SwitchSchedule,
 )
-from threadline.twin.switching_cylinder import Cylinders, cylinders_of
 from threadline.twin.switching_run import (
     CALMING,
     NEVER,
@@ -35,10 +34,10 @@ from threadline.twin.switching_run import (
     WAIT,
     Orders,
     begin,
-    flows_of,
     run,
-    units_of,
 )
+from threadline.twin.switching_tables import Cylinders, cylinders_of
+from threadline.twin.switching_units import flows_of, units_of
 
 SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0

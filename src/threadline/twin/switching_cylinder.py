@@ -1,32 +1,39 @@
 """Cylinders of an on/off machine: exact between events, events located; compiled.
 
-A piston slides, sticks, or stands at an end stop. In each state the equations are linear with
-constant input, so that a step is one product with a matrix exponential; the instant at which a
-piston stops is found by halving the step, and one that stands breaks away at the beginning of a
-step. A step that an arriving command cuts goes in halves of a step, down to 2^-12 of it, and what
-is left by a Taylor series.
+A step is one product with a matrix of ``switching_tables``. The instant at which a piston stops is
+found by halving the step, and one that stands breaks away at the beginning of a step. A step that
+an arriving command cuts goes in halves of a step, down to 2^-12 of it, and what is left by a Taylor
+series.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
-
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray
 from threadline.compiled import njit
-from threadline.errors import MachineError
-from threadline.machine import Machine
-from threadline.machine.quantity import Quantity
-from threadline.plant.cylinders import cylinder_equations
-from threadline.plant.values import Values
-from threadline.twin.short_step import exponential_of_short_step
+from threadline.twin.switching_tables import (
+    AT_END,
+    AT_START,
+    BREAK,
+    CUSHION,
+    FRAME,
+    FRICTION,
+    HALVINGS,
+    LENGTH,
+    RAMP,
+    RAMP_STEPS,
+    RATE,
+    SHARE,
+    SLIDES,
+    STICK,
+    STICKS,
+    STOP,
+    STROKE,
+    Bank,
+    Motion,
+)  # fmt: skip
 
-SLIDES, STICKS, AT_START, AT_END = 0, 1, 2, 3
-RAMP_STEPS = 8
-HALVINGS = 12
 PARTS = 1 << HALVINGS
 _STANDSTILL_M_S = 1e-3
 _ADHESION_N = 1.0
@@ -39,185 +46,6 @@ _EMPTY = 1.0 / (4.0 * 1.4)
 The stiffness of the air is 1.4 p A (1/l1 + 1/l2), in the middle of the stroke 5.6 p A / stroke; the
 force of an empty exhaust against a full chamber is p A.
 """
-_STROKE, _RATE, _FRAME, _STOP, _STICK, ROWS = 0, 1, 2, 3, 4, 5
-_LENGTH, _RAMP, _CUSHION, _FRICTION, _BREAK, _SHARE, SPEED, NUMBERS = 0, 1, 2, 3, 4, 5, 6, 7
-
-
-class Bank(NamedTuple):
-    """The cylinders of one variant as the compiled code reads them; C cylinders, N states at most.
-
-    The last two states of each are the level and a constant 1.
-
-    Parameters
-    ----------
-    step
-        (C, K, HALVINGS + 1, N, N) transition matrices of a step, halved 0 to HALVINGS times, for
-        each of the K states of motion that ``_key`` numbers.
-    rate
-        (C, K, N, N) the generators of these, 1/s.
-    rows
-        (C, ROWS, N) stroke, its rate, the frame, and the forces that hold a standing piston.
-    numbers
-        (C, NUMBERS) lengths, forces and speeds of each; columns as in ``_LENGTH`` and the next.
-    masses
-        (C, 4) indices of the velocities of piston and housing, of the flow and of the air.
-    """
-
-    step: FloatArray
-    rate: FloatArray
-    rows: FloatArray
-    numbers: FloatArray
-    masses: IntArray
-
-
-class Motion(NamedTuple):
-    """State of the cylinders; all that changes while they move.
-
-    Parameters
-    ----------
-    state
-        (C, N) state of the linear equations.
-    mode
-        (C,) SLIDES, STICKS, AT_START or AT_END.
-    sense, start
-        (C,) sense of motion, 1 or -1, that friction opposes; and stroke at which each last stood,
-        m.
-    ahead
-        (C, N) room for the state at the end of a step.
-    """
-
-    state: FloatArray
-    mode: IntArray
-    sense: FloatArray
-    start: FloatArray
-    ahead: FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Cylinders:
-    """The cylinders of a machine in every variant.
-
-    The arrays are those of ``Bank``, all but ``masses`` with the variants as their first axis.
-    """
-
-    step: FloatArray
-    rate: FloatArray
-    rows: FloatArray
-    numbers: FloatArray
-    masses: IntArray
-
-    def bank(self, variant: int = 0) -> Bank:
-        """Return the cylinders of one variant."""
-        return Bank(
-            self.step[variant], self.rate[variant], self.rows[variant], self.numbers[variant],
-            self.masses,
-        )  # fmt: skip
-
-    def at_rest(self, variant: int = 0) -> Motion:
-        """Return the state at the start: pistons at 0, valves shut."""
-        count, size = self.rows.shape[1], self.rows.shape[3]
-        state = np.zeros((count, size))
-        state[:, -1] = 1.0
-        mode = np.where(self.numbers[variant, :, _FRICTION] > 0.0, STICKS, SLIDES)
-        zero = np.zeros(count)
-        return Motion(state, mode.astype(np.int64), zero, zero.copy(), np.zeros_like(state))
-
-
-def cylinders_of(
-    machine: Machine, names: Sequence[str], values: Values, step_s: float
-) -> Cylinders:
-    """Return the tables of some cylinders of ``machine`` for every variant.
-
-    Raises
-    ------
-    MachineError
-        If a cylinder has no equations, or its motion grows beyond all numbers within a sample.
-    """
-    made = [_tables(machine, name, values) for name in names]
-    size = max(rate.shape[-1] for rate, *_ in made)
-    keys = max(rate.shape[1] for rate, *_ in made)
-    count = values.count
-    step = np.zeros((count, len(made), keys, HALVINGS + 1, size, size))
-    rates = np.zeros((count, len(made), keys, size, size))
-    all_rows = np.zeros((count, len(made), ROWS, size))
-    numbers = np.zeros((count, len(made), NUMBERS))
-    masses = np.zeros((len(made), 4), dtype=np.int64)
-    for c, (rate, rows, own, pair) in enumerate(made):
-        # The states stand in front, the level and the 1 at the very end.
-        n = rate.shape[-1] - 2
-        place = np.concatenate((np.arange(n), [size - 2, size - 1]))
-        k = rate.shape[1]
-        # The shortest part by series, the longer ones each the square of the one before.
-        part = exponential_of_short_step(rate * (step_s * 0.5**HALVINGS))
-        for halvings in range(HALVINGS, -1, -1):
-            if not np.isfinite(part).all():
-                raise MachineError(
-                    f"cylinders.{names[c]}: its motion grows beyond all numbers within "
-                    f"{step_s * 0.5**halvings:.3g} s",
-                    place=machine.place,
-                    remedy="Correct its masses, its stiffness and how its air is strained.",
-                )
-            block = step[:, c, :k, halvings]
-            block[:, :, place[:, None], place] = part
-            if halvings:
-                with np.errstate(over="ignore", invalid="ignore"):
-                    part = part @ part
-        block = rates[:, c, :k]
-        block[:, :, place[:, None], place] = rate
-        all_rows[:, c][:, :, place] = rows
-        numbers[:, c], masses[c] = own, pair
-    return Cylinders(step=step, rate=rates, rows=all_rows, numbers=numbers, masses=masses)
-
-
-def _tables(
-    machine: Machine, name: str, values: Values
-) -> tuple[FloatArray, FloatArray, FloatArray, tuple[int, int, int, int]]:
-    """Return generators (V, K, n + 2, n + 2), rows (V, ROWS, n + 2), numbers (V, NUMBERS)."""
-    cylinder, plant = machine.cylinders[name], cylinder_equations(machine, name, values)
-    count, n, where = values.count, len(plant.states), f"cylinders.{name}"
-
-    def number(key: str, quantity: Quantity | None) -> FloatArray:
-        value = np.asarray(values.at(f"{where}.{key}", quantity), dtype=np.float64)
-        return np.broadcast_to(value, (count,))
-
-    friction = number("friction", cylinder.friction)
-    stiction = friction if cylinder.stiction is None else number("stiction", cylinder.stiction)
-    cushion = cylinder.cushion
-    flows = [np.ones(count)]
-    if cushion is not None:
-        flows.append(number("cushion.flow", cushion.flow))
-    ramps = RAMP_STEPS if cylinder.air_ramp is not None else 1
-    senses = (-1.0, 1.0) if cylinder.friction is not None else (0.0,)
-    rates = [_full(plant.standing(), plant.level, np.zeros((count, n)))]
-    for sense in senses:
-        for flow in flows:
-            for ramp in range(1, ramps + 1):
-                push = -sense * friction[:, None] * plant.force
-                rates.append(_full(plant.sliding(ramp / ramps), flow[:, None] * plant.level, push))
-    rows = np.zeros((count, ROWS, n + 2))
-    rows[:, _STROKE, :n], rows[:, _RATE, :n] = plant.stroke, plant.stroke_rate
-    rows[:, _FRAME, :n] = plant.frame
-    # At an end stop only the force of the air counts: what the beam rings with, at 1.6 kHz, would
-    # lift the piston by less than a micrometre, a thousand times a second.
-    rows[:, _STOP, :n] = -plant.air_force()
-    rows[:, _STICK, :n] = plant.holding() - plant.air_force(1.0 / RAMP_STEPS)
-    numbers = np.zeros((count, NUMBERS))
-    numbers[:, _LENGTH] = number("stroke", cylinder.stroke)
-    numbers[:, _RAMP] = number("air_ramp", cylinder.air_ramp)
-    numbers[:, _CUSHION] = -1.0 if cushion is None else number("cushion.length", cushion.length)
-    numbers[:, _FRICTION] = friction
-    numbers[:, _BREAK] = stiction
-    numbers[:, _SHARE] = plant.piston_share
-    numbers[:, SPEED] = number("speed", cylinder.speed)
-    return np.stack(rates, axis=1), rows, numbers, (plant.piston, plant.housing, n - 2, n - 1)
-
-
-def _full(matrix: FloatArray, level: FloatArray, push: FloatArray) -> FloatArray:
-    """Return (V, n + 2, n + 2) rates with the level and a constant as two more states."""
-    count, n = level.shape
-    full = np.zeros((count, n + 2, n + 2))
-    full[:, :n, :n], full[:, :n, -2], full[:, :n, -1] = matrix, level, push
-    return full
 
 
 def _dot(rows: FloatArray, c: int, row: int, x: FloatArray) -> float:
@@ -247,52 +75,52 @@ def _put(x: FloatArray, c: int, values: FloatArray) -> None:
 
 
 def _stroke_of(c: int, bank: Bank, motion: Motion) -> float:
-    return dot(bank.rows, c, _STROKE, motion.state)
+    return dot(bank.rows, c, STROKE, motion.state)
 
 
 def _frame_of(c: int, bank: Bank, motion: Motion) -> float:
-    return dot(bank.rows, c, _FRAME, motion.state)
+    return dot(bank.rows, c, FRAME, motion.state)
 
 
 def _key(c: int, bank: Bank, motion: Motion) -> int:
     """Return which of the K tables holds now, and note where the piston last stood."""
     numbers = bank.numbers
-    rate = dot(bank.rows, c, _RATE, motion.state)
-    place = dot(bank.rows, c, _STROKE, motion.state)
+    rate = dot(bank.rows, c, RATE, motion.state)
+    place = dot(bank.rows, c, STROKE, motion.state)
     if abs(rate) < _STANDSTILL_M_S or motion.mode[c] != SLIDES:
         motion.start[c] = place
     if motion.mode[c] != SLIDES:
         return 0
     ramps, ramp = 1, 1
-    if numbers[c, _RAMP] > 0.0:
+    if numbers[c, RAMP] > 0.0:
         ramps = RAMP_STEPS
-        gone = abs(place - motion.start[c]) / numbers[c, _RAMP]
+        gone = abs(place - motion.start[c]) / numbers[c, RAMP]
         ramp = min(RAMP_STEPS, 1 + int(min(gone, 1.0) * RAMP_STEPS))
     flows, flow = 1, 0
-    if numbers[c, _CUSHION] >= 0.0:
+    if numbers[c, CUSHION] >= 0.0:
         flows = 2
-        ending = rate > 0.0 and place > numbers[c, _LENGTH] - numbers[c, _CUSHION]
-        if ending or (rate < 0.0 and place < numbers[c, _CUSHION]):
+        ending = rate > 0.0 and place > numbers[c, LENGTH] - numbers[c, CUSHION]
+        if ending or (rate < 0.0 and place < numbers[c, CUSHION]):
             flow = 1
-    sense = 1 if numbers[c, _FRICTION] > 0.0 and motion.sense[c] > 0.0 else 0
+    sense = 1 if numbers[c, FRICTION] > 0.0 and motion.sense[c] > 0.0 else 0
     return 1 + (sense * flows + flow) * ramps + ramp - 1
 
 
 def _ended(c: int, bank: Bank, motion: Motion) -> bool:
     """Say whether a sliding piston has come to a stop, or turned, where it is ahead."""
-    rate = dot(bank.rows, c, _RATE, motion.ahead)
-    place = dot(bank.rows, c, _STROKE, motion.ahead)
-    stroke, sense = bank.numbers[c, _LENGTH], motion.sense[c]
+    rate = dot(bank.rows, c, RATE, motion.ahead)
+    place = dot(bank.rows, c, STROKE, motion.ahead)
+    stroke, sense = bank.numbers[c, LENGTH], motion.sense[c]
     at_stop = (place >= stroke and rate > 0.0) or (place <= 0.0 and rate < 0.0)
     return at_stop or (sense != 0.0 and rate * sense < 0.0)
 
 
 def _released(c: int, bank: Bank, motion: Motion) -> float:
     """Return the sense in which a standing piston breaks away, 0 if it stands."""
-    mode, least = motion.mode[c], bank.numbers[c, _BREAK]
-    row = _STICK
+    mode, least = motion.mode[c], bank.numbers[c, BREAK]
+    row = STICK
     if mode in (AT_START, AT_END):
-        row, least = _STOP, max(least, _ADHESION_N)
+        row, least = STOP, max(least, _ADHESION_N)
     holding = dot(bank.rows, c, row, motion.state)
     if holding < -least and mode != AT_END:
         return 1.0
@@ -304,16 +132,16 @@ def _released(c: int, bank: Bank, motion: Motion) -> float:
 def _change(c: int, bank: Bank, motion: Motion) -> None:
     x, numbers = motion.state, bank.numbers
     if motion.mode[c] != SLIDES:
-        motion.sense[c] = released(c, bank, motion) if numbers[c, _FRICTION] > 0.0 else 0.0
+        motion.sense[c] = released(c, bank, motion) if numbers[c, FRICTION] > 0.0 else 0.0
         motion.mode[c] = SLIDES
         return
     piston, housing = bank.masses[c, 0], bank.masses[c, 1]
     # Standing: both go on with their common momentum.
-    share = numbers[c, _SHARE]
+    share = numbers[c, SHARE]
     together = share * x[c, piston] + (1.0 - share) * x[c, housing]
     x[c, piston] = x[c, housing] = together
-    place = dot(bank.rows, c, _STROKE, x)
-    if place >= numbers[c, _LENGTH] - 1e-9:
+    place = dot(bank.rows, c, STROKE, x)
+    if place >= numbers[c, LENGTH] - 1e-9:
         motion.mode[c] = AT_END
     elif place <= 1e-9:
         motion.mode[c] = AT_START
@@ -385,7 +213,7 @@ def _exhaust(c: int, bank: Bank, motion: Motion) -> None:
         return
     sign = 1.0 if mode == AT_END else -1.0
     x, flow, air = motion.state, bank.masses[c, 2], bank.masses[c, 3]
-    most = _EMPTY * bank.numbers[c, _LENGTH]
+    most = _EMPTY * bank.numbers[c, LENGTH]
     if sign * x[c, air] > 0.9 * most and sign * x[c, flow] < 0.0:
         x[c, air] = 0.0
     elif sign * x[c, air] > most:

@@ -24,7 +24,6 @@ from threadline.twin.switching import (
     switching_channels,
     told_block,
 )
-from threadline.twin.switching_cylinder import cylinders_of
 from threadline.twin.switching_run import (
     CALMING,
     LATER,
@@ -43,6 +42,7 @@ from threadline.twin.switching_run import (
     begin,
     run,
 )
+from threadline.twin.switching_tables import cylinders_of
 
 _ENDLESS = 1 << 60
 """A number of scans that never pass."""
