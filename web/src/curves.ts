@@ -8,6 +8,9 @@ const SHOWN_S = 60;
 const MOST = 3000;
 export const INK = "#444", FAINT = "#9aa0a6", BLUE = "#0072b2", ORANGE = "#b35900";
 
+/** The scale of a difference: never closer than a hundredth of a unit, where marks would all be 0 or rounding. */
+export const CLOSEST: uPlot.Scale.Range = (_, low, high) => uPlot.rangeNum(Math.min(low ?? 0, -0.005), Math.max(high ?? 0, 0.005), 0.1, true);
+
 export class Curves {
   private times: number[] = [];
   private commanded: (number | null)[] = [];
@@ -24,7 +27,7 @@ export class Curves {
     const size = () => ({ width: Math.max(Math.min(above.clientWidth, window.innerWidth - 60), 280), height: 170 });
     this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [10, 5] }, { label: "commanded", stroke: BLUE, dash: [3, 2] }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
     const close = axes.map((axis, k) => (k ? { ...axis, space: 14 } : axis)); // a low picture has marks, too
-    this.deviation = new uPlot({ ...size(), height: 150, legend: { live: false }, scales: { x }, axes: close, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
+    this.deviation = new uPlot({ ...size(), height: 150, legend: { live: false }, scales: { x, y: { range: CLOSEST } }, axes: close, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
     new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 150 }); }).observe(above);
   }
 

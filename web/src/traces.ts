@@ -2,7 +2,7 @@
 
 import uPlot from "uplot";
 import { by, made, value } from "./dom";
-import { BLUE, INK, ORANGE } from "./curves";
+import { BLUE, CLOSEST, INK, ORANGE } from "./curves";
 import type { State } from "./messages";
 import type { Session } from "./session";
 import { say, unitOf } from "./session";
@@ -66,7 +66,7 @@ export class Traces {
     const x = { time: false };
     this.plots = [
       new uPlot({ width, height: 260, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "commanded", stroke: BLUE, dash: [4, 3] }, { label: "actual", stroke: ORANGE }] }, [times, commanded, actual], by("trace")),
-      new uPlot({ width, height: 200, legend: { live: false }, scales: { x }, axes: axes(unit), series: [{}, { label: "actual minus commanded", stroke: ORANGE }] }, [times, difference], by("trace")),
+      new uPlot({ width, height: 200, legend: { live: false }, scales: { x, y: { range: CLOSEST } }, axes: axes(unit), series: [{}, { label: "actual minus commanded", stroke: ORANGE }] }, [times, difference], by("trace")),
     ];
   }
 
