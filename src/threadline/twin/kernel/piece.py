@@ -79,6 +79,9 @@ class Piece:
         (V,) the fastest rate of each variant.
     kept
         Tables of its modes for each kernel that has run it: the same for all runs.
+    begun
+        These tables and the workspace of a run that begins, by the lanes, the width, what is asked
+        for, and which encoders stand alike in all variants.
     """
 
     equations: PiecewiseLinear
@@ -91,6 +94,9 @@ class Piece:
     rate: float
     rates: FloatArray
     kept: dict[Shape, ModeTables] = field(default_factory=dict)
+    begun: dict[tuple[int, int, bool, bool, tuple[bool, ...]], tuple[ModeTables, FloatArray]] = (
+        field(default_factory=dict)
+    )
 
     @property
     def sample(self) -> SampleLayout:
