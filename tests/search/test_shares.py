@@ -196,6 +196,28 @@ def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
     assert "about the edges of the fastest" in resolution_words(all_of_them)
 
 
+def test_of_a_long_job_no_feed_is_tried_far_below_those_that_pass() -> None:
+    """Four of twenty feeds that pass from the top are enough, and all where none does."""
+    tried: list[float] = []
+
+    def judged(feed: float) -> Verdict:
+        tried.append(feed)
+        return verdict(0.5 if feed > least else 1.5)
+
+    least = 0.0
+    found = find_fastest(judged, 0.1, 10.0, points=20, every=False)
+    assert found.best == 10.0 and len(tried) == 4 and found.low == min(tried) > 4.0
+    least = 20.0
+    assert find_fastest(judged, 0.1, 10.0, points=20, every=False).best is None
+    assert len(tried) == 24
+
+
+def test_whether_a_job_is_long_is_asked_before_the_first_search() -> None:
+    for at_top_s, long in ((301.0, True), (299.0, False)):
+        shares, searched = shares_of({}, {1.0: at_top_s})
+        assert shares.long is long and not searched
+
+
 def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
     """A feed of the scan passes alone at 10^0.5; below 1 there is a gap that the scan misses."""
 
@@ -206,7 +228,9 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
     alone = float(f"{10.0**0.5:.4g}")
     found = find_fastest(judged, 0.1, 10.0, points=9, near=16, every=False)
     assert found.alone == (alone,) and found.best == pytest.approx(1.0, rel=2.1e-3)
-    assert [i.low for i in found.intervals if not i.alone] == pytest.approx([0.55, 0.1], rel=2.1e-3)
+    # Four feeds in a row pass down to 10^-0.75.
+    lows = [i.low for i in found.intervals if not i.alone]
+    assert lows == pytest.approx([0.55, 10.0**-0.75], rel=2.1e-3) and found.low == lows[-1]
 
     def nothing_holds(feed: float) -> Verdict:
         return verdict(0.99 if abs(feed - alone) < 1e-4 else 1.01)

@@ -40,7 +40,8 @@ def limit_words(limited_by: str, end: str = END) -> str:
 def resolution_words(found: Fastest) -> str:
     """Return the sentence on the steps of a search and the intervals that it can miss."""
     edges = "the edges" if found.every else "the upper edge"
-    slower = "" if found.every else "; slower intervals are as the steps have them"
+    below = "; slower intervals are as the steps have them, down to the lowest feed listed"
+    slower = "" if found.every else below
     return (
         f"tried in steps of {100.0 * found.step:.2g} %, about {edges} of the fastest of "
         f"{100.0 * found.near_step:.2g} %: a narrower interval, or a gap in one, can be missed"

@@ -34,6 +34,7 @@ from threadline.verdict import Verdict
 SCAN_POINTS = 48
 EDGE_RELATIVE = 2e-3
 NEAR_POINTS = 16
+_ENOUGH = 4  # feeds of a scan
 _UNDER_WAY = 0.98
 """Of a search that is not over, whatever was expected of it."""
 RANGE = "range"
@@ -154,7 +155,8 @@ def find_fastest(
         for again, and count as tried. Those that this search comes to are added.
     every
         Whether every interval is looked into that closely, or the fastest alone, and feeds near its
-        upper edge: slower ones are then as the scan and the bisection of their edges have them.
+        upper edge. The scan then goes down from above only until a few feeds in a row pass; what it
+        meets on the way is as the scan and the bisection of edges have it.
 
     Raises
     ------
@@ -192,7 +194,7 @@ def find_fastest(
 
     step = (high / low) ** (1.0 / (points - 1))
     steps: dict[str, Any] = {
-        "every": every or not near,
+        "every": every,
         "step": step - 1.0,
         "near_step": step ** (1.0 / (near + 1)) - 1.0,
         "low": low,
@@ -200,7 +202,7 @@ def find_fastest(
     }
     complete = True
     try:
-        intervals = (_searched if every or not near else _searched_from_above)(
+        intervals = (_searched if every else _searched_from_above)(
             verdict_at, seen, (low, high), points, near, edge_relative, expects
         )
     except KeyboardInterrupt as signal:
@@ -225,6 +227,8 @@ def find_fastest(
             forbidden=forbidden(seen),
             **steps,
         )
+    if not every:
+        steps["low"] = min(seen)
     best = _first(intervals).high
     # A feed that passes alone may lie between the best and the first that fails.
     above = [feed for feed in seen if feed > best and not seen[feed].passed]
@@ -292,10 +296,15 @@ def _searched_from_above(
 ) -> list[Interval]:
     """Return the intervals that pass, the lowest first, the fastest of them looked into.
 
-    Feeds are tried near its upper edge, and inside it; where nothing of it holds but feeds that
-    pass alone, the next one below is looked into, and where no interval holds, all of them are.
+    The scan goes down until some feeds in a row pass. Feeds are tried near the upper edge of the
+    fastest interval, and inside it; where nothing of it holds but feeds that pass alone, the next
+    one below is looked into, and where no interval holds, all of them are.
     """
-    scan = _spaced(*span, points)
+    scan = _down_to_passing(verdict_at, _spaced(*span, points))
+    if not near:
+        intervals = _bounded(verdict_at, scan, _passes(verdict_at, scan), edge_relative)
+        expects(2 * len(intervals))
+        return intervals
     about: set[int] = set()
     while True:
         feeds = _finer(scan, about, near)
@@ -311,6 +320,16 @@ def _searched_from_above(
         if gap in about or gap == len(scan) - 1:
             return intervals + held
         about |= {gap - 1, gap, gap + 1}
+
+
+def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
+    """Return the highest feeds, down to so many in a row that pass; all where none do."""
+    passing = 0
+    for at in range(len(feeds) - 1, -1, -1):
+        passing = passing + 1 if verdict_at(feeds[at]).passed else 0
+        if passing == _ENOUGH:
+            return feeds[at:]
+    return feeds
 
 
 def _passes(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:

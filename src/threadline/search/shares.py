@@ -38,6 +38,8 @@ class Shares:
     rungs, left_out
         What was found, by share; and shares with which even the highest feed takes no less time
         than the best so far.
+    top_s
+        How long the job takes with all of the limits at the highest feed; None until it is asked.
     steps, told
         How many searches were begun, and how much of all was told to be done.
     """
@@ -50,6 +52,7 @@ class Shares:
     until: Until | None
     rungs: dict[float, Rung] = field(default_factory=dict)
     left_out: set[float] = field(default_factory=set)
+    top_s: float | None = None
     steps: int = 0
     told: float = 0.0
 
@@ -82,7 +85,14 @@ class Shares:
 
     @property
     def long(self) -> bool:
-        """Whether the job takes long, however fast it was so far."""
+        """Whether the job takes long, however fast it was so far, or at the highest feed."""
+        if not self.rungs:
+            if self.top_s is None:
+                try:
+                    self.top_s = self.at_top_s(1.0)
+                except LimitError:  # it breaks a limit: how long it would take says nothing
+                    self.top_s = 0.0
+            return self.top_s > LONG_S
         return LONG_S < self._best_s < math.inf
 
     @property
@@ -107,7 +117,7 @@ class Shares:
 
     def _hopeless(self, share: float) -> bool:
         """Say whether nothing of a share can be the answer: even the highest feed is too slow."""
-        if not self.long:
+        if not self.rungs or not self.long:
             return False
         try:
             with nullcontext() if self.until is None else self.until.interrupting():
