@@ -269,30 +269,48 @@ def against_copp() -> list[dict[str, Any]]:
 
 
 def smoothing() -> list[dict[str, Any]]:
-    """Time a path through many waypoints: a noisy curve, as a CAM program writes it."""
-    points = noisy(WAYPOINTS, 400.0)
+    """Time paths through many waypoints within 0.1 mm, as a CAM program or a probe writes them.
+
+    First 4 mm apart, a piece for each; then 0.1 mm apart, by chords, as ``retime`` passes them.
+    """
+    few = WAYPOINTS // 10
+    return [
+        smoothed("smoothing vs copp fit", noisy(WAYPOINTS, 400.0), noisy(few, 40.0), thin=False),
+        smoothed("smoothing by chords vs copp fit", dense(WAYPOINTS), dense(few), thin=True),
+    ]
+
+
+def smoothed(name: str, points: np.ndarray, few: np.ndarray, *, thin: bool) -> dict[str, Any]:
+    """Return the entry of one kind of waypoints; copp-py fits a ``few`` of them."""
     programmed = ProgrammedPath(
         axes=("X", "Y", "Z"), radius_m=np.ones(3), blocks=Stream.of([_vertices(points)])
     )
 
     def ours() -> int:
-        pieces = auto_pieces(programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M)
+        pieces = auto_pieces(programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M, thin=thin)
         return sum(len(block) for block in pieces)
 
     ours()
     seconds, count = worked(ours)
-    name, note = "smoothing vs copp fit", f"{WAYPOINTS} waypoints at 0.1 mm, {count} pieces"
-    few = WAYPOINTS // 10
+    note = f"{len(points)} waypoints within 0.1 mm, {count} pieces"
     try:
         from benchmarks._copp_peer import fitted
 
-        peer_s, _ = worked(fitted(noisy(few, 40.0), TOLERANCE_M))
+        peer_s, _ = worked(fitted(few, TOLERANCE_M))
     except ImportError:
-        return [entry(name, seconds, None, None, "s", f"{note}; copp-py is not installed")]
-    ours_us, peer_us = 1e6 * seconds / WAYPOINTS, 1e6 * peer_s / few
-    return [
-        entry(name, ours_us, peer_us, peer_us / ours_us, "us", f"per waypoint; {note}; its {few}")
-    ]
+        return entry(name, seconds, None, None, "s", f"{note}; copp-py is not installed")
+    ours_us, peer_us = 1e6 * seconds / len(points), 1e6 * peer_s / len(few)
+    return entry(
+        name, ours_us, peer_us, peer_us / ours_us, "us", f"per waypoint; {note}; its {len(few)}"
+    )
+
+
+def dense(count: int) -> np.ndarray:
+    """Return waypoints 0.1 mm apart on a curve, each up to 2 um beside it along each axis."""
+    t = 2e-4 * np.arange(count)
+    points = np.stack([0.3 * np.sin(t), 0.3 * np.cos(1.3 * t), 0.1 * np.sin(2.1 * t)], axis=1)
+    beside = np.random.default_rng(3).uniform(-2e-6, 2e-6, points.shape)
+    return np.asarray(points + beside)
 
 
 def noisy(count: int, length: float) -> np.ndarray:

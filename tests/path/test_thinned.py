@@ -220,6 +220,15 @@ def test_lengths_are_those_at_the_tool():
     assert turned["positions"] * [1.0, 0.1] == pytest.approx(plain["positions"], abs=1e-12)
 
 
+def test_an_axis_that_stands_changes_no_chord():
+    """Three axes are worked out by other lines than two."""
+    points = noisy(400, 1e-5)
+    flat = thinned(programmed(np.concatenate([points, np.zeros((400, 1))], axis=1)))
+    plain = thinned(programmed(points))
+    assert flat["positions"][:, :2] == pytest.approx(plain["positions"], abs=1e-12)
+    assert flat["beside_m"] == pytest.approx(plain["beside_m"], abs=1e-12)
+
+
 def test_the_polygon_of_rough_points_turns_less():
     """Points 1 um beside a circle turn by 0.02 rad each; its own turns are 0.002 rad."""
     t = np.arange(600) * 1e-4 / 0.05

@@ -25,7 +25,7 @@ from threadline.path.polygon import (
 )
 from threadline.path.runs import COINCIDENT_M, Chunk, Vertices, join_vertices, runs
 from threadline.path.spans import pieces_of
-from threadline.path.thinned import Thinner
+from threadline.path.thinned import thinned_runs
 from threadline.path.types import PieceBlock, ProgrammedPath
 
 _AHEAD = 1  # number of vertices beyond a chord on which its control points depend
@@ -46,13 +46,12 @@ def auto_pieces(
 
     Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
     the one before it is left out; ``beside_end`` is as for ``pieces_of``. With ``thin``, chords
-    take the place of moves where the program is rough (``Thinner``); the pieces of a chord belong
-    to the last of its moves.
+    take the place of moves where the program is rough (``thinned_runs``); the pieces of a chord
+    belong to the last of its moves.
     """
     run = _Run(programmed.radius_m, programmed.local, cut_m, beside_end)
-    thinner = Thinner(programmed.radius_m, cut_m) if thin else None
-    for chunk in runs(programmed, near_m):
-        yield from run.extend(chunk if thinner is None else thinner.thinned(chunk))
+    for chunk in thinned_runs(programmed, near_m, cut_m) if thin else runs(programmed, near_m):
+        yield from run.extend(chunk)
 
 
 def points_added(programmed: ProgrammedPath, cut_m: float) -> int:

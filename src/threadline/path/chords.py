@@ -93,7 +93,10 @@ def chord(
                 squared += d[j] * d[j]
             longer = np.sqrt(squared) / (GROWS * before_m)
             if strayed > thin_m:
-                more = _more(positions, radius_m, here, d, start, n, strayed, thin_m)
+                more, rough_m = _more(positions, radius_m, here, d, start, n, strayed, thin_m)
+                if rough_m > thin_m and level < end - 1:
+                    n = 0  # of no length would more than few of them be near enough
+                    break
                 if not walked and strayed > _CORNER * thin_m:
                     k = _walked(positions, radius_m, here, start, start + n, thin_m, d) - start
                     about = min(k, room - k, _ABOUT)
@@ -111,7 +114,7 @@ def chord(
             continue
         if rough != ROUGH and not aside and _turned(positions, radius_m, start, start + n) > BENDS:
             continue
-        more = _more(positions, radius_m, here, d, start, n, strayed, thin_m)
+        more, _ = _more(positions, radius_m, here, d, start, n, strayed, thin_m)
         more = min(max(more, 0.5), _GROWS_LEGS)
         return start + n, met, strayed, level, max(min(int(n * more + 0.5), MOST), LEAST)
     towards(positions, radius_m, here, start + 1, d)
@@ -125,7 +128,8 @@ def _grown(positions, radius_m, here, start, room, thin_m, d):
     while n < min(room, MOST):
         _write(positions, radius_m, here, start, n, room, d)
         strayed = _strayed(positions, radius_m, here, d, start, start + n)
-        more = min(_more(positions, radius_m, here, d, start, n, strayed, thin_m), _FIRST_GROWS)
+        more, _ = _more(positions, radius_m, here, d, start, n, strayed, thin_m)
+        more = min(more, _FIRST_GROWS)
         if more < 1.2:
             break
         n = min(int(n * more), room, MOST)
@@ -134,9 +138,10 @@ def _grown(positions, radius_m, here, start, room, thin_m, d):
 
 @njit(error_model="numpy")
 def _more(positions, radius_m, here, d, start, n, strayed, thin_m):
-    """Return how many times as long a chord may be, by how far its middle is beside the curve.
+    """Return how many times as long a chord may be, and how far vertices are beside the curve.
 
-    That grows with the square of its length; how far vertices are beside the curve does not.
+    By how far its middle is beside the curve: that grows with the square of its length, what
+    vertices are beside the curve does not.
     """
     half = n // 2
     mean = min(max(n // _MEAN, 1), _MOST_MEAN, half, n - half)
@@ -151,7 +156,7 @@ def _more(positions, radius_m, here, d, start, n, strayed, thin_m):
         square += d[j] * d[j]
     bent = min(np.sqrt(max(far - along * along / square, 0.0)), strayed)
     left = max(_AIM * thin_m - (strayed - bent), _BENT * thin_m)
-    return np.sqrt(left / max(bent, 1e-3 * thin_m))
+    return np.sqrt(left / max(bent, 1e-3 * thin_m)), strayed - bent
 
 
 @njit(error_model="numpy")
@@ -282,6 +287,8 @@ def _strayed(positions, radius_m, here, d, start, stop):
         square += d[j] * d[j]
     if not square > 0.0:
         return np.inf
+    if axes == 3:  # most are: written out, it takes a third of the time
+        return _strayed_of_three(positions[start : stop + 1], radius_m, here, d, square)
     per, share, worst = 1.0 / square, 0.0, 0.0
     for i in range(start, stop + 1):
         along = 0.0
@@ -296,4 +303,25 @@ def _strayed(positions, radius_m, here, d, start, stop):
         for j in range(axes):
             squared += (positions[i, j] * radius_m[j] - here[j] - share * d[j]) ** 2
         worst = max(worst, squared)
+    return np.sqrt(worst)
+
+
+@njit(error_model="numpy")
+def _strayed_of_three(own, radius_m, here, d, square):
+    """Return what ``_strayed`` does for the vertices ``own`` in three axes."""
+    r0, r1, r2 = radius_m[0], radius_m[1], radius_m[2]
+    h0, h1, h2 = here[0], here[1], here[2]
+    d0, d1, d2 = d[0], d[1], d[2]
+    per, share, worst, last = 1.0 / square, 0.0, 0.0, len(own) - 1
+    for i in range(last + 1):
+        x, y, z = own[i, 0] * r0 - h0, own[i, 1] * r1 - h1, own[i, 2] * r2 - h2
+        along = (x * d0 + y * d1 + z * d2) * per
+        if i > 0 and along > share:
+            share = min(along, 1.0)
+        if i == last:
+            share = 1.0
+        x, y, z = x - share * d0, y - share * d1, z - share * d2
+        squared = x * x + y * y + z * z
+        if squared > worst:  # noqa: PLR1730 - max() looks for NaN as well
+            worst = squared
     return np.sqrt(worst)

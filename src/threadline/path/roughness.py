@@ -28,6 +28,11 @@ def roughness(positions, radius_m, cut_m, start, stop):
     axes, legs = positions.shape[1], stop - start
     if legs <= APART:
         return SMOOTH
+    squared = 0.0
+    for j in range(axes):
+        squared += ((positions[stop, j] - positions[start, j]) * radius_m[j]) ** 2
+    if squared > (DENSE * cut_m * legs) ** 2:
+        return SMOOTH  # told without their turns: legs are no shorter than the way between
     t, turned = np.empty((legs, axes)), np.zeros(legs)
     uneven, length = 0, 0.0
     for i in range(legs):

@@ -16,7 +16,7 @@ COINCIDENT_M = 1e-10
 ROUNDING = 1e-14
 """Or nearer than this share of where it is: of so short a way hardly a digit is left."""
 _LEAST = 2  # vertices of a run
-_AT_A_TIME = 4096  # vertices; their control points and pieces stay in a cache
+_AT_A_TIME = 8192  # vertices; their control points and pieces stay in a cache
 _NOTHING = np.zeros(_AT_A_TIME)
 
 

@@ -10,18 +10,37 @@ beside them, the vertices stay as they are, bit for bit.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.compiled import njit
 from threadline.path.chords import AHEAD, LEAST, SHARES, chord, from_vertex, towards
-from threadline.path.roughness import SMOOTH, UNEVEN, legs_kept, roughness
-from threadline.path.runs import Chunk, Vertices, join_vertices
+from threadline.path.roughness import ROUGH, SMOOTH, UNEVEN, legs_kept, roughness
+from threadline.path.runs import Chunk, Vertices, join_vertices, runs
+from threadline.path.types import ProgrammedPath
 
 WINDOW = 28  # legs, on which is decided how the program is
 VALID = 40  # legs, for which it is then taken to be so
+LONGEST = 320  # legs, for which it is: twice as many each time that it is found rough again
+BEGIN = (0, SMOOTH, VALID, 0, np.inf, 0)
+
+ENOUGH = 1024  # vertices of a chunk behind chords: for fewer, a call takes longer than its work
+
+
+def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Iterator[Chunk]:
+    """Yield what ``runs`` does, with chords in place of legs where the program is rough."""
+    thinner, held = Thinner(programmed.radius_m, cut_m), None
+    for chunk in runs(programmed, near_m):
+        fresh = thinner.thinned(chunk)
+        held = join_vertices(held, fresh.vertices)
+        if fresh.ends or len(held) >= ENOUGH:
+            yield replace(fresh, vertices=held)
+            held = None
+    if held is not None and len(held):
+        yield Chunk(vertices=held, ends=False, dwell_s=0.0)
 
 
 @dataclass(slots=True)
@@ -48,9 +67,9 @@ class Thinner:
     held: Vertices | None = None  # from one before the next chord's start on
     start: int = 0  # row of ``held`` where the next chord begins
     place: FloatArray = field(default_factory=lambda: np.zeros(0))  # (axes,) m, where it does
-    known: tuple[int, int, int, float, int] = (0, SMOOTH, 0, np.inf, 0)
-    """Up to which row it is known how the program is, how it is; share and length of the last
-    chord, and how many legs the next one may have."""
+    known: tuple[int, int, int, int, float, int] = BEGIN
+    """Up to which row it is known how the program is, how it is, and for how many legs that was
+    taken to be so; share and length of the last chord, and how many legs the next may have."""
 
     def thinned(self, chunk: Chunk) -> Chunk:
         """Return the vertices that no later one can change."""
@@ -82,7 +101,7 @@ class Thinner:
             found = join_vertices(held.take(slice(0, 1)), found)
         if chunk.ends:
             self.held, self.start = held.take(slice(-1, None)), 0
-            self.place, self.known = held.positions[-1] * self.radius_m, (0, SMOOTH, 0, np.inf, 0)
+            self.place, self.known = held.positions[-1] * self.radius_m, BEGIN
         else:
             gone = max(start - 1, 0)
             self.held, self.start = held.take(slice(gone, None)), start - gone
@@ -93,7 +112,7 @@ class Thinner:
 @njit(error_model="numpy")
 def _thin(
     positions, nominal_s, radius_m, cut_m, shares, ends, start, place,
-    until, rough, level, before_m, guess,
+    until, rough, valid, level, before_m, guess,
 ):  # fmt: skip
     """Return the ends of the chords from row ``start`` on, and where the next one begins.
 
@@ -107,7 +126,7 @@ def _thin(
     """
     count, axes = positions.shape
     out, beside = np.empty((count, axes)), np.empty(count)
-    time_s, row = np.zeros(count), np.empty(count, dtype=np.int64)
+    time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
     kept = legs_kept(positions, radius_m, cut_m)
     here, d = place.copy(), np.empty(axes)
     # Of what is behind the last two rows nothing is known before more vertices come.
@@ -117,8 +136,10 @@ def _thin(
         if not ends and last - start < WINDOW:
             break
         if start >= until:
-            rough = roughness(positions, radius_m, cut_m, start, min(last, start + WINDOW))
-            until = start + (VALID if rough != SMOOTH else WINDOW)
+            found = roughness(positions, radius_m, cut_m, start, min(last, start + WINDOW))
+            valid = min(2 * valid, LONGEST) if found == ROUGH and rough == ROUGH else VALID
+            rough = found
+            until = start + (valid if rough != SMOOTH else WINDOW)
         # Back from where a chord ended to the next vertex would be a turn where none is meant.
         aside = from_vertex(positions, radius_m, here, start) > 0.0
         limit = start + 1
@@ -156,10 +177,12 @@ def _thin(
             else:
                 here[j] += d[j]
                 out[n, j] = here[j] / radius_m[j]
+        passed_s = 0.0
         for i in range(start, k):
-            time_s[n] += nominal_s[i + 1]
+            passed_s += nominal_s[i + 1]
+        time_s[n] = passed_s
         row[n], beside[n] = k, strayed
         n += 1
         start = k
-    known = (until, rough, level, before_m, guess)
+    known = (until, rough, valid, level, before_m, guess)
     return out[:n], beside[:n], time_s[:n], row[:n], start, here, known
