@@ -193,6 +193,7 @@ def test_currents() -> None:
     assert verdict.result("current_peak", "X").status is Status.FAILED
     assert verdict.result("current_peak", "X").time_s == pytest.approx(0.025)
     assert verdict.result("current_rms", "X").measured == pytest.approx(3 / np.sqrt(2), rel=1e-12)
+    assert verdict.result("current_rms", "X").position is None  # it is of the whole run
 
 
 def test_dac_saturation_counts_samples_at_either_clamp() -> None:

@@ -267,7 +267,7 @@ class Worst:
             time_s=None if math.isnan(time_s) else time_s,
             operation=None if operation < 0 else operation,
             job_line=None if line < 0 else line,
-            position=tuple(position) if all(map(math.isfinite, position)) else None,
+            position=(tuple(position) if position and all(map(math.isfinite, position)) else None),
             note=note,
         )
 
