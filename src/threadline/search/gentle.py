@@ -85,8 +85,9 @@ def fastest_job(
     are moves that go on at a constant speed for long: tries leave out the middle.
 
     Of a job of more than five minutes a share of the limits is left out where even the highest feed
-    takes no less time with it than the best so far: nothing of it can be the answer. Near the end
-    the fastest interval alone is looked into closely, and its upper edge.
+    takes no less time with it than the best so far: nothing of it can be the answer. Feeds are
+    tried from above until four in a row are in spec, and near the end the fastest interval alone is
+    looked into closely, and its upper edge.
     """
     check_loops(machine)
     if options.interpolation == OPTIMAL:
