@@ -24,6 +24,7 @@ _KINDS = {
 }
 _PATTERNS = {
     "^[A-Z]$": ("must be one capital letter", "Name it like A, X or Y."),
+    "^G5[4-9]$": ("must be a work coordinate system, G54 to G59", "Write it like G55."),
     "^[A-Za-z][A-Za-z0-9_-]*$": (
         "is no name of letters, digits, _ and -, with a letter first",
         "Name it like x_belt.",
