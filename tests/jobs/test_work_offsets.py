@@ -125,3 +125,12 @@ def test_parameters_and_expressions_are_refused_by_name(
 ) -> None:
     with pytest.raises(JobError, match=r"parameters and expressions are not read|no number"):
         read(tmp_path, plain, f"G1 X1 F60\n{block}\nM30\n", "fluidnc")
+
+
+def test_a_subroutine_in_another_system_is_no_program_in_one(
+    tmp_path: Path, plain: Machine
+) -> None:
+    """Written before its caller, whose first move is in G54 though the last word read is G55."""
+    text = "%\nO1\nG55\nX5\nM99\nO2\nG1 X10 F60\nM98 P1\nX20\nM30\n%\n"
+    with pytest.raises(JobError, match="moves by G55 and G54"):
+        read(tmp_path, plain, text, "linuxcnc")

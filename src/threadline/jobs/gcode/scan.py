@@ -127,6 +127,9 @@ class Scanner:
         programs = self._programs
         if block.label >= 0:
             programs.begin(block.label, offset, block.line)
+            # What its caller chose is not known here: a move before a word of its own counts as of
+            # the first system, so that a file with another one is asked where both are.
+            self.systems.now = FIRST
         elif programs.current is None:
             if self._begun:
                 if not self._reading.dialect.needs_end and _only_ends(block):
