@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back
-from threadline.live.hold_deviation import hold_deviation_m, hold_limit_m
+from threadline.live.hold_deviation import (
+    hold_ahead_m,
+    hold_deviation_m,
+    hold_limit_m,
+    hold_waits,
+)
 from threadline.live.states import Cause, State
 from threadline.machine import load_machine
 from threadline.options import Options
@@ -17,6 +23,7 @@ from threadline.plan import Plan
 from threadline.signals import Ended, tick_table
 from threadline.verdict import load_spec
 
+TICK_S = 0.005
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -79,3 +86,41 @@ def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
     bench.go_on()
     assert bench.executor.ended == (Ended.COMPLETED, "")
     assert bench.commanded()[-1].tolist() == rows.sum(axis=0).tolist()
+
+
+def test_a_hold_in_a_rest_stands_there() -> None:
+    """What brakes behind what was sent is not played: it would be rows that nobody wants."""
+    rows = there_and_back(40.0, cruise=100)
+    rows = np.concatenate([rows, np.zeros((200, 3), np.int64), rows])
+    bench = Bench().ready()
+    bench.executor.start(table_of_counts(rows), hold_at_rest=True)
+    bench.go_on(len(rows) // 2 - 60)
+    bench.desk.ask(Cause.HOLD)
+    bench.go_on(len(rows) + 100)
+    assert bench.executor.state is State.HOLDING
+    bench.desk.ask(Cause.RESUME)
+    bench.go_on()
+    assert bench.executor.ended == (Ended.COMPLETED, "")
+    assert bench.commanded()[-1].tolist() == rows.sum(axis=0).tolist()
+
+
+def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> None:
+    """At 36 mm/s the motor is a lag of 29.4 ms ahead of its load, which comes there in a hold."""
+    plan = planned("x-180.prg", "lathe-winder", feed_forward_s=0.04)
+    meant, table = plan.motion.of_loads, tick_table(plan.commands)
+    assert meant is not None
+    rows = np.concatenate([block.counts for block in table])
+    told = np.cumsum(rows, axis=0) / plan.machine.counts_per_unit
+    at = meant(TICK_S * np.arange(1, len(rows) + 1))
+    worst = np.linalg.norm((told - at) * plan.machine.radius_m, axis=1).max()
+    assert hold_ahead_m(plan) == pytest.approx(worst)
+    assert 36e-3 * 29.4e-3 < worst < 2e-3  # most of all where it turns
+    spec = load_spec(None, plan.machine)
+    assert hold_waits(plan, spec, leaves_m=1e-6)
+    wide = replace(spec, criteria=[
+        replace(c, limit=2e-3) if c.name == "progress_error" else c for c in spec.criteria
+    ])  # fmt: skip
+    assert not hold_waits(plan, wide, leaves_m=1e-6)
+    motors = planned("x-180.prg", "lathe-winder", interpolation="linear")
+    assert hold_ahead_m(motors) == 0.0
+    assert not hold_waits(motors, spec, leaves_m=0.0)

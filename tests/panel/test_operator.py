@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tests.live.bench import winder
@@ -87,6 +88,10 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         assert anna.act("hold") == ""
         anna.see("holding")
         held = stands(anna)
+        # The plan is there at the time that is told: braking took rows of it, and ticks more.
+        figures, told = proven(project)[1], anna.state["progress"]
+        meant = np.interp(told["time_s"], figures["times_s"], figures["planned"]["X"])
+        assert held == pytest.approx(1e3 * meant, abs=0.02)
         assert "resume" in anna.state["allowed"]
         assert anna.act("resume") == ""
         while anna.x_mm() < held + 3.0:

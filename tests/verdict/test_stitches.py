@@ -6,7 +6,7 @@ positions below 0.1 m leave 1e-11 of a stitch to rounding.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from threadline.jobs.operations import Feed, FeedMode, Move, Source, ToolEvent
 from threadline.signals import ChannelKind, Stream
 from threadline.verdict import Criterion, Status, judge
 from threadline.verdict.blocks import setting_of
+from threadline.verdict.samples import Block
 from threadline.verdict.stitches import StitchFollower
 
 from .builders import TICK_S, plan_through, record, spec_of
@@ -249,6 +250,12 @@ def test_a_stitch_that_the_motion_leaves_out_fails_in_numbers() -> None:
     assert speed.measured == pytest.approx(1.0)  # at no speed, and the next at twice its own
 
 
+def block_of(time_s: FloatArray, actual: FloatArray) -> Block:
+    """Return a block that tells where the tool was, and nothing else."""
+    names = {field.name for field in fields(Block)} - {"first", "time_s", "actual"}
+    return Block(first=0, time_s=time_s, actual=actual, **dict.fromkeys(names))
+
+
 def test_stitches_of_a_million_ticks_are_followed_in_bounded_memory() -> None:
     """Samples every 20 ns, a million in a stitch: what is kept says the same to 1e-9."""
     plan, every_s, count = seam(), 2e-8, 50_000
@@ -259,7 +266,7 @@ def test_stitches_of_a_million_ticks_are_followed_in_bounded_memory() -> None:
     for block in range(45):
         time_s = every_s * (block * count + np.arange(count))
         actual = np.stack([SPEED_M_S * time_s, 0.0 * time_s], axis=1)[:, None, :]
-        for sewn_now in follower.feed(time_s, actual):
+        for sewn_now in follower.feed(block_of(time_s, actual)):
             errors += [sewn_now.length_error, sewn_now.speed_error]
         most = max(most, len(follower._time_s))
     assert len(np.concatenate(errors)) == 4  # two stitches of 20 ms in 45 ms

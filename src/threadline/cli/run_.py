@@ -59,7 +59,7 @@ from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError, RecordingError
 from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
-from threadline.live.hold_deviation import hold_limit_m
+from threadline.live.hold_deviation import hold_waits
 from threadline.live.links import Link, link_of
 from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
@@ -214,7 +214,7 @@ def run(
         for line in over.prepare(plan):
             note(line)
         leaves_m = way_of(chosen).hold_deviation_m(plan)
-        at_rest = _hold_at_rest(leaves_m, hold_limit_m(asked))
+        at_rest = _holds_at_rest(plan, asked, leaves_m)
         told = {
             "link": link,
             **({"label": over.label} if over.label else {}),
@@ -299,9 +299,9 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
     )
 
 
-def _hold_at_rest(leaves_m: float, limit_m: float) -> bool:
+def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> bool:
     """Say how far beside its path a hold would stand; return whether it waits for a rest."""
-    at_rest = leaves_m > limit_m or not math.isfinite(leaves_m)
+    at_rest = hold_waits(plan, spec, leaves_m)
     if 0.0 < leaves_m < math.inf:
         where = "so h stands at the next rest" if at_rest else "within the limit"
         note(f"a hold may stand {1e3 * leaves_m:.2f} mm beside the path, {where}")

@@ -213,6 +213,7 @@ class Ahead:
         }
         arrays = {
             "at": at[0], "counts": counts, "operation": self._window.operations(places[:-1]),
+            "place": places[1:],
         }  # fmt: skip
         return Message("refill", head, arrays)
 

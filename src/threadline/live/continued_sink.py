@@ -13,9 +13,9 @@ import numpy as np
 from threadline.live.kept import Sink
 from threadline.live.states import Cause, State
 from threadline.machine import Machine
-from threadline.signals import Channel, ChannelKind, RecordingBlock
+from threadline.signals import Channel, ChannelKind, Event, RecordingBlock
 
-_OF_RUNS = frozenset(("hold", "resume", "late", "completed", "stopped", "fault"))
+_OF_RUNS = frozenset(("hold", "resume", "late", "completed", "stopped", "fault", "plan"))
 """Kinds of events that a run tells of, and not the commands."""
 
 
@@ -61,12 +61,17 @@ class ContinuedSink:
                 first_tick={clock.clock.name: first},
                 samples={name: values[gone:] for name, values in block.samples.items()},
                 events=tuple(
-                    replace(event, tick=event.tick + later)
+                    self._later(event, later)
                     for event in block.events
                     if self._works or event.kind in _OF_RUNS
                 ),
             )
         )
+
+    def _later(self, event: Event, ticks: int) -> Event:
+        """Return an event with its tick and its time in the whole job."""
+        by_s = float(self._left_out_s) if event.kind == "plan" else 0.0
+        return replace(event, tick=event.tick + ticks, value=event.value + by_s)
 
     def _dry(self, block: RecordingBlock) -> int:
         """Return how many samples at the beginning of a block are of operations before the work."""

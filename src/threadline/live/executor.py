@@ -251,6 +251,8 @@ class Executor(AtRest):
         elif cause is Cause.HOLD:
             if self._hold_at_rest and not isinstance(self._ahead, JogAhead | None):
                 self._ahead.to_rest = True
+                if self._ahead.rests:  # in a rest already: what brakes behind it is not played
+                    self._link.send(self._ahead.extend(self._ahead.end))
             else:
                 self._brake()
         elif cause is Cause.RESUME:

@@ -7,6 +7,7 @@ beside the path.
 
 from __future__ import annotations
 
+import math
 from math import ceil
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.spatial import KDTree
 
 from threadline.plan import Plan
 from threadline.signals import tick_table
+from threadline.trajectory import TrajectoryReader
 from threadline.verdict import Spec
 
 _AROUND_S = 2.0  # time before and after, in s, in which the nearest place of the path is sought
@@ -47,10 +49,48 @@ def hold_deviation_m(plan: Plan) -> float:
     return worst
 
 
-def hold_limit_m(spec: Spec) -> float:
-    """Return the largest allowed distance of a hold from the path: the limit of ``contour_error``.
+def hold_ahead_m(plan: Plan) -> float:
+    """Return the largest distance in m from where loads are meant to be to where a hold has them.
 
-    It is in m, and infinite without such a limit.
+    Both at the same instant, at the tool: with feed-forward the motors are ahead of the loads,
+    which come there in a hold. It is 0 where the motors are told what is meant.
     """
-    limits = [c.limit for c in spec.criteria if c.name == "contour_error" and c.limit is not None]
+    intended = plan.motion.of_loads
+    if intended is None:
+        return 0.0
+    table, reader = tick_table(plan.commands), TrajectoryReader(intended)
+    columns = [table.axes.index(axis) for axis in intended.axes]
+    radius, scale = plan.machine.radius_m, plan.machine.counts_per_unit
+    stands, worst = table.start_counts.astype(np.float64), 0.0
+    for block in table:
+        places = stands + np.cumsum(block.counts, axis=0)
+        time_s = table.clock.times_s(block.first_tick + 1, len(block))
+        told = (places / scale * radius)[:, columns]
+        meant = reader.ladder(time_s, 1)[:, 0] * radius[columns]
+        worst = max(worst, float(np.linalg.norm(told - meant, axis=1).max(initial=0.0)))
+        if len(block):
+            reader.drop(float(time_s[-1]))
+            stands = places[-1]
+    return worst
+
+
+def hold_limit_m(spec: Spec, criterion: str = "contour_error") -> float:
+    """Return the limit of a criterion of place, in m; infinite without one."""
+    limits = [c.limit for c in spec.criteria if c.name == criterion and c.limit is not None]
     return min(limits, default=float("inf"))
+
+
+def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
+    """Return whether a hold waits for the next rest, as elsewhere it would be out of spec.
+
+    Parameters
+    ----------
+    plan, spec
+        The plan, and what is asked of it.
+    leaves_m
+        The distance from the path at which it would stand; infinite where only rests can be held.
+    """
+    if leaves_m > hold_limit_m(spec) or not math.isfinite(leaves_m):
+        return True
+    limit_m = hold_limit_m(spec, "progress_error")
+    return leaves_m > 0.0 and math.isfinite(limit_m) and hold_ahead_m(plan) > limit_m

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.live.pace import Pace
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_machine import SimMachine
 from threadline.live.wire import Message, event_of
@@ -32,6 +33,8 @@ class SimRows(SimMachine):
         self._session = self._new_session()
         self._rows = np.zeros((0, len(machine.axes)), np.int64)  # held, for the ticks from now on
         self._operations = np.zeros(0, np.int64)  # of these rows
+        self._places = np.zeros(0)  # of the table, behind each of them
+        self._pace = Pace(machine.tick_clock)
         self._events: deque[Event] = deque()
         self._wanted_until = 0  # tick from which on what is held is the spare tail
         self._position = np.zeros(len(machine.axes), dtype=np.int64)
@@ -72,12 +75,14 @@ class SimRows(SimMachine):
 
     def _hold_nothing(self) -> None:
         self._rows, self._operations = self._rows[:0], self._operations[:0]
+        self._places = self._places[:0]
 
     def _start_anew(self) -> str:
         if self._session.tick:
             self._start = self._start + self._position
             self._position = np.zeros_like(self._position)
             self._session = self._new_session()
+        self._pace = Pace(self._machine.tick_clock)
         self._wanted_until, self._last = 0, False
         return ""
 
@@ -93,6 +98,11 @@ class SimRows(SimMachine):
         self._operations = np.concatenate(
             [self._operations[:kept], rest[:, 0], operation.astype(np.int64, copy=False)]
         )
+        places = self._places[:kept]
+        stands = places[-1] if len(places) else self._pace.place
+        # A jog has no places: it is no part of a plan.
+        behind = message.arrays.get("place", stands + np.arange(1.0, len(counts) + 1.0))
+        self._places = np.concatenate([places, np.full(len(rest), stands), behind])
         self._events = deque(event for event in self._events if event.tick < first)
         self._events.extend(event_of(told) for told in message.head["events"])
         self._wanted_until = first + wanted
@@ -126,7 +136,8 @@ class SimRows(SimMachine):
         n = min(room, len(self._rows))
         counts, self._rows = self._rows[:n], self._rows[n:]
         operation, self._operations = self._operations[:n], self._operations[n:]
-        session = self._session
+        places, self._places = self._places[:n], self._places[n:]
+        session, first = self._session, self.tick
         session.resume()
         due = []
         while self._events and self._events[0].tick <= self.tick + n:
@@ -141,12 +152,22 @@ class SimRows(SimMachine):
         self._position = self._position + counts.sum(axis=0)
         if self.tick + n > self._wanted_until:
             self.starved = True
-        return session.advance(rows)
+        block = session.advance(rows)
+        return _telling(block, self._pace.played(first, places[: self.tick - first]))
 
     def _stand(self, room: int) -> RecordingBlock:
-        session = self._session
+        session, first = self._session, self.tick
+        stands = session.row > 0 and not self._last and session.ended is None
         if self._last:
             session.finish()
-        elif session.row and session.ended is None and not self.starved:
+        elif stands and not self.starved:
             session.hold()
-        return session.advance(ticks=room)
+        block = session.advance(ticks=room)
+        return _telling(block, self._pace.stood(first, self.tick - first) if stands else ())
+
+
+def _telling(block: RecordingBlock, more: tuple[Event, ...]) -> RecordingBlock:
+    """Return a block that tells of more events, in the order of their ticks."""
+    if not more:
+        return block
+    return replace(block, events=tuple(sorted([*block.events, *more], key=lambda e: e.tick)))

@@ -154,6 +154,8 @@ class Way:
         Makes the commands that do the rest of a job.
     loads_follow
         Whether the commands of a plan tell the motors what the loads need.
+    tells_plan
+        Whether the machine tells the plan's time of what it plays (events ``plan``).
     by_hand
         Whether its axes can be moved by hand, one at a time.
     """
@@ -167,6 +169,7 @@ class Way:
     rest: MakeRest
     loads_follow: Callable[[Plan], bool] = lambda _: False
     by_hand: bool = False
+    tells_plan: bool = False
 
 
 _WAYS: dict[type[Commands], Way] = {
@@ -180,6 +183,7 @@ _WAYS: dict[type[Commands], Way] = {
         rest=rest_of_rows,
         loads_follow=lambda plan: plan.motion.of_loads is not None,
         by_hand=True,
+        tells_plan=True,
     ),
     SwitchSchedule: Way(
         start=lambda _: np.zeros(0, dtype=np.int64),

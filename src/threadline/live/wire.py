@@ -25,7 +25,7 @@ from threadline.errors import LinkFaultError
 from threadline.signals import Event
 from threadline.signals.event import EventKind
 
-PROTOCOL = 2
+PROTOCOL = 3
 MOST_BYTES = 1 << 24
 _LENGTHS = struct.Struct("<II")
 _TYPES = {"<i8": np.int64, "<f8": np.float64}

@@ -6,7 +6,6 @@ they work.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
@@ -14,12 +13,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from threadline.arrays import finite
 from threadline.errors import ProofError, RecordingError, ThreadlineError
 from threadline.input_files import inputs_read, noting_inputs
 from threadline.live.continued_sink import ContinuedSink
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
-from threadline.live.hold_deviation import hold_limit_m
+from threadline.live.hold_deviation import hold_waits
 from threadline.live.kept import Sink
 from threadline.live.operated import Load, Operated
 from threadline.live.states import Cause, State
@@ -34,6 +35,7 @@ from threadline.store.run_store import TRACE, OpenRun, RunStore
 from threadline.store.unfinished import refuse_other_rows, unfinished_run
 from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
+from threadline.verdict.plan_clock import PlanClock
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +48,8 @@ class Prepared:
         Number of the request.
     stops
         How many stops had been heard when it was asked for.
+    leaves_m, at_rest
+        How far beside the path a hold would stand, and whether it waits for a rest of the program.
     again, continues
         The rest of a run that was broken off, and its name; else None, and empty.
     """
@@ -58,13 +62,9 @@ class Prepared:
     override: str | None
     inputs: tuple[Path, ...]
     leaves_m: float
+    at_rest: bool
     again: Continued | None = None
     continues: str = ""
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether a hold waits for a rest of the program, so as not to leave the path."""
-        return self.leaves_m > hold_limit_m(self.spec) or not math.isfinite(self.leaves_m)
 
     def ways(self, machine: Machine) -> list[tuple[str, int]]:
         """Return the moves to where the rest begins, one after the other as they are told."""
@@ -130,6 +130,8 @@ class KeptRuns:
         self._progress: dict[str, Any] | None = None
         self._held = 0  # ticks of the run that it was held
         self._held_from: int | None = None  # when the hold that lasts began
+        self._tells = way_of(machine).tells_plan
+        self._plan_clock = PlanClock(machine.command_clock)
         self.why = ""
         self._state: State | None = None
 
@@ -143,6 +145,7 @@ class KeptRuns:
         """Write a block into the open run."""
         if self._open is not None and self._sink is not None:
             self._sink.block(block)
+            self._plan_clock.take(block.events)
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
         """Keep the reason of a change of state, and write the change into the open run."""
@@ -196,8 +199,9 @@ class KeptRuns:
         if proof.content["sha256"] != told["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
         leaves_m = way_of(self._machine).hold_deviation_m(plan)
+        at_rest = hold_waits(plan, spec, leaves_m)
         load, number = executor.prepare(plan), int(told["number"])
-        found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m)
+        found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m, at_rest)
         if "run" not in told:
             return found
         return self._rest_of(str(told["run"]), str(told["at"]), found, executor)
@@ -237,6 +241,7 @@ class KeptRuns:
         self._sink.begin(self._channels, self._simulated)
         self._open = (run, ready, stack)
         self._held, self._held_from = 0, None
+        self._plan_clock = PlanClock(self._machine.command_clock)
         self._progress = {
             "run": run.path.name,
             "program": plan.job.name,
@@ -259,7 +264,7 @@ class KeptRuns:
             ended, why = executor.ended
             assert self._progress is not None
             share = executor.share_done
-            time_s = self._left_out_s + executor.time_s if share is None else self._at_share(share)
+            time_s = self._time_s(executor) if share is None else self._at_share(share)
             self._progress |= {"time_s": time_s, "ended": ended.value, "why": why}
             self._judging = self._pool.submit(self._judged, run, ready, ended.value, why)
         elif self._judging is not None and self._judging.done():
@@ -315,11 +320,20 @@ class KeptRuns:
             return self._progress
         if (share := executor.share_done) is not None:
             return {**self._progress, "time_s": self._at_share(share)}
-        time_s = self._left_out_s + executor.time_s
+        return {**self._progress, "time_s": self._time_s(executor)}
+
+    def _time_s(self, executor: Operated) -> float:
+        """Return the instant of the whole job that a run is at, s, as its recording tells it.
+
+        Where it tells none, time is left out from each hold that was asked for to its end.
+        """
+        if self._tells:
+            due_s, _ = self._plan_clock.at(np.array([executor.time_s]))
+            return self._left_out_s + float(due_s[0])
         period_s = float(self._machine.command_clock.period_s)
         held_s = executor.time_s - (self._held_from or 0) * period_s
         since = 0.0 if self._held_from is None else held_s
-        return {**self._progress, "time_s": time_s - self._held * period_s - max(since, 0.0)}
+        return self._left_out_s + executor.time_s - self._held * period_s - max(since, 0.0)
 
     def _at_share(self, share: float) -> float:
         """Return the instant of the whole job at a share of what is sent of it, s."""

@@ -152,8 +152,10 @@ def _kept(
         velocity = np.diff(joined, axis=0)[1:] / interval_s
         acceleration = np.diff(joined, 2, axis=0) / interval_s**2
         number = block.first + np.arange(len(actual))
-        planned = reader.ladder(block.time_s, 3)
-        reader.drop(float(block.time_s[0]))
+        planned = reader.ladder(block.due_s, 3)
+        reader.drop(float(block.due_s[0]))
+        if block.slow is not None:
+            _pass_slowly(planned, block.due_s - block.time_s, interval_s)
         keep = np.ones(len(actual), dtype=bool)
         if stride > 1:
             told = planned.reshape(len(planned), -1)
@@ -170,6 +172,25 @@ def _kept(
             acceleration[keep],
             planned[keep],
         )
+
+
+def _pass_slowly(planned: FloatArray, ahead_s: FloatArray, interval_s: float) -> None:
+    """Give (n, 3, axes) planned velocity and acceleration the rate at which they were run.
+
+    Where rows were held a motion x(p) of the plan's time p has the velocity x' p' and the
+    acceleration x'' p'^2 + x' p''.
+
+    Parameters
+    ----------
+    ahead_s
+        (n,) the plan's time less the recording's, s; it falls in a hold.
+    """
+    if len(ahead_s) < 2:
+        return
+    more = np.gradient(ahead_s, interval_s)
+    rate, change = 1.0 + more[:, None], np.gradient(more, interval_s)[:, None]
+    planned[:, 2] = planned[:, 2] * rate**2 + planned[:, 1] * change
+    planned[:, 1] *= rate
 
 
 def _vertices(plan: Plan, around: Sequence[int]) -> FloatArray:

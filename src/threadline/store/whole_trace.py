@@ -15,6 +15,7 @@ import numpy as np
 from threadline.signals import (
     Channel,
     ChannelKind,
+    Clock,
     Event,
     Recording,
     RecordingBlock,
@@ -93,7 +94,7 @@ def _joined(before: Recording, rest: Recording) -> Recording:
     if fitting is None:
         return rest
     channel = rest.channels[0]
-    blocks = Stream(_blocks, before, rest, channel.clock.name, channel.stride, *fitting)
+    blocks = Stream(_blocks, before, rest, channel.clock, channel.stride, *fitting)
     return replace(rest, blocks=blocks)
 
 
@@ -132,7 +133,7 @@ def _begins_again(
 
 
 def _blocks(
-    before: Recording, rest: Recording, clock: str, stride: int, at: int, earlier: int
+    before: Recording, rest: Recording, clock: Clock, stride: int, at: int, earlier: int
 ) -> Iterator[RecordingBlock]:
     """Yield the blocks of ``before`` up to the tick ``at``, then those of ``rest``.
 
@@ -141,9 +142,11 @@ def _blocks(
     earlier
         Ticks by which what ``rest`` tells comes later in the whole than it says itself.
     """
+    tells = False
     for block in before:
-        kept = max(-(-(at - block.first_tick[clock]) // stride), 0)
+        kept = max(-(-(at - block.first_tick[clock.name]) // stride), 0)
         own = tuple(e for e in block.events if e.tick < at and e.kind not in _ENDS)
+        tells = tells or any(event.kind == "plan" for event in own)
         yield replace(
             block, samples={name: a[:kept] for name, a in block.samples.items()}, events=own
         )
@@ -153,6 +156,8 @@ def _blocks(
     nothing = {channel.name: np.empty(0) for channel in rest.channels}
     resumed = replace(held, kind="resume", name="continued")
     joint = [held, resumed]
+    if tells:  # where the work began again is its own place in the plan, however late that is
+        joint.append(replace(held, kind="plan", name="", value=clock.time_s(at - earlier)))
     worked = False
     for block in rest:
         if not worked and not max(map(len, block.samples.values()), default=0):
@@ -160,7 +165,7 @@ def _blocks(
             joint += [replace(event, tick=at) for event in block.events if event.kind == "late"]
             continue
         if not worked:
-            yield RecordingBlock(first_tick={clock: at}, samples=nothing, events=tuple(joint))
+            yield RecordingBlock(first_tick={clock.name: at}, samples=nothing, events=tuple(joint))
             worked = True
         yield replace(
             block,

@@ -131,8 +131,8 @@ class _Progress(SweptMeasure):
             return block.commanded
         if self._planned is None:
             self._planned = TrajectoryReader(self._trajectory)
-        found = self._planned.ladder(block.time_s, 1)[:, 0, self._columns]
-        self._planned.drop(float(block.time_s[-1]))
+        found = self._planned.ladder(block.due_s, 1)[:, 0, self._columns]
+        self._planned.drop(float(block.due_s[-1]))
         return np.asarray(found)
 
 

@@ -46,7 +46,7 @@ def contour_along(
     window = PathWindow(plan.motion.programmed)
     for block in judged_blocks(recording, axes, setting.lag_samples, window):
         squared = block.nearest_on_surface[0][:, 0]
-        stretch = np.minimum((block.time_s / width_s).astype(np.int64), stretches)
+        stretch = np.minimum((block.due_s / width_s).astype(np.int64), stretches)
         # The largest of each stretch comes last, and what is assigned last stays.
         order = np.argsort(squared, kind="stable")
         order = order[squared[order] > worst[stretch[order]]]

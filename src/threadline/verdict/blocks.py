@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
 from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.follower import MOST_WAITING, Follower, sample_interval_s
+from threadline.verdict.plan_clock import PlanClock
 from threadline.verdict.progress import chords_under_way
 from threadline.verdict.samples import Block, Setting, samples_of_lag, together
 from threadline.verdict.window import PathWindow
@@ -99,11 +101,13 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
 
 @dataclass(slots=True)
 class _Held:
-    """Samples in hand: instants, columns of all axes, and whole numbers."""
+    """Samples in hand: instants, columns of all axes, whole numbers, and the plan's time."""
 
     time_s: FloatArray
     columns: dict[str, FloatArray]
     whole: dict[str, IntArray]
+    plan_s: FloatArray | None = None  # where it is not that of the clock
+    slow: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -114,11 +118,24 @@ class _Held:
 
     def joined(self, after: _Held) -> _Held:
         """Return these samples and those ``after`` them as one."""
+        held = self.slow is not None or after.slow is not None
         return _Held(
             np.concatenate([self.time_s, after.time_s]),
             {k: _behind(v, after.columns[k]) for k, v in self.columns.items()},
             {k: np.concatenate([v, after.whole[k]]) for k, v in self.whole.items()},
+            np.concatenate([one.due_s for one in (self, after)]) if held else None,
+            np.concatenate([one.slowed for one in (self, after)]) if held else None,
         )
+
+    @property
+    def due_s(self) -> FloatArray:
+        """(n,) the plan's time at each sample."""
+        return self.time_s if self.plan_s is None else self.plan_s
+
+    @property
+    def slowed(self) -> NDArray[np.bool_]:
+        """(n,) whether less of the plan was due than time went by since the sample before."""
+        return np.zeros(len(self), dtype=np.bool_) if self.slow is None else self.slow
 
 
 def _behind(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -148,13 +165,14 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
     operations = recording.find(ChannelKind.OPERATION)
     if operations is not None:
         followers["operation"] = [Follower(operations, master)]
-    waiting = _Waiting(recording, followers)
+    waiting, plan_clock = _Waiting(recording, followers), PlanClock(master.clock)
     reached = np.iinfo(np.int64).min
     for block in chain(recording, (None,)):
         if block is None:  # nothing more comes
             parts = waiting.taken(0)
         else:
             _refuse_absurd(block)
+            plan_clock.take(block.events)
             count = len(block.samples[master.name])
             first = block.first_tick.get(master.clock.name, 0)
             waiting.take(block, master.clock.times_s(first, count, master.stride))
@@ -171,6 +189,8 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
                 operation = np.maximum.accumulate(np.maximum(operation, reached))
                 reached = int(operation[-1])
                 part.whole["operation"] = operation
+            due_s, part.slow = plan_clock.at(part.time_s)
+            part.plan_s = None if part.slow is None else due_s
             yield part
 
 
@@ -363,6 +383,8 @@ def _block(
         begin=chord_begin,
         end=chord_end,
         path=path if chord_begin is not None else None,
+        plan_s=part.plan_s,
+        slow=part.slow,
     )
 
 

@@ -21,6 +21,7 @@ from threadline.signals import (
     tick_table,
 )
 from threadline.verdict.blocks import master_channel
+from threadline.verdict.plan_clock import PlanClock
 
 OPERATION_BY_TIME = "operations from the plan by time"
 """Note of a result for which the operations were taken from the plan."""
@@ -91,7 +92,8 @@ def with_operation(recording: Recording, plan: Plan, axes: Sequence[str]) -> Rec
 
     A trace of another controller knows nothing of operations. Its time counts from the start of
     the commands (docs/files.md), so each instant has its row in them, and the row its operation;
-    before the first row and after the last, theirs.
+    before the first row and after the last, theirs. Where a recording tells that it was held, the
+    rows are those of the plan's time.
 
     Raises
     ------
@@ -116,11 +118,12 @@ def _labelled(
 ) -> Iterator[RecordingBlock]:
     """Yield ``blocks`` with the operations of the commands as the channel ``name``."""
     tick_s = float(commands.clock.period_s)
-    rows = _Rows(commands)
+    rows, plan_clock = _Rows(commands), PlanClock(master.clock)
     for block in blocks:
+        plan_clock.take(block.events)
         count = len(block.samples[master.name])
         first = block.first_tick.get(master.clock.name, 0)
-        time_s = master.clock.times_s(first, count, master.stride)
+        time_s, _ = plan_clock.at(master.clock.times_s(first, count, master.stride))
         due = np.floor(time_s / tick_s + _ROUNDING).astype(np.int64)
         operation = rows.operations(due).astype(np.float64)
         yield replace(block, samples={**block.samples, name: operation})

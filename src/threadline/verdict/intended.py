@@ -8,13 +8,15 @@ from dataclasses import replace
 from threadline.plan import Plan
 from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock, Stream
 from threadline.trajectory import Trajectory, TrajectoryReader
+from threadline.verdict.plan_clock import PlanClock
 
 
 def as_intended(recording: Recording, plan: Plan) -> Recording:
     """Return ``recording`` with the commanded position of each axis as the plan meant it.
 
     Where the loads follow the motion, the controllers are told what makes them do so: the motors
-    run ahead of it. What was intended is the motion; errors are measured from there. Where the
+    run ahead of it. What was intended is the motion; errors are measured from there. Where rows
+    were held it is the motion at the plan's time, which stands with them. Where the
     motors follow it the two are one, and the recording is returned as it is.
     """
     intended = plan.motion.of_loads
@@ -35,13 +37,16 @@ def _blocks(
 ) -> Iterator[RecordingBlock]:
     """Yield ``blocks`` with the positions of ``trajectory`` in the channels ``columns``."""
     readers = {name: TrajectoryReader(trajectory) for name in columns}
+    clocks = {name: PlanClock(channel.clock) for name, (channel, _) in columns.items()}
     for block in blocks:
         samples = dict(block.samples)
         for name, (channel, column) in columns.items():
+            clocks[name].take(block.events)
             if name not in samples or not len(samples[name]):
                 continue
             first = block.first_tick[channel.clock.name]
             time_s = channel.clock.times_s(first, len(samples[name]), channel.stride)
-            samples[name] = readers[name].ladder(time_s, 1)[:, 0, column]
-            readers[name].drop(float(time_s[-1]))
+            due_s, _ = clocks[name].at(time_s)
+            samples[name] = readers[name].ladder(due_s, 1)[:, 0, column]
+            readers[name].drop(float(due_s[-1]))
         yield replace(block, samples=samples)

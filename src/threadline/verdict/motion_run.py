@@ -141,8 +141,10 @@ class MotionRun(Setting):
         if not running:
             return []
         begin_s, end_s = self.plan.motion.trajectory.moves_s
-        if last is not None and self._arrived(last):
-            end_s = float(last.time_s[-1])  # sooner than planned
+        if last is not None:
+            # Later by what it was held for; sooner where it has come to the end already.
+            late_s = float(last.time_s[-1] - last.due_s[-1])
+            end_s = float(last.time_s[-1]) if self._arrived(last) else end_s + late_s
         return [self._result(one, begin_s, end_s) for one in running]
 
     def _result(self, one: Running, begin_s: float, end_s: float) -> list[Found]:

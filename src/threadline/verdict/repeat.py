@@ -119,6 +119,7 @@ class _InStep:
         self._few = few
         # By time a sample may be of another operation: the same spread, told with that one.
         self._own, self._by_time = spread, _Spread(spread.setting, few)
+        self._held = False
         self._waiting: list[deque[_Taken]] = [deque() for _ in range(count)]
         self._operations = [_Operations() for _ in range(count)]
 
@@ -126,6 +127,7 @@ class _InStep:
         """Take the next samples of a run."""
         if self._few or block.actual is None or not len(block):
             return
+        self._held = self._held or block.slow is not None
         self._operations[number].take(block, by_time)
         self._waiting[number].append(_Taken(block, by_time))
         while all(self._waiting):
@@ -158,6 +160,8 @@ class _InStep:
     def finish(self, runs: Sequence[Run]) -> Sequence[Finding]:
         """Return the largest distance, if the runs did the same at the same instants."""
         if not self._few:
+            if self._held:
+                return [Finding(value=None, note="a run was held: its instants are its own")]
             if any(one.samples != self._operations[0].samples for one in self._operations):
                 return [Finding(value=None, note="the recordings differ in length")]
             told = {one.digest(run) for one, run in zip(self._operations, runs, strict=True)}

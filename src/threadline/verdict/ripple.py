@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
@@ -60,7 +61,8 @@ class _Ripple:
     The speed is that of the tool's displacement over ``over``. Samples within the lag of a corner
     or of a change of the set speed are exempt: they belong to two chords. Chords that follow each
     other straight on at one speed, as the stitches of a seam, are one. So are rapid moves, which
-    have no set speed, and what comes after the command has arrived at the end.
+    have no set speed, what comes after the command has arrived at the end, and what lies within a
+    hold, or within the lag behind it.
     """
 
     def __init__(self, setting: Setting, over_s: float) -> None:
@@ -68,6 +70,8 @@ class _Ripple:
         self._every = enough_of(over_s, setting.interval_s)
         self._interval_s = self._every * setting.interval_s
         self._span = max(round(over_s / self._interval_s), 1)
+        self._after = self._span + setting.lag_samples // self._every
+        self._slow = -self._after - 1  # the last sample of a hold, counted from the next one
         self._runs = setting.runs
         self._tail: FloatArray = np.empty((0, len(setting.axes), setting.runs))
         self._worst = Worst(
@@ -78,6 +82,7 @@ class _Ripple:
         block = block.every(self._every)
         if not len(block):
             return
+        held = self._held(block)
         path, begin, end = block.window()
         points = np.concatenate([self._tail, block.at_tool])
         known = len(self._tail)
@@ -89,7 +94,7 @@ class _Ripple:
         begin, end = begin[skipped:], end[skipped:]
         wanted = path.speed_m_s[begin]
         part = _part(path.vertices, path.speed_m_s)
-        free = (part[begin] == part[end]) & (wanted > 0)
+        free = (part[begin] == part[end]) & (wanted > 0) & ~held[skipped:]
         if path.ended and block.commanded is not None:
             # Once the command has arrived nothing is wanted of the speed any more.
             left = path.vertices[-1] - block.commanded[skipped:] * self._radius_m
@@ -106,6 +111,15 @@ class _Ripple:
             operation=block.operations_at(index),
             position=block.positions_at(index),
         )
+
+    def _held(self, block: Block) -> NDArray[np.bool_]:
+        """Return (n,) whether the run was held or came to its speed within lag and span before."""
+        if block.slow is None:
+            return np.zeros(len(block), dtype=np.bool_)
+        latest = np.where(block.slow, np.arange(len(block)), self._slow)
+        latest = np.maximum.accumulate(latest)
+        self._slow = int(latest[-1]) - len(block)
+        return np.arange(len(block)) - latest <= self._after
 
     def finish(self) -> Sequence[Found]:
         return [self._worst.found()]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,13 @@ _HIGH, _STILL = 0.95, 0.01  # of the set speed
 _MOVES = 0.02  # of the highest speed of a needle that follows: less is a rest of the head
 
 
+class _Instant(NamedTuple):
+    """A sample, as a finding without a value, and the plan's time at it in s."""
+
+    finding: Finding
+    due_s: float
+
+
 @dataclass(slots=True)
 class _Dip:
     """A stretch in which the command is below its speed.
@@ -29,14 +37,17 @@ class _Dip:
     """
 
     least: float
-    stop: Finding
-    turn: Finding
+    stop: _Instant
+    turn: _Instant
 
 
 class _Rise:
     """The longest of the times to the speed and from it, in turns of the needle.
 
     The set speed of a needle that follows the head is what the head is told at that instant.
+
+    What is sewn while a run is held, or comes to its speed again, counts in no leg, and a leg takes
+    the time of the plan, which stands in a hold.
 
     A rise goes from the turn of a dip of the command until the head has 95 % of the set speed, a
     fall from the last time that it had so much until the command stops. Speeds are means over
@@ -75,7 +86,9 @@ class _Rise:
         meant, actual = (
             np.linalg.norm(p[self._span :] - p[: -self._span], axis=1) / self._over_s for p in whole
         )
-        wanted, period_s, follows, sewn = self._set(block.time_s)
+        wanted, period_s, follows, sewn = self._set(block.due_s)
+        if block.slow is not None:  # its slowness in a hold is the operator's
+            sewn &= ~block.slow
         # A needle that follows asks for what the head is told, as long as that moves at all.
         geared = np.maximum(meant[:, 0], _MOVES * wanted)
         wanted = np.where(follows, geared, wanted)
@@ -92,27 +105,27 @@ class _Rise:
         return [Found.made([legs.worst or none for legs in self._legs])]
 
     def _set(
-        self, time_s: FloatArray
+        self, due_s: FloatArray
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
         """Return (n,) set speed and turn of the needle, whether it follows, and where it sews.
 
-        The speed is the highest where the needle follows the head.
+        At (n,) instants of the plan. The speed is the highest where the needle follows the head.
         """
-        wanted, period_s = np.ones(len(time_s)), np.ones(len(time_s))
-        follows = np.zeros(len(time_s), dtype=np.bool_)
-        known = np.zeros(len(time_s), dtype=np.bool_)
+        wanted, period_s = np.ones(len(due_s)), np.ones(len(due_s))
+        follows = np.zeros(len(due_s), dtype=np.bool_)
+        known = np.zeros(len(due_s), dtype=np.bool_)
         while self._run is not None:
             run = self._run
-            mine = ~known & (time_s <= run.down_s[-1])
+            mine = ~known & (due_s <= run.down_s[-1])
             if not mine.any():
                 break
-            stitch = np.searchsorted(run.down_s, time_s[mine], side="left")
+            stitch = np.searchsorted(run.down_s, due_s[mine], side="left")
             speed = np.where(run.follows, run.fastest_hz, 1.0 / run.period_s)
             wanted[mine] = (run.target_m * speed)[stitch]
             follows[mine] = run.follows[stitch]
             period_s[mine] = run.period_s[stitch]
             known |= mine
-            if time_s[-1] <= run.down_s[-1]:
+            if due_s[-1] <= run.down_s[-1]:
                 break
             self._run = next(self._source, None)
         return wanted, period_s, follows, known & np.isfinite(period_s)
@@ -129,8 +142,8 @@ class _Legs:
 
     def __init__(self) -> None:
         self._dip: _Dip | None = None
-        self._turn: Finding | None = None  # of the dip that is over, until the head has its speed
-        self._fast: Finding | None = None  # when the head last had its speed
+        self._turn: _Instant | None = None  # of the dip that is over, until the head has its speed
+        self._fast: _Instant | None = None  # when the head last had its speed
         self.worst: Finding | None = None
 
     def take(
@@ -190,19 +203,19 @@ class _Legs:
             self._turn = None
         self._fast = self._at(block, int(at[reached[-1]]))
 
-    def _at(self, block: Block, index: int) -> Finding:
-        return Finding(
+    def _at(self, block: Block, index: int) -> _Instant:
+        finding = Finding(
             value=None,
             time_s=float(block.time_s[index]),
             operation=None if block.operation is None else int(block.operation[index]),
             position=_position(block, index),
         )
+        return _Instant(finding, float(block.due_s[index]))
 
-    def _count(self, begin: Finding, end: Finding, period_s: float, note: str) -> None:
-        assert begin.time_s is not None and end.time_s is not None
-        value = max(end.time_s - begin.time_s, 0.0) / period_s
+    def _count(self, begin: _Instant, end: _Instant, period_s: float, note: str) -> None:
+        value = max(end.due_s - begin.due_s, 0.0) / period_s
         if self.worst is None or self.worst.value is None or value > self.worst.value:
-            self.worst = replace(end, value=value, note=note)
+            self.worst = replace(end.finding, value=value, note=note)
 
 
 def _position(block: Block, index: int) -> tuple[float, ...] | None:

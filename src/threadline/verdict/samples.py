@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import BudgetError
@@ -88,6 +89,9 @@ class Block:
     torque_share
         (n, runs, axes) or None: the torque asked of a drive over what it has, its largest since the
         sample before.
+    plan_s, slow
+        (n,) the plan's time at each sample, and whether less of it went by than time did since the
+        sample before; None while it is that of the recording, which was not held yet.
     """
 
     first: int
@@ -104,9 +108,16 @@ class Block:
     end: IntArray | None
     path: PathWindow | None
     torque_share: FloatArray | None = None
+    plan_s: FloatArray | None = None
+    slow: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    @property
+    def due_s(self) -> FloatArray:
+        """(n,) the plan's time at each sample: what was due then by the plan is that of it."""
+        return self.time_s if self.plan_s is None else self.plan_s
 
     @property
     def runs(self) -> int:
@@ -177,6 +188,8 @@ class Block:
             begin=those(self.begin),
             end=those(self.end),
             torque_share=None,
+            plan_s=those(self.plan_s),
+            slow=None if self.slow is None else _any_since(self.slow, rows),
         )
 
     def operations_at(self, index: IntArray) -> IntArray | None:
@@ -186,6 +199,13 @@ class Block:
     def positions_at(self, index: IntArray) -> FloatArray | None:
         """Return the commanded positions at some samples; NaN where one is not known."""
         return None if self.commanded is None else self.commanded[index]
+
+
+def _any_since(slow: NDArray[np.bool_], rows: slice) -> NDArray[np.bool_]:
+    """Return of the samples ``rows`` whether any since the one before is ``slow``."""
+    kept = np.arange(len(slow))[rows]
+    counted = np.append(0, np.cumsum(slow))
+    return np.diff(counted[kept + 1], prepend=0) > 0
 
 
 def samples_of_lag(lag_s: float, interval_s: float, runs: int) -> int:

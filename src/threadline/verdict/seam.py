@@ -44,7 +44,7 @@ class _Seam:
         assert block.actual is not None
         if self._follower is None:
             return
-        for run in self._follower.feed(block.time_s, block.actual):
+        for run in self._follower.feed(block):
             self._held = _Sewn(run, self._lines, self._held)
             self._judge(len(self._held.contour) - _NEAR)
 

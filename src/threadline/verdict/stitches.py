@@ -17,6 +17,7 @@ from threadline.verdict.measure import Measure, Option
 from threadline.verdict.nearest import nearest_chords
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting, lanes
+from threadline.verdict.sewn_clock import SewnClock
 
 OPTIONS = {"delay": Option(unit="s", default=0.0)}
 SPEED_OPTIONS = {**OPTIONS, "over": Option(unit="s", default=0.002)}
@@ -27,6 +28,7 @@ SHORT = "the recording ends before this stitch"
 _BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
 _PARTS = 256  # of the time over which a speed is taken: finer samples say nothing more
 _FINE_S = 0.002  # or of so much, for a mean is taken over the part of a stitch at most
+_TO_SPEED = 2  # stitches that are exempt about a rest
 _SLOWEST = 1e-3  # of the highest speed of a needle that follows
 PART_OF_STITCH = 0.25
 """Of a stitch, over which its speed is taken at most: a mean over all of it hides each swing."""
@@ -52,7 +54,7 @@ class SewnStitches:
         (n, runs) relative error of the head's speed against the stitch's wanted length over its
         planned time, or times the needle's planned speed where that follows the head: speeds are
         means over ``over_s``, or ``PART_OF_STITCH`` of the stitch where that is less; the error is
-        the largest in the stitch, with its sign.
+        the largest in the stitch, with its sign; not a number in a hold and two stitches behind it.
     speed_s
         (n, runs) the instant at the end of that mean.
     """
@@ -92,6 +94,7 @@ class StitchFollower:
         self._radius_m = setting.radius_m
         self._delay_s = delay_s if setting.plan.motion.of_loads is None else 0.0
         self._over_s = over_s
+        self._clock, self._begun_s = SewnClock(), np.full(_TO_SPEED, -np.inf)
         self._pending: list[Stitches] = []
         self._ended = False
         self._time_s: FloatArray = np.empty(0)
@@ -104,9 +107,12 @@ class StitchFollower:
         self._pull(1)
         return self._pending[0] if self._pending else None
 
-    def feed(self, time_s: FloatArray, actual: FloatArray) -> list[SewnStitches]:
-        """Return the stitches, in runs, that are complete with these (n, runs, axes) samples."""
+    def feed(self, block: Block) -> list[SewnStitches]:
+        """Return the stitches, in runs, that are complete with the samples of a block."""
+        time_s, actual = block.time_s, block.actual
+        assert actual is not None
         kept = self._kept(time_s)
+        self._clock.take(block, kept)
         points = lanes(actual[kept])[:, self._columns] * self._radius_m[self._columns, None]
         self._time_s = np.concatenate([self._time_s, time_s[kept]])
         self._points = np.concatenate([self._points, points])
@@ -116,16 +122,19 @@ class StitchFollower:
             if not self._pending:
                 break
             run = self._pending[0]
-            down_s = run.down_s + self._delay_s
+            down_s = self._clock.when(run.down_s) + self._delay_s
             due = int(np.searchsorted(down_s, time_s[-1], side="right"))
             if not due:
                 break
             self._pending[:1] = [run.rows(slice(due, None))] if due < len(run) else []
             sewn.append(self._finish(run.rows(slice(due))))
-        keep_s = self._pending[0].from_s[0] + self._delay_s if self._pending else time_s[-1]
+        keep_s = time_s[-1]
+        if self._pending:
+            keep_s = self._clock.when(self._pending[0].from_s[:1])[0] + self._delay_s
         keep_s -= self._over_s
         first = max(int(np.searchsorted(self._time_s, keep_s, side="right")) - 2, 0)
         self._time_s, self._points = self._time_s[first:], self._points[first:]
+        self._clock.drop(keep_s - self._delay_s, float(self._begun_s[0]) - self._over_s)
         return sewn
 
     def _kept(self, time_s: FloatArray) -> IntArray:
@@ -160,9 +169,9 @@ class StitchFollower:
         return np.asarray(start + part * (self._points[after] - start))
 
     def _finish(self, run: Stitches) -> SewnStitches:
-        down_s = run.down_s + self._delay_s
+        down_s = self._clock.when(run.down_s) + self._delay_s
         actual = self._at(down_s)
-        begun = self._at(run.from_s + self._delay_s)
+        begun = self._at(self._clock.when(run.from_s) + self._delay_s)
         moved = np.sqrt(((actual - begun) ** 2).sum(axis=1))
         behind = run.from_point[:1] if self._seam is None else self._seam
         coming = [pending.point for pending in self._pending[:_AHEAD]] or [run.point[-1:]]
@@ -188,7 +197,7 @@ class StitchFollower:
         Instants are the samples within the stitch, less the time of a mean at its begin, and its
         end.
         """
-        begin_s, end_s = run.from_s + self._delay_s, run.down_s + self._delay_s
+        begin_s, end_s = (self._clock.when(s) + self._delay_s for s in (run.from_s, run.down_s))
         at_s = np.unique(np.concatenate([self._time_s, end_s]))
         stitch = np.searchsorted(end_s, at_s, side="left")
         stitch = np.minimum(stitch, len(run) - 1)
@@ -206,7 +215,8 @@ class StitchFollower:
                 own = run.follows[stitch]
                 way_m = np.linalg.norm(run.point - run.from_point, axis=1)
                 share = (run.target_m / way_m)[stitch[own]]
-                geared = share * self._geared_m_s(at_s[own] - self._delay_s, over_s[own])
+                due_s = self._clock.due(at_s[own] - self._delay_s)
+                geared = share * self._geared_m_s(due_s, over_s[own])
                 # Beside a rest, where stitches are exempt, no speed is next to nothing.
                 least = _SLOWEST * (run.target_m * run.fastest_hz)[stitch[own]]
                 wanted[own] = np.maximum(geared, least)
@@ -221,7 +231,12 @@ class StitchFollower:
         rows = np.arange(len(stitch))[:, None]
         first = np.minimum.reduceat(np.where(sizes == worst, rows, len(stitch)), starts)
         first = np.minimum(first, len(stitch) - 1)
-        return np.take_along_axis(error, first, axis=0), at_s[first]
+        worst_error = np.take_along_axis(error, first, axis=0)
+        # Behind a hold the head comes to its speed as behind a rest: within so many stitches.
+        since_s = np.concatenate([self._begun_s, begin_s])
+        worst_error[self._clock.slowed(since_s[: len(run)] - self._over_s, end_s)] = np.nan
+        self._begun_s = since_s[len(run) :]
+        return worst_error, at_s[first]
 
     def _geared_m_s(self, time_s: FloatArray, over_s: FloatArray) -> FloatArray:
         """Return (m,) mean speeds of the head as planned over ``over_s`` up to rising instants."""
@@ -252,7 +267,7 @@ def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[
     follower = StitchFollower(setting_of(plan, recording), delay_s)
     for block in judged_blocks(recording, axes, 0, None):
         if block.actual is not None:
-            yield from follower.feed(block.time_s, block.actual)
+            yield from follower.feed(block)
 
 
 def _to_seam(points: FloatArray, seam: FloatArray, offset: int) -> FloatArray:
@@ -289,7 +304,7 @@ class _Stitching:
         assert block.actual is not None
         if self._follower is None:
             return
-        for sewn in self._follower.feed(block.time_s, block.actual):
+        for sewn in self._follower.feed(block):
             self._take(sewn)
 
     def finish(self) -> Sequence[Found]:

@@ -1,0 +1,74 @@
+"""The plan's time at the instants of a recording: the clock's, but for holds, stops and rises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.arrays import FloatArray
+from threadline.signals import Clock, Event
+
+_ROUNDING = 1e-9  # of a period: an instant that is a tick but for a rounding is that tick
+
+
+class PlanClock:
+    """Follows the events ``plan`` of a recording, in bounded memory.
+
+    Without any the plan's time is that of the recording. Behind an event it goes on with the
+    clock, or stands where the event before it has the same time. It never goes back.
+
+    Parameters
+    ----------
+    clock
+        Of the recording.
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._slack_s = _ROUNDING * float(clock.period_s)
+        self._from_s: FloatArray = np.empty(0)  # when each event was
+        self._due_s: FloatArray = np.empty(0)  # and what was due then
+        self._rate: FloatArray = np.empty(0)  # at which the plan goes on behind it
+        self._gone = 0  # events that were let go of
+        self._passed = 0  # events up to the instant that was asked for last
+        self._latest_s = -np.inf  # plan's time then
+
+    def take(self, events: Iterable[Event]) -> None:
+        """Take the events of a block, before its instants are asked for."""
+        told = [event for event in events if event.kind == "plan"]
+        if not told:
+            return
+        due = np.array([event.value for event in told])
+        before = np.append(self._due_s[-1:] if len(self._due_s) else [np.nan], due[:-1])
+        times = np.array([self._clock.time_s(event.tick) for event in told])
+        self._from_s = np.concatenate([self._from_s, times])
+        self._due_s = np.concatenate([self._due_s, due])
+        self._rate = np.concatenate([self._rate, np.where(due == before, 0.0, 1.0)])
+
+    def at(self, time_s: FloatArray) -> tuple[FloatArray, NDArray[np.bool_] | None]:
+        """Return what was due at (n,) rising instants, later than those asked for before.
+
+        Returns
+        -------
+        tuple
+            (n,) times of the plan, s; and (n,) whether less than the time from the instant before
+            was due since then. The instants themselves and None where no event has come yet.
+        """
+        if not len(self._from_s) or not len(time_s):
+            return time_s, None
+        known = np.searchsorted(self._from_s, time_s + self._slack_s, side="right")
+        last = np.maximum(known - 1, 0)
+        behind_s = self._due_s[last] + self._rate[last] * (time_s - self._from_s[last])
+        due_s = np.where(known + self._gone > 0, behind_s, time_s)
+        due_s = np.maximum(np.maximum.accumulate(due_s), self._latest_s)
+        number = known + self._gone
+        moved = np.diff(number, prepend=self._passed) > 0
+        slow = moved | ((number > 0) & (self._rate[last] == 0.0))
+        self._passed, self._latest_s = int(number[-1]), float(due_s[-1])
+        done = max(int(known[-1]) - 1, 0)
+        self._gone += done
+        self._from_s, self._due_s = self._from_s[done:], self._due_s[done:]
+        self._rate = self._rate[done:]
+        return due_s, slow
