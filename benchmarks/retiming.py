@@ -11,7 +11,7 @@ computer that does other work beside favours neither.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from time import process_time
 from typing import Any
 
@@ -25,12 +25,13 @@ from threadline.signals import Stream
 from threadline.trajectory.optimal import Limits
 from threadline.trajectory.optimal.fastest_motion import limited_blocks
 from threadline.trajectory.profile import largest_end, largest_start
-from threadline.trajectory.retime import _vertices
+from threadline.trajectory.retime import checked_points, path_through, vertex_blocks
 
 POINTS, AXES = 50, 7
 STATIONS = 10_000
 WAYPOINTS = 100_000
 TOLERANCE_M = 1e-4
+MILLISECONDS = 15  # runs of what takes no longer, of ours and of a peer's alike
 JERKS = (500.0, 50.0)
 SMALL = ((200, 2.0), (500, 4.0))
 """Stations and parameter length of the small cases, on which copp-py's conic program ends."""
@@ -193,10 +194,10 @@ def splined(knots: np.ndarray, points: np.ndarray) -> PlannedPath:
     )
 
 
-def worked(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Return the processor's seconds of ``work``, the lesser of two runs, and what it returns."""
+def worked(work: Callable[[], Any], times: int = 2) -> tuple[float, Any]:
+    """Return the processor's seconds of ``work``, the least of some runs, and what it returns."""
     seconds = []
-    for _ in range(2):
+    for _ in range(times):
         begun = process_time()
         result = work()
         seconds.append(process_time() - begun)
@@ -269,40 +270,62 @@ def against_copp() -> list[dict[str, Any]]:
 
 
 def smoothing() -> list[dict[str, Any]]:
-    """Time paths through many waypoints within 0.1 mm, as a CAM program or a probe writes them.
+    """Time paths through many waypoints, from their array to the last piece.
 
-    First 4 mm apart, a piece for each; then 0.1 mm apart, by chords, as ``retime`` passes them.
+    First 4 mm apart, a piece for each, within 0.1 mm as a CAM program or a probe writes them; then
+    0.1 mm apart, by chords, as ``retime`` passes them. copp-py's own curve of 10 000 points is
+    fitted twice: within 0.001, as its examples do, beside ours of the same points, and within
+    1e-4, as a test of its own does, beside our 100 000 points 0.1 mm apart.
     """
-    few = WAYPOINTS // 10
+    few, its, chords = WAYPOINTS // 10, noisy_curve(10_000), "smoothing by chords vs copp fit"
+    points = dense(WAYPOINTS)
     return [
         smoothed("smoothing vs copp fit", noisy(WAYPOINTS, 400.0), noisy(few, 40.0), thin=False),
-        smoothed("smoothing by chords vs copp fit", dense(WAYPOINTS), dense(few), thin=True),
+        smoothed(chords, points, dense(few)),
+        smoothed(f"{chords}, its own curve within 0.001", its, its, 1e-3, 1e-3),
+        smoothed(f"{chords} of its own curve within 1e-4", points, its),
     ]
 
 
-def smoothed(name: str, points: np.ndarray, few: np.ndarray, *, thin: bool) -> dict[str, Any]:
-    """Return the entry of one kind of waypoints; copp-py fits a ``few`` of them."""
-    programmed = ProgrammedPath(
-        axes=("X", "Y", "Z"), radius_m=np.ones(3), blocks=Stream.of([_vertices(points)])
-    )
+def smoothed(
+    name: str, points: np.ndarray, few: np.ndarray, ours_within: float = TOLERANCE_M,
+    its_within: float = TOLERANCE_M, *, thin: bool = True,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the entry of waypoints of ours; copp-py fits a ``few``."""
 
     def ours() -> int:
-        pieces = auto_pieces(programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M, thin=thin)
-        return sum(len(block) for block in pieces)
+        places = checked_points(points)
+        blocks = path_through(places, ours_within).blocks if thin else followed(places)
+        return sum(len(block) for block in blocks)
 
     ours()
-    seconds, count = worked(ours)
-    note = f"{len(points)} waypoints within 0.1 mm, {count} pieces"
+    seconds, count = worked(ours, MILLISECONDS)
+    note = f"{len(points)} waypoints within {ours_within:g}, {count} pieces"
     try:
         from benchmarks._copp_peer import fitted
 
-        peer_s, _ = worked(fitted(few, TOLERANCE_M))
+        peer_s, fit = worked(fitted(few, its_within), MILLISECONDS)
     except ImportError:
         return entry(name, seconds, None, None, "s", f"{note}; copp-py is not installed")
     ours_us, peer_us = 1e6 * seconds / len(points), 1e6 * peer_s / len(few)
-    return entry(
-        name, ours_us, peer_us, peer_us / ours_us, "us", f"per waypoint; {note}; its {len(few)}"
+    note += f"; its {len(few)} within {its_within:g}, {fit.smoothing_report.segments} pieces"
+    return entry(name, ours_us, peer_us, peer_us / ours_us, "us", f"per waypoint; {note}")
+
+
+def followed(places: np.ndarray) -> Iterator[PieceBlock]:
+    """Yield the pieces of a path along every one of the places, as jobs are followed."""
+    programmed = ProgrammedPath(
+        axes=("X", "Y", "Z"), radius_m=np.ones(3), blocks=Stream(vertex_blocks, places, None)
     )
+    return auto_pieces(programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M)
+
+
+def noisy_curve(count: int) -> np.ndarray:
+    """Return the curve of copp-py's examples: 10 long, each point up to 0.0002 beside it."""
+    s = np.linspace(0.0, 1.0, count)
+    points = np.stack([10 * s, np.sin(2 * np.pi * s), 0.3 * np.cos(4 * np.pi * s)], axis=1)
+    points[1:-1] += np.random.default_rng(3).uniform(-2e-4, 2e-4, (count - 2, 3))
+    return points
 
 
 def dense(count: int) -> np.ndarray:

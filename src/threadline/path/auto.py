@@ -79,7 +79,7 @@ class _Run:
 
     def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
         """Add vertices, and yield the pieces that no later vertex can change."""
-        self.vertices = join_vertices(self.vertices, chunk.vertices)
+        self.vertices = join_vertices(self.vertices, *chunk.parts)
         while True:
             length, turn = turns(self.vertices.positions, self.radius_m, self.local)
             # At a corner too tight for a curve within the tolerance the motion comes to rest.

@@ -27,7 +27,7 @@ def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBl
     held: Vertices | None = None
     first = 0  # first chord between ``held`` that was not yielded yet
     for chunk in runs(programmed):
-        held = join_vertices(held, chunk.vertices)
+        held = join_vertices(held, *chunk.parts)
         while True:
             length, turn = turns(held.positions, radius, programmed.local)
             tight = np.flatnonzero(CUT * cut_m < LEAST_SPACING_M * turn)

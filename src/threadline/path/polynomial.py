@@ -35,7 +35,7 @@ def polynomial_pieces(
     held: Vertices | None = None
     before: FloatArray | None = None  # mean velocities of the chord before ``held``
     for chunk in runs(programmed):
-        held = join_vertices(held, chunk.vertices)
+        held = join_vertices(held, *chunk.parts)
         count = len(held)
         stop = count - 1 if chunk.ends else count - 2
         if stop > 0:

@@ -17,7 +17,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.compiled import njit
-from threadline.path.chords import AHEAD, LEAST, SHARES, chord, from_vertex, towards
+from threadline.path.chords import AHEAD, LEAST, SHARES, chord, from_vertex, squared_of, towards
 from threadline.path.roughness import ROUGH, SMOOTH, UNEVEN, legs_kept, roughness
 from threadline.path.runs import Chunk, Vertices, join_vertices, runs
 from threadline.path.types import ProgrammedPath
@@ -35,12 +35,12 @@ def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Ite
     thinner, held = Thinner(programmed.radius_m, cut_m), None
     for chunk in runs(programmed, near_m):
         fresh = thinner.thinned(chunk)
-        held = join_vertices(held, fresh.vertices)
+        held = join_vertices(held, *fresh.parts)
         if fresh.ends or len(held) >= ENOUGH:
-            yield replace(fresh, vertices=held)
+            yield replace(fresh, parts=(held,))
             held = None
     if held is not None and len(held):
-        yield Chunk(vertices=held, ends=False, dwell_s=0.0)
+        yield Chunk(parts=(held,), ends=False, dwell_s=0.0)
 
 
 @dataclass(slots=True)
@@ -74,7 +74,7 @@ class Thinner:
     def thinned(self, chunk: Chunk) -> Chunk:
         """Return the vertices that no later one can change."""
         begun = self.held is not None
-        held = self.held = join_vertices(self.held, chunk.vertices)
+        held = self.held = join_vertices(self.held, *chunk.parts)
         if not len(held):
             return chunk
         if not begun:
@@ -106,7 +106,16 @@ class Thinner:
             gone = max(start - 1, 0)
             self.held, self.start = held.take(slice(gone, None)), start - gone
             self.place, self.known = place, (known[0] - gone, *known[1:])
-        return Chunk(vertices=found, ends=chunk.ends, dwell_s=chunk.dwell_s)
+        return Chunk(parts=(found,), ends=chunk.ends, dwell_s=chunk.dwell_s)
+
+
+@njit(error_model="numpy", fastmath={"reassoc"})
+def _passed(nominal_s, start, stop):
+    """Return the time from one row to another, summed in any order."""
+    passed_s = 0.0
+    for i in range(start + 1, stop + 1):
+        passed_s += nominal_s[i]
+    return passed_s
 
 
 @njit(error_model="numpy")
@@ -128,7 +137,7 @@ def _thin(
     out, beside = np.empty((count, axes)), np.empty(count)
     time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
     kept = legs_kept(positions, radius_m, cut_m)
-    here, d = place.copy(), np.empty(axes)
+    here, d, middle = place.copy(), np.empty(axes), np.empty(axes)
     # Of what is behind the last two rows nothing is known before more vertices come.
     last = count - 1 if ends else count - 2
     n, next_kept = 0, start
@@ -143,7 +152,9 @@ def _thin(
         # Back from where a chord ended to the next vertex would be a turn where none is meant.
         aside = from_vertex(positions, radius_m, here, start) > 0.0
         limit = start + 1
-        if (aside or rough != SMOOTH) and not kept[start]:
+        if (aside or rough != SMOOTH) and not len(kept):
+            limit = min(last, start + AHEAD)
+        elif (aside or rough != SMOOTH) and not kept[start]:
             next_kept = max(next_kept, start)
             while next_kept < min(last, start + AHEAD) and not kept[next_kept]:
                 next_kept += 1
@@ -157,19 +168,16 @@ def _thin(
             )
             towards(positions, radius_m, here, k, d)
         else:
-            corner = kept[limit] or (ends and limit == last)
+            corner = (len(kept) > 0 and kept[limit]) or (ends and limit == last)
             k, met, strayed, level, guess = chord(
                 positions, radius_m, cut_m, shares, rough, aside, level, before_m, guess, start,
-                limit, corner, not ends and not corner and limit == last, here, d,
+                limit, corner, not ends and not corner and limit == last, here, d, middle,
             )  # fmt: skip
         if k < 0:
             break  # where it ends is not known yet
         if k == start + 1 and rough == UNEVEN:
             rough, until = SMOOTH, start + WINDOW  # the tube of a chord is too short for its gain
-        squared = 0.0
-        for j in range(axes):
-            squared += d[j] * d[j]
-        before_m = np.sqrt(squared)
+        before_m = np.sqrt(squared_of(d))
         for j in range(axes):
             if met:  # a vertex is met bit for bit
                 here[j] = positions[k, j] * radius_m[j]
@@ -177,10 +185,7 @@ def _thin(
             else:
                 here[j] += d[j]
                 out[n, j] = here[j] / radius_m[j]
-        passed_s = 0.0
-        for i in range(start, k):
-            passed_s += nominal_s[i + 1]
-        time_s[n] = passed_s
+        time_s[n] = _passed(nominal_s, start, k)
         row[n], beside[n] = k, strayed
         n += 1
         start = k

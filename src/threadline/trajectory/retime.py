@@ -7,9 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from threadline.arrays import FloatArray, IntArray, read_only, real_numbers
+from threadline.arrays import FloatArray, IntArray, real_numbers
 from threadline.errors import PlanError
 from threadline.path.auto import CUTTING_ENDS, auto_pieces
+from threadline.path.runs import AT_A_TIME
 from threadline.path.turning_back import reversals
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
 from threadline.signals import Stream
@@ -22,6 +23,8 @@ from threadline.trajectory.types import Trajectory
 _NEAR_SHARE = 0.01  # of the tolerance: points nearer to each other are one
 _LARGEST = 1e9  # of a coordinate or a limit: beyond, squares and cubes lose their digits
 _LEAST = 1e-9  # of a limit
+_NOTHING, _ZEROS = np.zeros(AT_A_TIME), np.zeros(AT_A_TIME, dtype=np.int64)
+_NOTHING.flags.writeable = _ZEROS.flags.writeable = False
 
 
 def retime(
@@ -91,7 +94,7 @@ def retime(
     >>> np.abs(motion(times[-1]) - points[-1]).max() < 1e-9
     np.True_
     """
-    places = _checked_points(points)
+    places = checked_points(points)
     axes = places.shape[1]
     along = AlongPath(
         velocity=_checked_number("path_velocity", path_velocity),
@@ -115,12 +118,26 @@ def retime(
         along=along if limited else None,
     )
     width = _checked_tolerance(tolerance)
+    path = path_through(places, width, reversals(places) if kinks else None)
+    # It will be read many times: the motion is worked out once and kept.
+    motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
+    return Retimed(axes=path.axes, blocks=motion.blocks, shares=limits_used(motion, limits))
+
+
+def path_through(
+    places: FloatArray, tolerance: float, rests: IntArray | None = None
+) -> PlannedPath:
+    """Return the path that ``retime`` takes through (n, axes) places, within the tolerance.
+
+    It rests at its ends, and where (n,) ``rests`` is 1. The places are read when the path is.
+    """
+    axes = places.shape[1]
     programmed = ProgrammedPath(
         axes=tuple(str(axis) for axis in range(axes)),
         radius_m=np.ones(axes),
-        blocks=Stream.of([_vertices(places, reversals(places) if kinks else None)]),
+        blocks=Stream(vertex_blocks, places, rests),
     )
-    path = PlannedPath(
+    return PlannedPath(
         axes=programmed.axes,
         radius_m=programmed.radius_m,
         interpolation="optimal",
@@ -129,34 +146,48 @@ def retime(
         blocks=Stream(
             auto_pieces,
             programmed,
-            (1.0 - _NEAR_SHARE) * width,
-            _NEAR_SHARE * width,
+            (1.0 - _NEAR_SHARE) * tolerance,
+            _NEAR_SHARE * tolerance,
             CUTTING_ENDS,
             thin=True,
         ),
     )
-    # It will be read many times: the motion is worked out once and kept.
-    motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
-    return Retimed(axes=path.axes, blocks=motion.blocks, shares=limits_used(motion, limits))
 
 
-def _vertices(places: FloatArray, rests: IntArray | None = None) -> VertexBlock:
+def vertex_blocks(places: FloatArray, rests: IntArray | None) -> Iterator[VertexBlock]:
+    """Yield the places as vertices, few at a time: what is made of them stays in a cache."""
     count = len(places)
-    rest = np.zeros(count, dtype=np.int64) if rests is None else rests.copy()
-    rest[-1] = 1
-    return VertexBlock(
-        positions=places,
-        operation=np.maximum(np.arange(count) - 1, 0),
-        nominal_s=np.zeros(count),
-        rest=rest,
-        dwell_s=np.zeros(count),
-        line=np.zeros(count, dtype=np.int64),
-    )
+    for first in range(0, count, AT_A_TIME):
+        own = slice(first, min(first + AT_A_TIME, count))
+        rows = slice(0, own.stop - first)
+        rest = _ZEROS[rows] if rests is None else rests[own]
+        if own.stop == count:
+            rest = rest.copy()
+            rest[-1] = 1
+        operation = np.arange(first - 1, own.stop - 1)
+        operation[0] = max(first - 1, 0)
+        operation.flags.writeable = False
+        yield VertexBlock(
+            positions=places[own],
+            operation=operation,
+            nominal_s=_NOTHING[rows],
+            rest=rest,
+            dwell_s=_NOTHING[rows],
+            line=_ZEROS[rows],
+        )
 
 
-def _checked_points(points: ArrayLike) -> FloatArray:
+def checked_points(points: ArrayLike) -> FloatArray:
+    """Return points as (n, axes) numbers: themselves, not a copy, where they are that already.
+
+    Raises
+    ------
+    PlanError
+        If they are not that, or if one is no number in the range; it names the point.
+    """
     try:
-        places = real_numbers(points)
+        own = type(points) is np.ndarray and points.dtype == np.float64
+        places: FloatArray = np.asarray(points) if own else real_numbers(points)
     except (TypeError, ValueError) as error:
         raise PlanError(
             "the points are not an array of numbers", remedy="Give n rows of as many axes."
@@ -166,14 +197,17 @@ def _checked_points(points: ArrayLike) -> FloatArray:
             f"the points have shape {places.shape}; they must be n rows of axes, 1 at least",
             remedy="A single axis is a column: points[:, None].",
         )
-    wrong = np.flatnonzero(~(np.abs(places) <= _LARGEST).all(axis=1))
+    wrong = np.zeros(0, dtype=np.int64)
+    # One sum tells most often that each of them is in the range, and none is NaN.
+    if not np.vdot(places, places) <= _LARGEST**2:
+        wrong = np.flatnonzero(~(np.abs(places) <= _LARGEST).all(axis=1))
     if len(wrong):
         raise PlanError(
             f"point {wrong[0]} is {places[wrong[0]].tolist()}; every coordinate must be a number "
             f"of at most {_LARGEST:g}",
             remedy="Correct it, or leave it out.",
         )
-    return read_only(places, "points", ndim=2)
+    return places
 
 
 def _checked_limit(name: str, limit: ArrayLike, axes: int, *, infinite: bool = False) -> FloatArray:
