@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from threadline.report.document import Document
-from threadline.report.style import headed, lay_out
+from threadline.report.style import headed, laid_out
 from threadline.writing import remove_with, staging_folder, together
 
 _PNG_DPI = 160
@@ -30,10 +30,9 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
     document = document.shown()
     with together():
         old = _figure_files(folder, stem)
-        with staging_folder(folder) as temporary:
+        with staging_folder(folder) as temporary, laid_out(document.figures.values()):
             svgs = {}
             for name, figure in document.figures.items():
-                lay_out(figure)
                 svgs[name] = svg_text(figure)
                 # A picture that leaves its page takes along what it is of, and how it was judged.
                 with headed(figure, _head(document)) as area:

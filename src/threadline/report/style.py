@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -82,13 +82,22 @@ _LINE_IN = 0.16
 _LETTERS_PER_IN = 13.5  # that surely have room beside each other
 
 
-def lay_out(figure: Figure) -> None:
-    """Place the parts of a figure, once for all the files that are made of it.
+@contextmanager
+def laid_out(figures: Iterable[Figure]) -> Iterator[None]:
+    """Place the parts of figures, once for all the files that are made of them in the block.
 
-    Placed anew for each of four files, that took as long as to draw them.
+    A figure with any layout engine is drawn once more for each file, to place its parts, and one
+    without gets that of the style again where it was saved.
     """
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")
+    import matplotlib as mpl
+
+    figures = list(figures)
+    for figure in figures:
+        figure.draw_without_rendering()
+    with mpl.rc_context({"figure.constrained_layout.use": False}):
+        for figure in figures:
+            figure.set_layout_engine(None)
+        yield
 
 
 @contextmanager
