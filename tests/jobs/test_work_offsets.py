@@ -120,11 +120,9 @@ def test_outputs_move_nothing(tmp_path: Path, plain: Machine, dialect: str) -> N
 
 
 @pytest.mark.parametrize("block", ["#<up> = 5", "G1 X[#5 + 1]", "X#<up>", "o100 if [#1 GT 2]"])
-def test_parameters_and_expressions_are_refused_by_name(
-    tmp_path: Path, plain: Machine, block: str
-) -> None:
+def test_grbl_has_no_parameters_and_expressions(tmp_path: Path, plain: Machine, block: str) -> None:
     with pytest.raises(JobError, match=r"parameters and expressions are not read|no number"):
-        read(tmp_path, plain, f"G1 X1 F60\n{block}\nM30\n", "fluidnc")
+        read(tmp_path, plain, f"G1 X1 F60\n{block}\nM30\n", "grbl")
 
 
 def test_a_subroutine_in_another_system_is_no_program_in_one(

@@ -7,7 +7,14 @@ from typing import NamedTuple
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.refusals import refuse_number, refuse_without_point, refuse_word, whole
-from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, exact, one_command, split_words
+from threadline.jobs.gcode.words import (
+    MAX_MAGNITUDE,
+    ONE,
+    RawBlock,
+    exact,
+    one_command,
+    split_words,
+)
 
 MAX_PASSES = 10**12
 _MAX_LABEL = 10**9
@@ -81,9 +88,7 @@ class Block(NamedTuple):
     tags: tuple[tuple[str, float], ...]
 
 
-def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the reader
-    text: str, line: int, reading: Reading
-) -> Block | None:
+def parse_block(text: str, line: int, reading: Reading) -> Block | None:
     """Return the block on a line, None when it has no words.
 
     Raises
@@ -91,12 +96,24 @@ def parse_block(  # noqa: PLR0915 - one loop over the words, the hot path of the
     JobError
         If a word is unknown, doubled, out of range, or has no use in its block.
     """
-    dialect = reading.dialect
-    if dialect.one_command:
+    if reading.dialect.one_command:
         text = one_command(text)
-    words, tags = split_words(text, reading.file, line)
-    if not words:
-        return None
+    raw = split_words(text, reading.file, line)
+    return block_of(raw, line, reading) if raw.words else None
+
+
+def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the reader
+    raw: RawBlock, line: int, reading: Reading
+) -> Block:
+    """Return the block of words that were split.
+
+    Raises
+    ------
+    JobError
+        As ``parse_block`` does.
+    """
+    dialect = reading.dialect
+    words, tags = raw
     motion = action = program = label = -1
     ends = ""
     settings: tuple[int, ...] = ()

@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from threadline.jobs.gcode.flavour import FLUIDNC, LINUXCNC, Flavour
 from threadline.machine import Machine
 from threadline.machine.program_rules import DialectName, FeedRule
 
@@ -91,6 +92,8 @@ class Dialect:
     one_command
         Whether a line has one command: words after an M word belong to it, and a checksum may
         follow.
+    flavour
+        How parameters, expressions and O words are taken; None where they are not read.
     """
 
     name: DialectName
@@ -109,6 +112,7 @@ class Dialect:
     dwell_s: Mapping[str, tuple[float, float]] = field(default_factory=lambda: {"P": (1.0, 1.0)})
     points: bool = False
     one_command: bool = False
+    flavour: Flavour | None = None
 
 
 _GRBL = Dialect(
@@ -138,11 +142,12 @@ DIALECTS: Mapping[str, Dialect] = {
         m={**_CNC_M, **_CALLS, **_OUTPUTS},
         idle_letters="ST",
         idle_groups=frozenset({"cutter", "length", "system", "centres", "speed"}),
+        flavour=LINUXCNC,
     ),
     "grbl": _GRBL,
     "fluidnc": Dialect(
         name="fluidnc", feed_rule="fluidnc", g=_GRBL.g, m={**_CNC_M, **_OUTPUTS}, idle_letters="ST",
-        needs_end=False,
+        needs_end=False, flavour=FLUIDNC,
     ),
     "marlin": Dialect(
         name="marlin",

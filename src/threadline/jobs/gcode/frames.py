@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from threadline.jobs.gcode.block import Block, parse_block
 from threadline.jobs.gcode.dialects import Reading
-from threadline.jobs.gcode.scan import TAPE
 from threadline.jobs.gcode.subprograms import Program
+from threadline.jobs.gcode.tapes import TAPE
 from threadline.jobs.gcode.textfile import Chunk, Lines, SourceFile
 
 _KEPT_BYTES = 1 << 21

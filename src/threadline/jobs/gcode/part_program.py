@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from threadline.errors import BudgetError, JobError, MachineError, OptionError, Place
 from threadline.jobs.gcode.dialects import DIALECTS, Dialect, Reading, dialect_of
 from threadline.jobs.gcode.f_words import f_rule, normal_feed_m_s
+from threadline.jobs.gcode.findings import Findings
 from threadline.jobs.gcode.interpreter import PartProgram
+from threadline.jobs.gcode.parametric.program import ParametricProgram, is_parametric
+from threadline.jobs.gcode.parametric.survey import survey
 from threadline.jobs.gcode.scan import Scanner
 from threadline.jobs.gcode.subprograms import Structure
 from threadline.jobs.gcode.textfile import SourceFile, identify
 from threadline.jobs.gcode.words import ONE
 from threadline.jobs.gcode.work_offsets import zeros_of
-from threadline.jobs.operations import Job, OperationStream
+from threadline.jobs.operations import Job, MoveRun, Operation, OperationStream
 from threadline.machine import Machine
 from threadline.signals import Stream
 
@@ -74,31 +77,47 @@ def read_part_program(
     file = identify(path)
     axes = {name: index for index, name in enumerate(machine.axis_names)}
     reading = Reading(str(path), machine.name, axes, spoken)
-    scanner = Scanner(file, reading)
-    structure = scanner.run()
-    if structure.totals[structure.main.label].moves == 0:
-        raise JobError(
-            f"{structure.main.name} moves nothing",
-            place=file.place(structure.main.line),
-            remedy="Name a file with a program that moves an axis.",
-        )
-    _check_budget(structure, file, machine)
     linear = tuple(axis.kind == "linear" for axis in machine.axes.values())
-    systems = zeros_of(scanner.systems, machine, file)
-    program = PartProgram(file, reading, structure, linear, rule, systems)
+    program: PartProgram | ParametricProgram
+    if spoken.flavour is not None and is_parametric(file):
+        surveyed = survey(file, reading, linear, rule, machine)
+        program, findings = surveyed.program, surveyed.findings
+        moved, label = surveyed.moved, None
+    else:
+        scanner = Scanner(file, reading)
+        structure = scanner.run()
+        if structure.totals[structure.main.label].moves == 0:
+            raise JobError(
+                f"{structure.main.name} moves nothing",
+                place=file.place(structure.main.line),
+                remedy="Name a file with a program that moves an axis.",
+            )
+        _check_budget(structure, file, machine)
+        systems = zeros_of(scanner.systems, machine, file)
+        program = PartProgram(file, reading, linear, rule, systems, structure)
+        findings, moved = scanner.findings, scanner.moved_axes
+        label = structure.main.label
     return Job(
         name=path.name,
         file=str(path),
         sha256=file.sha256,
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
-        operations=OperationStream(
-            Stream(PartProgram.runs, program), Stream(PartProgram.folded, program)
-        ),
-        warnings=_warnings(scanner, file, spoken.rapid_is_feed),
-        capped=_capped(scanner, structure, machine, file),
+        operations=OperationStream(Stream(_runs, program), Stream(_folded, program)),
+        warnings=_warnings(findings, file, spoken.rapid_is_feed),
+        capped=_capped(findings, moved, label, machine, file),
         feed_rule=rule.text,
     )
+
+
+def _runs(program: PartProgram | ParametricProgram) -> Iterator[Operation | MoveRun]:
+    return program.runs()
+
+
+def _folded(
+    program: PartProgram | ParametricProgram,
+) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+    return program.folded()
 
 
 def _dialect(machine: Machine, option: str | None) -> Dialect:
@@ -135,9 +154,9 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
 
 
 def _capped(
-    scanner: Scanner, structure: Structure, machine: Machine, file: SourceFile
+    findings: Findings, moved: list[int], label: int | None, machine: Machine, file: SourceFile
 ) -> tuple[str, ...]:
-    used = scanner.moved_axes or range(len(machine.axis_names))  # G28 alone names none
+    used = moved or range(len(machine.axis_names))  # G28 alone names none
     caps_m_s = normal_feed_m_s(machine)
     if machine.operator is None or caps_m_s is None:
         return ()
@@ -145,7 +164,7 @@ def _capped(
     caps = ", ".join(f"{machine.axis_names[i]} {1e3 * caps_m_s[i]:.1f}" for i in used)
     speeds_m_s = [
         (line, feed, feed * tenth_mm / (600_000 * ONE))
-        for (feed, tenth_mm), line in scanner.findings.feeds.speeds(structure.main.label).items()
+        for (feed, tenth_mm), line in findings.feeds.speeds(label).items()
     ]
     return _first(
         f"{file.place(line)}: F {feed / ONE:g} is {1e3 * speed_m_s:.1f} mm/s, above the "
@@ -156,8 +175,7 @@ def _capped(
     )
 
 
-def _warnings(scanner: Scanner, file: SourceFile, rapid_is_feed: bool) -> tuple[str, ...]:
-    findings = scanner.findings
+def _warnings(findings: Findings, file: SourceFile, rapid_is_feed: bool) -> tuple[str, ...]:
     warnings = [
         f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
         for line in findings.long_dwells
@@ -167,10 +185,10 @@ def _warnings(scanner: Scanner, file: SourceFile, rapid_is_feed: bool) -> tuple[
         "corners are rounded."
         for line in findings.blends
     ]
-    if scanner.rapid_f and not rapid_is_feed:
+    if findings.rapid_f and not rapid_is_feed:
         warnings.append(
-            f"{file.place(scanner.rapid_f)}: F of a G0 sets the feed of later moves; the G0 itself "
-            "goes as fast as the limits allow."
+            f"{file.place(findings.rapid_f)}: F of a G0 sets the feed of later moves; the G0 "
+            "itself goes as fast as the limits allow."
         )
     if findings.anew:
         lines = ", ".join(map(str, findings.anew[:_MAX_WARNINGS]))
@@ -179,6 +197,20 @@ def _warnings(scanner: Scanner, file: SourceFile, rapid_is_feed: bool) -> tuple[
             f"{file.place(findings.anew[0])}: M2 and M30 (lines {lines}{more}) set G1 G17 G54 G90 "
             "G94 and end nothing: grbl goes on with what its sender sends. One that takes them out "
             "leaves the modes as they are."
+        )
+    if findings.unset:
+        first = next(iter(findings.unset.items()))
+        names = " ".join(f"#{which}" for which in list(findings.unset)[:_MAX_WARNINGS])
+        more = " ..." if len(findings.unset) > _MAX_WARNINGS else ""
+        warnings.append(
+            f"{file.place(first[1])}: parameters that the program has not set are 0 here "
+            f"({names}{more}); the control may have kept another value from an earlier program."
+        )
+    if findings.doubtful:
+        warnings.append(
+            f"{file.place(findings.doubtful)}: the numbers compared differ by rounding: LinuxCNC "
+            "2.9 finds LE and GE untrue of them, and EQ true up to 0.0001; later versions find all "
+            "three true, up to 0.000001. Here it is done as in 2.9."
         )
     if findings.waits:
         warnings.append(

@@ -2,50 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from threadline.errors import JobError
 from threadline.jobs.gcode.block import Block, parse_block
 from threadline.jobs.gcode.dialects import Reading
-from threadline.jobs.gcode.in_force import FeedNotes
+from threadline.jobs.gcode.findings import MAX_REMEMBERED, Findings
 from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS
 from threadline.jobs.gcode.plain_reader import plain_reader
 from threadline.jobs.gcode.subprograms import Call, Collector, Program, Structure
+from threadline.jobs.gcode.tapes import TAPE, Tapes
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE
 from threadline.jobs.gcode.work_offsets import FIRST, SystemsUsed
-
-TAPE = "%"
-_MAX_REMEMBERED = 1000
-_LONG_DWELL_S = 1000
-
-
-@dataclass(slots=True)
-class Findings:
-    """What the scan notes for warnings and budgets.
-
-    Parameters
-    ----------
-    feeds
-        Every F, with the modes and calls on which its unit depends.
-    long_dwells, blends
-        Lines of dwells that look like milliseconds, and of G64.
-    idle
-        The first line of each word without effect on motion.
-    waits
-        The first line where a program waits for a temperature.
-    anew
-        Lines of M2 and M30 behind which other lines are run.
-    """
-
-    feeds: FeedNotes = field(default_factory=FeedNotes)
-    long_dwells: list[int] = field(default_factory=list)
-    blends: list[int] = field(default_factory=list)
-    idle: dict[str, int] = field(default_factory=dict)
-    waits: int = 0
-    anew: list[int] = field(default_factory=list)
 
 
 class Scanner:
@@ -59,7 +28,7 @@ class Scanner:
         self._plain = plain_reader(reading, (True,) * len(reading.axes), follow=False)
         self.systems = SystemsUsed()
         self._ended: tuple[Block, int] | None = None  # and the byte behind it
-        self._tapes: list[int] = []
+        self._tapes = Tapes(file)
         self._begun = False
 
     def run(self) -> Structure:
@@ -84,7 +53,7 @@ class Scanner:
                     continue
             number, offset, text = lines.take()
             if text.strip() == TAPE:
-                self._take_tape(number)
+                self._tapes.take(number, self._begun)
                 continue
             block = parse_block(text, number, self._reading)
             if block is not None:
@@ -99,31 +68,12 @@ class Scanner:
             program.stops += 1
             program.closes = number + 1
             self._programs.end(30, lines.offset)
-        if len(self._tapes) == 1:
-            raise JobError(
-                f"the % on line {self._tapes[0]} opens the program and none closes it: the file "
-                "may be truncated",
-                place=self._file.place(number),
-                remedy="Add a line with % at the end.",
-            )
+        self._tapes.finish(number)
+        self.findings.rapid_f = int(self._plain.state[RAPID_F])
         return self._programs.finish(number)
 
-    def _take_tape(self, line: int) -> None:
-        self._tapes.append(line)
-        if len(self._tapes) > 2 or (len(self._tapes) == 1 and self._begun):
-            raise JobError(
-                "this % closes a program that none has opened",
-                place=self._file.place(line),
-                remedy="Write % on the first line and on the last, or on none.",
-            )
-
     def _take(self, block: Block, offset: int, behind: int) -> None:
-        if len(self._tapes) > 1:
-            raise JobError(
-                "a block after the % that ends the file is never run",
-                place=self._file.place(block.line),
-                remedy="Take it out.",
-            )
+        self._tapes.check(block.line)
         programs = self._programs
         if block.label >= 0:
             programs.begin(block.label, offset, block.line)
@@ -171,7 +121,7 @@ class Scanner:
         if self._ended is None:
             return
         self.findings.anew.append(self._ended[0].line)
-        del self.findings.anew[_MAX_REMEMBERED:]
+        del self.findings.anew[MAX_REMEMBERED:]
         self.findings.feeds.set_mode(program.label, 940)
         self._plain.state[MOTION] = 1
         self.systems.now = FIRST
@@ -195,21 +145,7 @@ class Scanner:
 
     def _note(self, program: int | None, block: Block) -> None:
         """Note what may deserve a warning."""
-        findings = self.findings
-        for code in block.settings:
-            findings.feeds.set_mode(program, code)
-            if code == 640 and len(findings.blends) < _MAX_REMEMBERED:
-                findings.blends.append(block.line)
-        if block.feed is not None:
-            findings.feeds.feed(program, block.feed, block.line)
-        if block.action == 40 and block.dwell_s >= _LONG_DWELL_S:
-            findings.long_dwells.append(block.line)
-            del findings.long_dwells[_MAX_REMEMBERED:]
-        for word in block.idle:
-            if len(findings.idle) < _MAX_REMEMBERED:
-                findings.idle.setdefault(word, block.line)
-        if block.waits and block.idle and not findings.waits:
-            findings.waits = block.line
+        self.findings.note(program, block)
         for index, _ in block.axes:
             self._plain.used[index] = True
         state = self._plain.state
@@ -217,11 +153,6 @@ class Scanner:
             state[MOTION] = block.motion
         if block.feed is not None and block.axes and state[MOTION] == 0 and not state[RAPID_F]:
             state[RAPID_F] = block.line
-
-    @property
-    def rapid_f(self) -> int:
-        """The first line of a G0 with an F of its own, 0 for none."""
-        return int(self._plain.state[RAPID_F])
 
 
 def _only_ends(block: Block) -> bool:

@@ -48,9 +48,9 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
     """
     tags: tuple[tuple[str, float], ...] = ()
     if ";" in text or "(" in text or ")" in text:
-        text, comment = _without_comments(text, file, line)
+        text, comment = without_comments(text, file, line)
         if "=" in comment:
-            tags = _tags_of(comment, file, line) if text.strip() else ()
+            tags = tags_of(comment, file, line) if text.strip() else ()
     if _BLOCK.fullmatch(text) is None:
         _diagnose(text, file, line)
     return RawBlock([(letter.upper(), number) for letter, number in _WORD.findall(text)], tags)
@@ -96,7 +96,7 @@ def _exact_unusual(whole: str, fraction: str) -> int | None:
     return int(f"{sign}{whole or '0'}{fraction.ljust(DECIMALS, '0')}")
 
 
-def _without_comments(text: str, file: str, line: int) -> tuple[str, str]:
+def without_comments(text: str, file: str, line: int) -> tuple[str, str]:
     """Return ``text`` without its comments, and the comment after the semicolon.
 
     In the dialect of the printed winder program ``;`` ends a block, in all others it begins a
@@ -139,7 +139,7 @@ def _cut_at_semicolon(text: str) -> tuple[str, str, str]:
     return text, "", ""
 
 
-def _tags_of(comment: str, file: str, line: int) -> tuple[tuple[str, float], ...]:
+def tags_of(comment: str, file: str, line: int) -> tuple[tuple[str, float], ...]:
     """Return the numbers that a comment like ``tension=6.5 width=4`` names.
 
     A comment that holds anything else names none.
@@ -196,7 +196,8 @@ def _diagnose(text: str, file: str, line: int) -> NoReturn:
         raise JobError(
             f"{_shown(rest)}: parameters and expressions are not read",
             place=place,
-            remedy="Have the program written with numbers alone.",
+            remedy="Have the program written with numbers alone; linuxcnc and fluidnc read them "
+            "(--dialect).",
         )
     if rest[:1].isascii() and rest[:1].isalpha():
         raise JobError(

@@ -1,0 +1,243 @@
+"""The modes and the exact position of a part program, and what each of its blocks does to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from threadline.errors import JobError
+from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.curved_blocks import CURVED, Curves
+from threadline.jobs.gcode.dialects import CANCEL, Reading
+from threadline.jobs.gcode.f_words import FRule
+from threadline.jobs.gcode.kept_feeds import KeptFeeds, value_of
+from threadline.jobs.gcode.program_zero import Zeros
+from threadline.jobs.gcode.textfile import SourceFile
+from threadline.jobs.gcode.words import ONE
+from threadline.jobs.gcode.work_offsets import MACHINE, SYSTEMS
+from threadline.jobs.operations import (
+    NO_TAGS,
+    Dwell,
+    Feed,
+    FeedMode,
+    Move,
+    Operation,
+    Source,
+    Stop,
+    Tags,
+    ToolEvent,
+)
+
+RAPID = Feed(FeedMode.RAPID, 0.0)
+MILLIMETRE = 10  # tenths of a millimetre
+_MM_PER_M = 1000 * ONE
+_LENGTHS = "XYZUVW"
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramText:
+    """A part program that has been checked, and how its blocks are read.
+
+    Parameters
+    ----------
+    linear
+        (axes,) whether an axis is linear.
+    rule
+        Meaning of F in G94.
+    systems
+        Zeros of work coordinate systems (``work_offsets``).
+    """
+
+    file: SourceFile
+    reading: Reading
+    linear: tuple[bool, ...]
+    rule: FRule
+    systems: Mapping[int, tuple[int, ...]]
+
+
+class Modal:
+    """The state of one reading. Positions are exact: 10**-18 mm or degrees.
+
+    Parameters
+    ----------
+    program
+        What is read.
+    """
+
+    def __init__(self, program: ProgramText) -> None:
+        self._file = program.file
+        self._rule = program.rule
+        self._path = program.file.path
+        self._linear = program.linear
+        self._dialect = program.reading.dialect
+        self._exact = [0] * len(program.linear)
+        self._zeros = Zeros(len(program.linear), program.systems)
+        self._curves = Curves(program.reading, program.linear)
+        self._position = [0.0] * len(program.linear)
+        self._motion = -1
+        self._relative = False
+        self._tenth_mm = MILLIMETRE  # in the unit of length
+        self._feed_tenth_mm = MILLIMETRE  # and in that in which the feed was given
+        axes = enumerate(program.reading.axes)
+        self._lengths = [index for index, name in axes if name in _LENGTHS]
+        self._inverse_time = False
+        self._feed: Feed | None = None
+        self._passes: tuple[int, ...] = ()
+        self._feeds = KeptFeeds(program.rule)
+
+    def _ends(self, block: Block) -> bool:
+        """Say whether nothing is run behind a block that ends a program."""
+        return block.ends == "end"
+
+    def _put(self, index: int, exact: int) -> None:
+        """Set the position of an axis, exactly and in SI."""
+        self._exact[index] = exact
+        linear = self._linear[index]
+        self._position[index] = exact / _MM_PER_M if linear else math.radians(exact / ONE)
+
+    def _step(self, block: Block) -> Iterator[Operation]:
+        """Return the operations of one block, in the order of RS274/NGC."""
+        if block.settings:
+            self._set(block.settings)
+        if block.feed is not None:
+            told = value_of(block.feed, self._tenth_mm, inverse_time=self._inverse_time)
+            self._feed = self._feed_of(told)
+            self._feed_tenth_mm = self._tenth_mm
+        if block.motion >= 0:
+            self._motion = -1 if block.motion == CANCEL else block.motion
+        if block.action == 40:
+            yield Dwell(block.dwell_s, self._source(block))
+        elif block.action == 280:
+            yield from self._return_to_start(block)
+        elif block.action != -1:
+            given = {index: self._scaled(index, value) for index, value in block.axes}
+            self._zeros.take(block.action, self._exact, given)
+        elif block.axes or (block.curve and self._motion in CURVED):
+            yield from self._move(block)
+        if block.spindle is not None:
+            yield ToolEvent("spindle", block.spindle, self._source(block))
+        if block.waits:
+            yield Dwell(0.0, self._source(block))
+        if block.ends == "stop" or self._ends(block):
+            yield Stop(block.ends == "end", self._source(block))
+        elif block.ends == "end":
+            yield Dwell(0.0, self._source(block))
+
+    def _source(self, block: Block) -> Source:
+        return Source(self._path, block.line, self._passes)
+
+    def _set(self, settings: tuple[int, ...]) -> None:
+        for code in settings:
+            if code in (900, 910):
+                self._relative = code == 910
+            elif code in (200, 210):
+                self._tenth_mm = 254 if code == 200 else 10
+            elif code in (930, 940) and self._inverse_time != (code == 930):
+                # A number that was a speed is no inverse of a time.
+                self._inverse_time = code == 930
+                self._feed = None
+            elif code in (170, 180, 190):
+                self._curves.plane = code
+            elif code in SYSTEMS:
+                self._zeros.choose(code)
+
+    def _feed_of(self, value: float) -> Feed:
+        """Return the feed with ``value`` in the present mode."""
+        return self._feeds.feed(value, inverse_time=self._inverse_time)
+
+    def _scaled(self, index: int, value: int) -> int:
+        """Return the word of an axis in mm or degrees."""
+        return value * self._tenth_mm // 10 if self._linear[index] else value
+
+    def _go(self, block: Block) -> None:
+        """Set the position to that of the axis words of ``block``."""
+        base: Sequence[int] = self._exact if self._relative else self._zeros.offset
+        if MACHINE in block.settings:
+            base = self._zeros.machine
+        for index, value in block.axes:
+            self._put(index, base[index] + self._scaled(index, value))
+
+    def _move(self, block: Block) -> Iterator[Operation]:
+        rapid = self._motion == 0 and not self._dialect.rapid_is_feed
+        feed = RAPID if rapid else self._feed
+        if feed is None and self._motion == 0 and self._stays(block):
+            feed = RAPID  # it takes no time at any feed: planners begin so
+        if self._motion == -1 or (self._dialect.each_g and block.motion == -1):
+            raise self._error(
+                block.line,
+                "axis words before any G0 or G1"
+                if self._motion == -1
+                else f"axis words without a G word, which {self._dialect.name} does not take",
+                "Write G1 and a feed first.",
+            )
+        if feed is None:
+            raise self._error(
+                block.line, f"G{self._motion} moves before any feed F", "Give F, in mm/min."
+            )
+        if feed.mode is FeedMode.INVERSE_TIME and block.feed is None:
+            raise self._error(
+                block.line,
+                f"in G93 every G{self._motion} block needs its own F",
+                "Give F as 1 / minutes of the move.",
+            )
+        before = tuple(self._exact)
+        self._go(block)
+        source = self._source(block)
+        tags = dict(block.tags) if block.tags else NO_TAGS
+        if self._motion in CURVED:
+            yield from self._along(block, before, feed, source, tags)
+            return
+        if block.curve:
+            raise self._error(
+                block.line,
+                f"{block.curve[0][0]} has no use in a block of G{self._motion}",
+                "I J K R Q belong to G2, G3 and G5.",
+            )
+        if (
+            self._feed_tenth_mm != MILLIMETRE
+            and feed.mode is FeedMode.IN_TURN
+            and all(self._exact[index] == before[index] for index in self._lengths)
+        ):
+            feed = self._feed_of(feed.value * MILLIMETRE / self._feed_tenth_mm)
+        yield Move(tuple(self._position), feed, source, tags)
+
+    def _stays(self, block: Block) -> bool:
+        """Return whether the axis words of a block are the present position."""
+        base = self._exact if self._relative else self._zeros.offset
+        return all(base[i] + self._scaled(i, v) == self._exact[i] for i, v in block.axes)
+
+    def _along(
+        self, block: Block, before: tuple[int, ...], feed: Feed, source: Source, tags: Tags
+    ) -> Iterator[Operation]:
+        """Return the chords of an arc or spline, of which the last ends where the block does."""
+        after = tuple(self._exact)
+        points = list(self._curves.points(self._motion, block, before, after, self._tenth_mm))
+        chords = len(points) + 1
+        if feed.mode is FeedMode.INVERSE_TIME:
+            feed = self._feed_of(feed.value * chords)
+        for point in points:
+            for index, exact in enumerate(point):
+                self._put(index, exact)
+            yield Move(tuple(self._position), feed, source, tags)
+        for index, exact in enumerate(after):
+            self._put(index, exact)
+        yield Move(tuple(self._position), feed, source, tags)
+
+    def _return_to_start(self, block: Block) -> Iterator[Operation]:
+        """Return the moves of G28: by way of the words of the block, then home.
+
+        A controller that homes goes there at once, and its zero is there afterwards.
+        """
+        source = self._source(block)
+        if block.axes and not self._dialect.homes:
+            self._go(block)
+            yield Move(tuple(self._position), RAPID, source)
+        for index in [i for i, _ in block.axes] or range(len(self._exact)):
+            self._put(index, self._zeros.home[index])
+            if self._dialect.homes:
+                self._zeros.offset[index] = 0
+        yield Move(tuple(self._position), RAPID, source)
+
+    def _error(self, line: int, message: str, remedy: str) -> JobError:
+        return JobError(message, place=self._file.place(line), remedy=remedy)

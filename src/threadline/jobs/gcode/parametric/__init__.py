@@ -1,0 +1,1 @@
+"""Part programs with parameters, expressions and O words, as LinuxCNC and FluidNC take them."""

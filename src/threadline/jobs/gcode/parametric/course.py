@@ -1,0 +1,266 @@
+"""A run over the lines of a program: which comes next, and how many there may be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NoReturn
+
+from threadline.errors import JobError, Place
+from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.parametric.flow import Flow, Step
+from threadline.jobs.gcode.parametric.formulas import Formula, FormulaReader
+from threadline.jobs.gcode.parametric.parameters import Values
+from threadline.jobs.gcode.parametric.statements import Code, Statement, statement
+from threadline.jobs.gcode.words import RawBlock
+
+MOST_LINES = 1_000_000
+"""Lines that may be run more often than once."""
+MOST_IDLE = 100_000
+"""Lines that may be run one behind another without a move between them."""
+_KEPT = 100_000
+
+
+class Run:
+    """One run.
+
+    Parameters
+    ----------
+    codes
+        The lines.
+    flow
+        What the O words among them do.
+    flavour
+        The control.
+    values
+        The parameters.
+    file
+        Path of the file, for errors.
+
+    Attributes
+    ----------
+    idle
+        Lines that were run since the last move, which sets it to 0.
+    """
+
+    def __init__(
+        self, codes: tuple[Code, ...], flow: Flow, flavour: Flavour, values: Values, file: str
+    ) -> None:
+        self._codes = codes
+        self._flow = flow
+        self._flavour = flavour
+        self._values = values
+        self._file = file
+        self.idle = 0
+        self._statements: dict[int, Statement | None] = {}
+        self._formulas: dict[int, Formula] = {}
+        self._arguments: dict[int, tuple[str, list[Formula]]] = {}
+        self._counts: dict[int, int] = {}  # that are left of each repeat
+        self._callers: list[int] = []
+        # LinuxCNC keeps two marks: the first ends the next do, the second begins a while or a
+        # repeat anew where it would end.
+        self._broken = self._continued = False
+
+    def statements(self) -> Iterator[tuple[RawBlock, int]]:
+        """Return the blocks that are run, with numbers alone, and their lines, from 1.
+
+        Raises
+        ------
+        JobError
+            If a line cannot be read, or has no value, or too many are run.
+        """
+        line, done = 0, 0
+        steps, kept = self._flow.steps, self._statements
+        most = MOST_LINES + len(self._codes)
+        while line < len(self._codes):
+            done += 1
+            self.idle += 1
+            if done > most or self.idle > MOST_IDLE + len(self._codes):
+                self._endless(line, done > most)
+            step = steps.get(line)
+            if step is not None:
+                line = self._next(step)
+                continue
+            if line in kept:
+                one = kept[line]
+            else:
+                one = statement(self._codes[line], self._flavour, self._place(line))
+                if len(kept) < _KEPT:
+                    kept[line] = one
+            line += 1
+            if one is not None:
+                yield one.worked_out(self._values), line
+
+    def _endless(self, line: int, all_lines: bool) -> NoReturn:
+        count = f"{MOST_LINES} lines again" if all_lines else f"{MOST_IDLE} lines without a move"
+        raise JobError(
+            f"the program runs more than {count}: a loop may have no end",
+            place=self._place(line),
+            remedy="Correct the condition of its loops, or write it in parts.",
+        )
+
+    def _place(self, line: int) -> Place:
+        return Place(self._file, line + 1)
+
+    def _next(self, step: Step) -> int:
+        """Return the line behind an O word."""
+        word, line = step.o.word, step.line
+        if word == "if":
+            return self._branch(step)
+        if word in {"elseif", "else"}:  # reached from the branch before it
+            return self._flow.steps[step.begin].branches[-1] + 1
+        if word == "while":
+            return self._while(step)
+        if word == "repeat":
+            return self._repeat(step)
+        if word in {"endwhile", "endrepeat"}:
+            return step.begin
+        if word == "sub":
+            return step.end + 1
+        if word == "call":
+            return self._call(step)
+        if word in {"return", "endsub"}:
+            return self._return(step)
+        if word == "break":
+            return self._break(step)
+        if word == "continue":
+            return self._continue(step)
+        if word in {"alarm", "error"}:
+            raise JobError(
+                f"the program stops here with {word} {step.o.rest[:40]}",
+                place=self._place(line),
+                remedy="Correct what makes it stop.",
+            )
+        return line + 1  # do, endif
+
+    def _value(self, step: Step) -> float:
+        """Return the value of the expression behind an O word."""
+        formula = self._formulas.get(step.line)
+        if formula is None:
+            reader = FormulaReader(step.o.rest, self._flavour, self._place(step.line))
+            formula = reader.bracketed()
+            if reader.more():
+                reader.refuse(f"something stands behind {step.o.word}", "Take it out.")
+            self._formulas[step.line] = formula
+        return formula(self._values)
+
+    def _branch(self, step: Step) -> int:
+        if self._value(step):
+            return step.line + 1
+        for line in step.branches[:-1]:
+            other = self._flow.steps[line]
+            if other.o.word == "else" or self._value(other):
+                return line + 1
+        return step.branches[-1] + 1
+
+    def _while(self, step: Step) -> int:
+        if step.begin >= 0:  # it ends a do
+            again = bool(self._value(step)) and not self._broken
+            self._broken = self._broken and again
+            return step.begin + 1 if again else step.line + 1
+        return step.line + 1 if self._value(step) else self._leave(step, step.line)
+
+    def _leave(self, begun: Step, line: int) -> int:
+        """Return the line to go on with, where a loop is left from ``line`` on.
+
+        LinuxCNC reads on to the end of the loop. On its way it takes each ``break`` of that label,
+        which ends the next ``do``, too; and a ``continue`` of a ``do``, whose mark nobody takes
+        off, begins the loop anew.
+        """
+        if not self._flavour.subroutines:
+            return begun.end + 1
+        self._broken = self._broken or any(other > line for other in begun.branches)
+        if begun.o.word == "do":
+            return begun.end
+        again, self._continued = self._continued, False
+        return begun.line if again else begun.end + 1
+
+    def _repeat(self, step: Step) -> int:
+        left = self._counts.get(step.line)
+        if left is None:
+            left = self._times(step, self._value(step))
+        if left <= 0:
+            self._counts.pop(step.line, None)
+            return self._leave(step, step.line)
+        self._counts[step.line] = left - 1
+        return step.line + 1
+
+    def _times(self, step: Step, value: float) -> int:
+        if abs(value) > 1e9:
+            raise JobError(
+                f"repeat [{value:g}] is beyond 10^9",
+                place=self._place(step.line),
+                remedy="Correct it.",
+            )
+        if self._flavour.subroutines:
+            return round(value)
+        if value < 0.0:
+            raise JobError(
+                f"repeat [{value:g}] is negative",
+                place=self._place(step.line),
+                remedy="Correct it.",
+            )
+        return max(1, int(value)) if value else 0
+
+    def _break(self, step: Step) -> int:
+        begun = self._flow.steps[step.begin]
+        self._counts.pop(begun.line, None)
+        self._broken = self._flavour.subroutines
+        return self._leave(begun, step.line)
+
+    def _continue(self, step: Step) -> int:
+        begun = self._flow.steps[step.begin]
+        if self._flavour.subroutines:
+            self._continued = True
+            return self._leave(begun, step.line)
+        if begun.o.word == "do":
+            return begun.line + 1  # FluidNC begins anew without a look at the condition
+        if begun.o.word == "while" and not self._value(begun):
+            raise JobError(
+                f"continue {begun.o.label}, where its while no longer holds: FluidNC goes on "
+                "behind it, and stops at endwhile",
+                place=self._place(step.line),
+                remedy="Write if ... endif around the rest of the loop.",
+            )
+        if begun.o.word == "repeat" and self._counts.get(begun.line, 0) <= 0:
+            raise JobError(
+                f"continue {begun.o.label} in its last pass: FluidNC goes on behind it, and stops "
+                "at endrepeat",
+                place=self._place(step.line),
+                remedy="Write if ... endif around the rest of the loop.",
+            )
+        return begun.line
+
+    def _call(self, step: Step) -> int:
+        place = self._place(step.line)
+        if step.line not in self._arguments:
+            reader = FormulaReader(step.o.rest, self._flavour, place)
+            arguments: list[Formula] = []
+            while reader.more():
+                if len(arguments) == 30:
+                    reader.refuse("a call has at most 30 arguments", "Pass fewer.")
+                arguments.append(reader.bracketed())
+            self._arguments[step.line] = step.o.label, arguments
+        label, formulas = self._arguments[step.line]
+        if step.o.formula:
+            reader = FormulaReader(step.o.formula, self._flavour, place)
+            which = reader.whole()
+            if reader.more():
+                reader.refuse("an O word has no such label")
+            label = str(which(self._values))
+        target = self._flow.subs.get(label)
+        if target is None:
+            known = ", ".join(list(self._flow.subs)[:5])
+            raise JobError(
+                f"sub {label[:40]} is not in this file",
+                place=place,
+                remedy=f"It has {known or 'none'}. Files of their own are not looked for: put the "
+                "subroutine into the program.",
+            )
+        self._values.enter([formula(self._values) for formula in formulas], place)
+        self._callers.append(step.line + 1)
+        return target + 1
+
+    def _return(self, step: Step) -> int:
+        returned = self._value(step) if step.o.rest else None
+        self._values.leave(returned)
+        return self._callers.pop()

@@ -1,0 +1,266 @@
+"""O words: which lines they are, and where each of them leads.
+
+Blocks of ``if``, ``while``, ``do``, ``repeat`` and ``sub`` are nested in each other and have their
+ends. LinuxCNC itself looks for an end while it runs; what does not fit together there is refused
+here before anything runs.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import NamedTuple, NoReturn
+
+from threadline.errors import JobError, Place
+from threadline.jobs.gcode.flavour import Flavour
+
+_WORDS = (
+    "endrepeat", "endwhile", "continue", "elseif", "repeat", "return", "endsub", "endif", "while",
+    "break", "alarm", "error", "call", "else", "sub", "do", "if",
+)  # fmt: skip
+_O_WORD = re.compile(
+    rf"(?:n[0-9]+)?o(?:<([^<>]*)>|([0-9]+)|([#\[].*?))({'|'.join(_WORDS)})(.*)", re.DOTALL
+)
+_NUMBERED = re.compile(r"(?:n[0-9]+)?o(?:<[^<>]*>|[0-9]+)?$")
+MAX_NESTED = 100
+_OPENS = ("if", "while", "do", "repeat", "sub")
+_CLOSES = {"endif": "if", "endwhile": "while", "endrepeat": "repeat", "endsub": "sub"}
+_WITH_FORMULA = ("if", "elseif", "while", "repeat")
+
+
+class OWord(NamedTuple):
+    """An O word: its label (or the formula of one, behind ``o``), what it does, what follows."""
+
+    label: str
+    formula: str
+    word: str
+    rest: str
+
+
+def o_word(code: str, place: Place) -> OWord | None:
+    """Return the O word of a line without blanks, in small letters; None if it is another block.
+
+    Raises
+    ------
+    JobError
+        If it begins like one and is none.
+    """
+    begin = code.lstrip("n0123456789") if code[:1] == "n" else code
+    if begin[:1] != "o":
+        return None
+    found = _O_WORD.fullmatch(code)
+    if found is None:
+        if _NUMBERED.fullmatch(code):
+            raise JobError(
+                "a program that begins with its number does not go with O words and parameters "
+                "here",
+                place=place,
+                remedy="Write it as o100 sub ... o100 endsub, and its call as o100 call.",
+            )
+        raise JobError(
+            f"{code[:40]!r} is no O word",
+            place=place,
+            remedy="After the label stands sub, endsub, call, return, if, elseif, else, endif, "
+            "while, endwhile, do, repeat, endrepeat, break or continue.",
+        )
+    name, number, formula, word, rest = found.groups()
+    label = str(int(number)) if number and len(number) < 10 else (number or name or "")
+    return OWord(label, formula or "", word, rest)
+
+
+@dataclass(slots=True)
+class Step:
+    """An O word in its place.
+
+    Parameters
+    ----------
+    line
+        Index of its line.
+    end
+        Index of the line that ends its block: of ``endif``, ``endwhile``, ``endsub`` and such; of
+        the ``while`` that ends a ``do``.
+    begin
+        Index of the line that begins its block.
+    branches
+        Of an ``if``: indices of each ``elseif``, of ``else`` and of ``endif``, in order. Of a loop:
+        of each ``break``.
+    """
+
+    o: OWord
+    line: int
+    end: int = -1
+    begin: int = -1
+    branches: list[int] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Flow:
+    """The O words of a program by the index of their line, and its subroutines by their label."""
+
+    steps: dict[int, Step]
+    subs: dict[str, int]
+
+
+class FlowReader:
+    """Takes the O words of a program in their order and fits them together.
+
+    Parameters
+    ----------
+    file
+        Path of the file, for errors.
+    flavour
+        The control.
+    """
+
+    def __init__(self, file: str, flavour: Flavour) -> None:
+        self._file = file
+        self._flavour = flavour
+        self._flow = Flow({}, {})
+        self._open: list[Step] = []
+        self._labels: dict[tuple[str, str], int] = {}
+        self._sub = ""
+
+    def take(self, o: OWord, line: int) -> None:
+        """Take an O word on the line with an index.
+
+        Raises
+        ------
+        JobError
+            If it does not fit to those before.
+        """
+        step = Step(o, line)
+        self._flow.steps[line] = step
+        word = o.word
+        self._check(o, line)
+        if word == "while" and self._open and self._is(self._open[-1], "do", o.label):
+            begun = self._open.pop()
+            begun.end, step.begin = line, begun.line
+        elif word in _OPENS:
+            self._begin(step)
+        elif word in _CLOSES:
+            begun = self._innermost(step, _CLOSES[word])
+            self._open.pop()
+            begun.end, step.begin = line, begun.line
+            if word == "endif":
+                begun.branches.append(line)
+            if word == "endsub":
+                self._sub = ""
+        elif word in {"elseif", "else"}:
+            begun = self._innermost(step, "if")
+            if begun.branches and self._flow.steps[begun.branches[-1]].o.word == "else":
+                self._refuse(line, f"{word} stands behind else", "Write else last.")
+            begun.branches.append(line)
+            step.begin = begun.line
+        elif word in {"break", "continue"}:
+            loop = self._loop(o, line)
+            step.begin = loop.line
+            if word == "break":
+                loop.branches.append(line)
+        elif word == "return":
+            if not self._sub:
+                self._refuse(line, "return stands outside of a subroutine", "Take it out.")
+            if any(one.o.word == "repeat" for one in self._open):
+                self._refuse(
+                    line,
+                    "return stands in a repeat, whose count LinuxCNC then keeps for the next call",
+                    "Write a while in its place.",
+                )
+
+    def finish(self) -> Flow:
+        """Return the flow of the whole program.
+
+        Raises
+        ------
+        JobError
+            If a block has no end.
+        """
+        if self._open:
+            last = self._open[-1]
+            self._refuse(
+                last.line,
+                f"{last.o.word} {last.o.label} has no end",
+                "Add it, with the same label.",
+            )
+        return self._flow
+
+    def _check(self, o: OWord, line: int) -> None:
+        if not self._flavour.subroutines:
+            if o.word in {"sub", "endsub", "call", "return"} or o.formula or not o.label.isdigit():
+                self._refuse(
+                    line,
+                    "FluidNC has no subroutines, and labels that are numbers only",
+                    "The dialect linuxcnc has them (--dialect).",
+                )
+        elif o.word in {"alarm", "error"}:
+            self._refuse(line, f"{o.word} is no O word of LinuxCNC", "FluidNC has it (--dialect).")
+        if o.formula and o.word != "call":
+            self._refuse(line, "a label that is worked out goes with call only", "Write a number.")
+        if not o.formula and not o.label:
+            self._refuse(line, "an O word has no label", "Write a number, or a name in < >.")
+        if o.rest and o.word not in {*_WITH_FORMULA, "call", "return", "endsub", "alarm", "error"}:
+            self._refuse(line, f"{o.rest[:40]!r} stands behind {o.word}", "Take it out.")
+
+    def _begin(self, step: Step) -> None:
+        label, line = step.o.label, step.line
+        if step.o.word == "sub":
+            if self._open:
+                self._refuse(line, "a subroutine begins inside another block", "Move it outside.")
+            if label in self._flow.subs:
+                first = self._flow.subs[label] + 1
+                self._refuse(
+                    line, f"sub {label} is defined twice, first on line {first}", "Rename one."
+                )
+            self._flow.subs[label] = line
+            self._sub = label
+        elif self._flavour.labels_once and (self._sub, label) in self._labels:
+            first = self._labels[self._sub, label] + 1
+            self._refuse(
+                line,
+                f"the label {label} names a block twice, first on line {first}",
+                "Give one another label, as LinuxCNC wants it.",
+            )
+        elif any(one.o.label == label for one in self._open if one.o.word != "sub"):
+            self._refuse(line, f"the label {label} names a block inside its own", "Rename one.")
+        if len(self._open) >= MAX_NESTED:
+            self._refuse(
+                line, f"blocks are nested more than {MAX_NESTED} deep", "Write it flatter."
+            )
+        if step.o.word != "sub":
+            self._labels[self._sub, label] = line
+        self._open.append(step)
+
+    def _innermost(self, step: Step, word: str) -> Step:
+        o, line = step.o, step.line
+        if not self._open or not self._is(self._open[-1], word, o.label):
+            inside = (
+                f", which stands in {self._open[-1].o.word} {self._open[-1].o.label}"
+                if (self._open)
+                else ""
+            )
+            self._refuse(
+                line,
+                f"{o.word} {o.label} has no {word} of that label before it{inside}",
+                "Blocks end in the reverse order of their beginnings.",
+            )
+        return self._open[-1]
+
+    def _loop(self, o: OWord, line: int) -> Step:
+        loops = [
+            one
+            for one in self._open
+            if one.o.word in {"while", "do", "repeat"} and one.o.label == o.label
+        ]
+        if not loops:
+            self._refuse(line, f"{o.word} {o.label} stands in no loop of that label", "Correct it.")
+        if loops[-1].o.word == "repeat" and not self._flavour.breaks_repeats:
+            self._refuse(
+                line, f"LinuxCNC has no {o.word} of a repeat", "Write a while in its place."
+            )
+        return loops[-1]
+
+    @staticmethod
+    def _is(step: Step, word: str, label: str) -> bool:
+        return step.o.word == word and step.o.label == label
+
+    def _refuse(self, line: int, message: str, remedy: str) -> NoReturn:
+        raise JobError(message, place=Place(self._file, line + 1), remedy=remedy)

@@ -1,0 +1,200 @@
+"""The parameters of a program while it runs: numbered ones, local and global names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from threadline.errors import JobError, Place
+from threadline.jobs.gcode.flavour import Flavour
+
+ARGUMENTS = 30
+"""A subroutine has as many parameters of its own: #1 to #30."""
+MAX_DEPTH = 9
+"""Calls inside calls that LinuxCNC allows."""
+_LAST_OWN = 5000
+_POSITION = 5420
+_AXES = "XYZABCUVW"
+_LAST = 5601
+_KEPT = "only the control knows what it keeps there (offsets, tools, probes, inputs)"
+_IN_PROGRAM = "Set it in the program, or have the program written with numbers alone."
+
+
+@dataclass(slots=True)
+class _Frame:
+    """A call: its local names, and what #1 to #30 were before it."""
+
+    names: dict[str, float] = field(default_factory=dict)
+    saved: dict[int, float] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Values:
+    """The parameters of one run.
+
+    Parameters
+    ----------
+    flavour
+        The control.
+    told
+        Returns what a predefined name stands for, None where it is not one that is known here;
+        ``_x`` to ``_w`` are the present position in the units of the program.
+
+    Attributes
+    ----------
+    unset
+        The first line that reads each numbered parameter which was never set before.
+    doubtful
+        The first line that compares numbers so near to each other that versions of the control
+        answer differently; 0 for none.
+    """
+
+    flavour: Flavour
+    told: Callable[[str], float | None]
+    unset: dict[int, int] = field(default_factory=dict)
+    doubtful: int = 0
+    _numbers: dict[int, float] = field(default_factory=dict)
+    _globals: dict[str, float] = field(default_factory=dict)
+    _frames: list[_Frame] = field(default_factory=lambda: [_Frame()])
+    _returned: float | None = None
+
+    @property
+    def depth(self) -> int:
+        """Number of calls that are open."""
+        return len(self._frames) - 1
+
+    def number(self, which: int, at: Place) -> float:
+        """Return the value of a numbered parameter.
+
+        Raises
+        ------
+        JobError
+            If there is none of that number, or the control alone knows its value.
+        """
+        if which in self._numbers:
+            return self._numbers[which]
+        if _POSITION <= which < _POSITION + len(_AXES):
+            value = self.told(f"_{_AXES[which - _POSITION].lower()}")
+            if value is not None:
+                return value
+        if not 1 <= which <= _LAST:
+            raise JobError(
+                f"there is no parameter #{which}",
+                place=at,
+                remedy=f"They have numbers from 1 to {_LAST}.",
+            )
+        if which > _LAST_OWN:
+            raise JobError(f"parameter #{which}: {_KEPT}", place=at, remedy=_IN_PROGRAM)
+        if self.flavour.unset is None:
+            raise JobError(
+                f"parameter #{which} is read before it is set", place=at, remedy=_IN_PROGRAM
+            )
+        if which > ARGUMENTS:
+            self.unset.setdefault(which, at.line)
+        return self.flavour.unset
+
+    def set_number(self, which: int, value: float, at: Place) -> None:
+        """Set a numbered parameter.
+
+        Raises
+        ------
+        JobError
+            If it is none that a program has for itself.
+        """
+        if not 1 <= which <= _LAST_OWN:
+            raise JobError(
+                f"parameter #{which} is not one of the program's own",
+                place=at,
+                remedy=f"Set those from 1 to {_LAST_OWN}; others move zeros, or belong to the "
+                "control.",
+            )
+        self._numbers[which] = value
+
+    def named(self, name: str, at: Place) -> float:
+        """Return the value of a named parameter, global if it begins with an underscore.
+
+        Raises
+        ------
+        JobError
+            If it was not set.
+        """
+        value = self._find(name)
+        if value is None:
+            raise JobError(
+                f"the parameter #<{name[:40]}> is read before it is set",
+                place=at,
+                remedy="Set it in the program."
+                if name[:1] != "_"
+                else "Set it in the program; of those that the control sets, the position (_x ... "
+                "_w), _metric, _imperial, _absolute, _incremental, _motion_mode, _plane, _value "
+                "and some more are known here.",
+            )
+        return value
+
+    def exists(self, name: str) -> bool:
+        """Say whether a named parameter was set."""
+        return self._find(name) is not None
+
+    def has_number(self, which: int) -> bool:
+        """Say whether there is a numbered parameter."""
+        return 1 <= which <= _LAST
+
+    def set_named(self, name: str, value: float, at: Place) -> None:
+        """Set a named parameter.
+
+        Raises
+        ------
+        JobError
+            If the control sets it.
+        """
+        if name[:1] == "_" and name not in self._globals and self._predefined(name) is not None:
+            raise JobError(
+                f"the control sets #<{name}>, and no program does",
+                place=at,
+                remedy="Choose another name.",
+            )
+        (self._globals if name[:1] == "_" else self._frames[-1].names)[name] = value
+
+    def _find(self, name: str) -> float | None:
+        if name[:1] != "_":
+            return self._frames[-1].names.get(name)
+        value = self._globals.get(name)
+        return self._predefined(name) if value is None else value
+
+    def _predefined(self, name: str) -> float | None:
+        if self.flavour.subroutines:
+            if name == "_value":
+                return self._returned or 0.0
+            if name == "_value_returned":
+                return float(self._returned is not None)
+            if name == "_call_level":
+                return float(self.depth)
+        return self.told(name)
+
+    def enter(self, arguments: list[float], at: Place) -> None:
+        """Begin a call: #1 to #30 are its arguments, 0 where there are less.
+
+        Raises
+        ------
+        JobError
+            If calls are nested too deep.
+        """
+        if self.depth >= MAX_DEPTH:
+            raise JobError(
+                f"calls are nested more than {MAX_DEPTH} deep",
+                place=at,
+                remedy="LinuxCNC refuses it, too.",
+            )
+        own = range(1, ARGUMENTS + 1)
+        saved = {k: self._numbers[k] for k in own if k in self._numbers}
+        self._frames.append(_Frame({}, saved))
+        for k in own:
+            self._numbers[k] = arguments[k - 1] if k <= len(arguments) else 0.0
+
+    def leave(self, returned: float | None) -> None:
+        """End a call, with the value that it returns."""
+        frame = self._frames.pop()
+        for k in range(1, ARGUMENTS + 1):
+            self._numbers.pop(k, None)
+        self._numbers.update(frame.saved)
+        self._returned = returned

@@ -1,0 +1,219 @@
+"""A part program with parameters: its lines, its O words, and the run over them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NoReturn
+
+from threadline.errors import JobError, Place
+from threadline.jobs.gcode.block import Block, block_of
+from threadline.jobs.gcode.dialects import Reading
+from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.modal import Modal, ProgramText
+from threadline.jobs.gcode.parametric.course import Run
+from threadline.jobs.gcode.parametric.flow import Flow, FlowReader, o_word
+from threadline.jobs.gcode.parametric.parameters import Values
+from threadline.jobs.gcode.parametric.statements import Code, code_of
+from threadline.jobs.gcode.tapes import TAPE, Tapes
+from threadline.jobs.gcode.textfile import Lines, SourceFile
+from threadline.jobs.gcode.words import ONE
+from threadline.jobs.operations import MoveRun, Operation, Source, Stop
+
+MOST_BYTES = 16 << 20
+_SIGN = re.compile(
+    rb"[#\[]|^[ \t]*(?:[nN][ \t]*[0-9]+[ \t]*)?[oO][ \t]*"
+    rb"(?:<|[0-9]+[ \t]*(?:\([^()\r\n]*\)[ \t]*)*[a-zA-Z])",
+    re.MULTILINE,
+)
+_PARENTHESES = re.compile(rb"\([^()]*\)")
+_AXIS_NAMES = {f"_{letter}": letter.upper() for letter in "xyzabcuvw"}
+_PLANES = {170: 170.0, 180: 180.0, 190: 190.0}
+
+
+def is_parametric(file: SourceFile) -> bool:
+    """Say whether a program has parameters, expressions or O words like ``o100 sub``."""
+    for chunk in file.chunks(file.begin):
+        if _SIGN.search(chunk.data) is None:
+            continue
+        for line in chunk.data.split(b"\n"):
+            if _SIGN.search(_PARENTHESES.sub(b" ", line.partition(b";")[0])):
+                return True
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """The lines of a program without comments and blanks, and what its O words do."""
+
+    codes: tuple[Code, ...]
+    flow: Flow
+
+
+def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
+    """Return the lines of a program that is short enough to be kept.
+
+    Raises
+    ------
+    JobError
+        If it is too long, or its O words do not fit together.
+    """
+    if file.end - file.begin > MOST_BYTES:
+        raise JobError(
+            f"a program with parameters or O words of more than {MOST_BYTES >> 20} MiB",
+            place=file.place(),
+            remedy="Have it written with numbers alone.",
+        )
+    flow = FlowReader(reading.file, flavour)
+    tapes = Tapes(file)
+    codes: list[Code] = []
+    lines = Lines(file, file.begin, 1)
+    begun = False
+    while lines.more():
+        number, _, text = lines.take()
+        code = Code("", "")
+        if text.strip() == TAPE:
+            tapes.take(number, begun)
+        else:
+            code = code_of(text, flavour, reading.file, number)
+        if code.text:
+            begun = True
+            tapes.check(number)
+            o = o_word(code.text, Place(reading.file, number))
+            if o is not None:
+                flow.take(o, number - 1)
+        codes.append(code)
+    tapes.finish(max(1, lines.number - 1))
+    if not begun:
+        raise JobError(
+            "the file holds no block", place=file.place(), remedy="Name a file with a program."
+        )
+    return Text(tuple(codes), flow.finish())
+
+
+@dataclass(frozen=True, slots=True)
+class ParametricProgram(ProgramText):
+    """A part program with parameters, which can be read any number of times.
+
+    Parameters
+    ----------
+    flavour
+        The control.
+    """
+
+    flavour: Flavour
+
+    def runs(self) -> Iterator[Operation | MoveRun]:
+        """Return the operations from the start position on.
+
+        Raises
+        ------
+        JobError
+            If a block cannot be read, or has no value.
+        """
+        return (item for item, _, _ in self.folded())
+
+    def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
+        """Return the operations, each with the number of times it happens (1) and 0 for a line.
+
+        Raises
+        ------
+        JobError
+            As ``runs`` does.
+        """
+        for _, operations in ParametricInterpreter(self).blocks():
+            for operation in operations:
+                yield operation, 1, 0
+
+
+class ParametricInterpreter(Modal):
+    """The state of one reading, with the parameters.
+
+    Parameters
+    ----------
+    program
+        What is read.
+
+    Attributes
+    ----------
+    values
+        The parameters.
+    """
+
+    def __init__(self, program: ParametricProgram) -> None:
+        super().__init__(program)
+        self._reading = program.reading
+        self._flavour = program.flavour
+        self._text = text_of(program.file, program.reading, program.flavour)
+        self.values = Values(program.flavour, self._told)
+
+    def blocks(self) -> Iterator[tuple[Block, Iterator[Operation]]]:
+        """Return each block that is run, with its operations, which must be taken before the next.
+
+        Raises
+        ------
+        JobError
+            If a block cannot be read, or has no value, or too many lines are run.
+        """
+        codes = self._text.codes
+        run = Run(codes, self._text.flow, self._flavour, self.values, self._reading.file)
+        last = 1
+        for raw, last in run.statements():
+            if not raw.words:
+                continue
+            block = block_of(raw, last, self._reading)
+            if block.ends in {"call", "return"} or block.label >= 0:
+                self._mixed(last)
+            if block.action == 40 or (block.axes and block.action in {-1, 280}):
+                run.idle = 0
+            yield block, self._step(block)
+            if block.ends == "end":
+                return
+        if self._dialect.needs_end:
+            raise self._error(
+                len(codes),
+                "the program has no end: the file may be truncated",
+                "Close it with M2 or M30.",
+            )
+        end = Block(
+            last, -1, -1, (), (), None, None, 1, (), 0.0, 30, "end", None, False, (), -1, ()
+        )
+        yield end, iter((Stop(True, Source(self._path, last)),))
+
+    def _mixed(self, line: int) -> NoReturn:
+        raise self._error(
+            line,
+            "M98 and M99 do not go with O words and parameters here",
+            "Write the subroutine as o100 sub ... o100 endsub, and its call as o100 call.",
+        )
+
+    def _told(self, name: str) -> float | None:
+        """Return what a predefined name stands for, None for one that is not known here."""
+        letter = _AXIS_NAMES.get(name)
+        if letter is not None:
+            index = self._reading.axes.get(letter)
+            return 0.0 if index is None else self._place_of(index)
+        states = {
+            "_metric": self._tenth_mm == 10,
+            "_imperial": self._tenth_mm != 10,
+            "_absolute": not self._relative,
+            "_incremental": self._relative,
+            "_inverse_time": self._inverse_time,
+            "_units_per_minute": not self._inverse_time,
+            "_units_per_rev": False,
+        }
+        if name in states:
+            return float(states[name])
+        if name == "_plane":
+            return _PLANES[self._curves.plane]
+        if name == "_motion_mode" and self._flavour.subroutines:
+            return 800.0 if self._motion == -1 else 10.0 * self._motion
+        return None
+
+    def _place_of(self, index: int) -> float:
+        """Return the present position of an axis in the units of the program."""
+        away = (self._exact[index] - self._zeros.offset[index]) / ONE
+        value = away * 10.0 / self._tenth_mm if self._linear[index] else away
+        return self._flavour.rounded(value if math.isfinite(value) else 0.0)
