@@ -15,7 +15,7 @@ from threadline.arrays import IntArray
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.plant.values import Values
-from threadline.signals import Ended, Event, RecordingBlock, SwitchSchedule
+from threadline.signals import Ended, Event, EventKind, RecordingBlock, SwitchSchedule
 from threadline.twin.switching import (
     SAMPLE_S,
     SwitchOptions,
@@ -98,6 +98,7 @@ class SwitchingSession:
         self.failure, self.ran_dry = "", False
         self._told: list[Event] = []
         self._under_way = 0  # operation of the last sample
+        self._stands = False  # at the place that is not passed
         self._orders = self._made()
         self._progress = begin(self._orders)
         self._progress.free[-1] = 0  # the gate at the place that is not passed
@@ -192,6 +193,7 @@ class SwitchingSession:
             if plc[WAIT] == len(self._waits):
                 plc[STALL] = 0  # a hold lasts as long as it likes
             parts.append(self._run(bound))
+            self._tell_holds(int(plc[SCAN]) - self.tick)
             self.tick = int(plc[SCAN])
             if plc[PHASE] == STALLED:
                 self.failure = stall_of(self._waits[int(plc[WAIT])])
@@ -211,6 +213,22 @@ class SwitchingSession:
         return RecordingBlock(
             first_tick={self.channels[0].clock.name: first}, samples=samples, events=events
         )
+
+    def _tell_holds(self, scans: int) -> None:
+        """Tell where, in the last so many scans, the schedule began to be held, and went on."""
+        plc = self._progress.plc
+        held = plc[PHASE] == RUNNING and plc[WAIT] == len(self._waits)
+        stood = int(plc[STALL]) if held else 0
+        if self._stands and stood < scans and plc[PHASE] == RUNNING:
+            self._tell("resume", self.tick)
+            self._stands = False
+        if stood and not self._stands:
+            self._tell("hold", int(plc[SCAN]) - stood)
+            self._stands = True
+
+    def _tell(self, kind: EventKind, scan: int) -> None:
+        at = -(-scan * self._orders.scan // self._orders.sample)
+        self._told.append(Event(tick=at, kind=kind, operation=self._under_way))
 
     def _run(self, until: int) -> RecordingBlock:
         orders, progress = self._orders, self._progress

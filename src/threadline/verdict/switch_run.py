@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import RecordingError
 from threadline.plan import Plan
-from threadline.signals import Channel, ChannelKind, Event, Recording
+from threadline.signals import Channel, ChannelKind, Clock, Event, Recording
 from threadline.targets.schedule import ScheduledMove
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Found
@@ -97,6 +97,7 @@ class SwitchRun:
         self.plan = plan
         self.commands = plan.scheduled.commands
         self._coverage = Coverage(recording)
+        self._holds: list[tuple[float, float]] = []  # when it was held, s
         self.recording = self._coverage.watched
         missing = [
             name
@@ -168,7 +169,9 @@ class SwitchRun:
         channels = self.recording.channels
         values: dict[str, list[Samples]] = {c.name: [] for c in channels}
         firsts: dict[str, list[int]] = {c.clock.name: [] for c in channels}
+        events: list[Event] = []
         for block in self.recording:
+            events += block.events
             for name, first in firsts.items():
                 first.append(block.first_tick[name])
             for c in channels:
@@ -183,7 +186,12 @@ class SwitchRun:
                 times[pace] = np.concatenate([c.clock.times_s(k, n, c.stride) for k, n in blocks])
             if parts:
                 found[c.name] = (times[pace], joined(parts))
+        self._holds = _held(events, self.recording.channel(self.commands.outputs[0]).clock)
         return found
+
+    def held_s(self, begin_s: float, end_s: float) -> float:
+        """Return for how long an operator held the schedule between two instants, s."""
+        return sum(max(min(b, end_s) - max(a, begin_s), 0.0) for a, b in self._holds)
 
     def _samples(self, name: str) -> tuple[FloatArray, FloatArray]:
         empty = np.empty(0)
@@ -376,3 +384,15 @@ class SwitchRun:
         begin_s = max([step.begin_s, *(m.rest_s for m in done)])
         last_s = max(float(self.time_s[-1]), self.end_s)
         return begin_s, min([last_s, *(m.begin_s for m in later)])
+
+
+def _held(events: Sequence[Event], clock: Clock) -> list[tuple[float, float]]:
+    """Return when each hold began and ended, s; one that the run ended in is not there."""
+    found, since = [], None
+    for event in events:
+        if event.kind == "hold" and since is None:
+            since = clock.time_s(event.tick)
+        elif event.kind == "resume" and since is not None:
+            found.append((since, clock.time_s(event.tick)))
+            since = None
+    return found
