@@ -1,5 +1,7 @@
 """A thousand holds at random instants of runs: no row skipped or repeated, none off the path.
 
+And at each tick the axes are told where the table is at the plan's time that the machine tells.
+
 ``python -m tools.random_holds [COUNT]``; half a minute of processor for 1000.
 """
 
@@ -9,10 +11,13 @@ import sys
 
 import numpy as np
 from tests.live.bench import Bench, table_of_counts
-from tests.live.test_tail import ROWS, off_path
+from tests.live.test_pace import plan_ticks
+from tests.live.test_tail import PLACES, ROWS, off_path
 
 from threadline.live.states import Cause, State
 from threadline.signals import Ended
+
+_HALF_COUNT = 0.5 + 1e-6
 
 
 def run_with_holds(random: np.random.Generator) -> tuple[int, bool]:
@@ -39,8 +44,16 @@ def run_with_holds(random: np.random.Generator) -> tuple[int, bool]:
         and counts[-1].tolist() == ROWS.sum(axis=0).tolist()
         and 0 <= steps.min() <= steps.max() <= 11
         and off_path(counts) <= 1.0
+        and off_plan(counts, plan_ticks(bench.kept.blocks, len(counts))) <= _HALF_COUNT
     )
     return holds, bool(sound)
+
+
+def off_plan(counts: np.ndarray, ticks: np.ndarray) -> float:
+    """Return how far (n, 3) counts are from the table at (n,) ticks of it, in counts."""
+    at = np.minimum(ticks, len(ROWS))
+    meant = [np.interp(at, np.arange(len(PLACES)), column) for column in PLACES.T]
+    return float(np.abs(counts - np.stack(meant, axis=1)).max())
 
 
 def main() -> None:

@@ -25,6 +25,7 @@ from tests.live.hal_bench import (
     unhurried,
 )
 from tests.live.kill_bench import child
+from tests.live.test_pace import plan_ticks
 from threadline import machine as machine_package
 from threadline.cli.main import main
 from threadline.errors import LinkFaultError
@@ -155,6 +156,12 @@ def test_hold_resume_and_stop(tmp_path: Path) -> None:
     assert np.abs(measured - commanded).max() == pytest.approx(
         0.036 * lag_s, abs=2.0 / X_M
     )  # a count of rounding each way
+    # It tells which instant of the plan each tick has: there the table is where HAL told X to be.
+    ticks = plan_ticks(kept.blocks, len(commanded))
+    places = np.append(0, np.cumsum(ROWS[:, 1]))
+    meant = np.interp(np.minimum(ticks, len(ROWS)), np.arange(len(places)), places)
+    assert np.abs(commanded * X_M - meant).max() <= 0.5 + 1e-6
+    assert ticks[-1] < len(ticks) - 40  # it was held
 
 
 def on_path(box: Path) -> tuple[np.ndarray, np.ndarray]:

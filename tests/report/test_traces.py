@@ -16,7 +16,7 @@ from threadline.pipeline import Proof, Trials, plan_job, prove_plan
 from threadline.report.figures import all_figures
 from threadline.report.style import figure_style
 from threadline.report.thinning import envelope
-from threadline.report.traces import AROUND_SAMPLES, MAX_SAMPLES, collect
+from threadline.report.traces import AROUND_SAMPLES, MAX_SAMPLES, _pass_slowly, collect
 from threadline.verdict import judge, load_spec
 
 AT = 12_345  # of 30 000 samples, alone
@@ -173,3 +173,18 @@ def test_the_run_with_the_worst_place_is_drawn(examples: Path) -> None:
     (label,) = [t.get_text() for t in errors.get_legend().get_texts() if "worst" in t.get_text()]
     tracking = proof.verdict.result("tracking_error", "X")
     assert (f"in run {tracking.run} of 6" in label) is (tracking.run != worst.run)
+
+
+def test_a_plan_that_is_passed_slowly_has_the_speed_that_is_passed_at() -> None:
+    """Of x = sin p at p = t - 0.3 sin t, whose derivatives by t are known."""
+    every_s = 1e-3
+    time_s = np.arange(0.0, 4.0, every_s)
+    due_s = time_s - 0.3 * np.sin(time_s)
+    planned = np.stack([np.sin(due_s), np.cos(due_s), -np.sin(due_s)], axis=1)[:, :, None]
+    _pass_slowly(planned, due_s - time_s, every_s)
+    rate, change = 1.0 - 0.3 * np.cos(time_s), 0.3 * np.sin(time_s)
+    velocity = np.cos(due_s) * rate
+    acceleration = -np.sin(due_s) * rate**2 + np.cos(due_s) * change
+    inner = slice(2, -2)
+    assert np.abs(planned[inner, 1, 0] - velocity[inner]).max() < 1e-6
+    assert np.abs(planned[inner, 2, 0] - acceleration[inner]).max() < 1e-5

@@ -9,6 +9,7 @@ import pytest
 
 from tests.verdict.builders import TICK_S, plan_through, record, spec_of
 from tests.verdict.test_stitches import COUNT, LENGTH_M, PERIOD_S, POINTS, SPEED_M_S, seam
+from threadline.errors import RecordingError
 from threadline.plan import Following, Plan
 from threadline.signals import ChannelKind, Event, Recording, RecordingBlock, Stream
 from threadline.verdict import Criterion, Result, Status, judge
@@ -150,3 +151,13 @@ def test_runs_that_were_held_are_not_compared_with_others() -> None:
     assert (found.status, found.note) == (
         Status.NOT_MEASURED, "a run was held: its instants are its own",
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(("tick", "value"), [(70, -1.0), (70, 1e300), (3, 0.1)])
+def test_a_record_that_no_run_can_have_is_refused(tick: int, value: float) -> None:
+    """A time before the plan, one far behind any, and an event that goes back."""
+    blocks = list(sewn_run())
+    wrong = Event(tick=tick, kind="plan", operation=-1, value=value)
+    blocks[1] = replace(blocks[1], events=(*blocks[1].events, wrong))
+    with pytest.raises(RecordingError, match="of the plan were due at"):
+        judged(replace(sewn_run(), blocks=Stream.of(blocks)))

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
+from threadline.errors import RecordingError
 from threadline.signals import Clock, Event
 
+_MOST_S = 1e9  # thirty years
 _ROUNDING = 1e-9  # of a period: an instant that is a tick but for a rounding is that tick
 
 
@@ -31,15 +33,31 @@ class PlanClock:
         self._from_s: FloatArray = np.empty(0)  # when each event was
         self._due_s: FloatArray = np.empty(0)  # and what was due then
         self._rate: FloatArray = np.empty(0)  # at which the plan goes on behind it
+        self._tick = 0  # of the latest event
         self._gone = 0  # events that were let go of
         self._passed = 0  # events up to the instant that was asked for last
         self._latest_s = -np.inf  # plan's time then
 
     def take(self, events: Iterable[Event]) -> None:
-        """Take the events of a block, before its instants are asked for."""
+        """Take the events of a block, before its instants are asked for.
+
+        Raises
+        ------
+        RecordingError
+            If they go back, or tell a time that no plan has.
+        """
         told = [event for event in events if event.kind == "plan"]
         if not told:
             return
+        for event in told:
+            if event.tick < self._tick or not 0.0 <= event.value <= _MOST_S:
+                raise RecordingError(
+                    f"an event tells that {event.value:.6g} s of the plan were due at "
+                    f"{self._clock.time_s(event.tick):.6g} s",
+                    remedy="Events follow each other in time, and a plan begins at 0 s; record it "
+                    "again.",
+                )
+            self._tick = event.tick
         due = np.array([event.value for event in told])
         before = np.append(self._due_s[-1:] if len(self._due_s) else [np.nan], due[:-1])
         times = np.array([self._clock.time_s(event.tick) for event in told])
