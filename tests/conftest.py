@@ -41,6 +41,20 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int,
     return cores + max(2, cores // 4)
 
 
+_WAITING = ("tests/live/", "tests/panel/")
+"""Where tests wait for machines that run in real time, and for browsers."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with tests that wait: one worker has them while others compute, and none is left last.
+
+    Each worker is given as many tests as the others, in this order, and takes from those that have
+    the most left when it has no more.
+    """
+    items.sort(key=lambda item: not item.nodeid.startswith(_WAITING))
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[Any]
@@ -64,8 +78,8 @@ def nothing_said_of_compiling() -> Iterator[None]:
 
 
 @pytest.fixture
-def coarse_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a search for the fastest feed try a tenth as many.
+def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have a search for the fastest feed try a tenth as many at each share of the limits.
 
     For tests of what is made of its answer; ``tests/search`` tests the answer itself.
     """
@@ -74,6 +88,11 @@ def coarse_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fastest, "_finer", lambda *of: finer(*of[:2], min(of[2], 1)))
     monkeypatch.setattr(edges, "INSIDE", 2)
     monkeypatch.setattr(edges, "_BESIDE", (-3, 3))
+
+
+@pytest.fixture
+def coarse_search(coarse_scan: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have such a search try two shares of the limits, besides."""
     monkeypatch.setattr(gentle, "_LADDER", (1.0, 0.25))
 
 

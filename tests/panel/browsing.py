@@ -197,3 +197,9 @@ def begin_jog(page: Page, key: str) -> None:
         else:
             return
     raise AssertionError(f"20 times {key} began no jog")
+
+
+def typed(page: Page, *points: tuple[float, float]) -> None:
+    for x, y in points:
+        page.locator("#typed-point").fill(f"{x}, {y}")
+        page.locator("#typed-point").press("Enter")

@@ -23,7 +23,7 @@ SPEED = 0.5
 
 @pytest.fixture(scope="module")
 def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
-    """A browser; one without a view in three dimensions where the module has ``FLAT``.
+    """A browser; one with a view in three dimensions where the module has ``SPACE``.
 
     Without a graphics card that view takes half of the time of a page.
     """
@@ -31,8 +31,8 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
 
     from tests.panel.browsing import CHROMIUM
 
-    flat = getattr(request.module, "FLAT", False)
-    arguments = ["--no-sandbox", "--disable-3d-apis" if flat else "--enable-unsafe-swiftshader"]
+    space = getattr(request.module, "SPACE", False)
+    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader" if space else "--disable-3d-apis"]
     with sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         yield found

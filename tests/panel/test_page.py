@@ -32,8 +32,6 @@ from tests.panel.browsing import (
 )
 from tests.panel.test_panel_killed import Plant
 
-FLAT = True  # the view in three dimensions has tests of its own
-
 
 def told_mm(plant: Plant) -> float:
     """Return where X is commanded to be: at rest the time of this machine stands still."""

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import ezdxf
 
-from tests.panel.browsing import Browser, Page, expect, opened, part, press, shot
-from tests.panel.test_page_views import typed
+from tests.panel.browsing import Browser, Page, expect, opened, part, press, shot, typed
 from tests.panel.test_panel_killed import Plant
 from threadline.drawing.svg.read_svg import read_svg
 

@@ -28,10 +28,11 @@ from tests.panel.browsing import (
     shot,
     stands,
     state,
+    typed,
     x_mm,
 )
-from tests.panel.test_page_views import typed
 
+SPACE = True
 EXAMPLE = Path(__file__).parents[2] / "examples" / "cone-dome-cylinder.prg"
 PLANNED_BESIDE_COMMANDED = """() => {
   const told = document.getElementById("position").title.match(/planned (\\S+), commanded (\\S+),/);

@@ -23,6 +23,7 @@ from threadline.search.rungs import Rung
 from threadline.verdict import Verdict, load_spec
 
 
+@pytest.mark.usefixtures("coarse_scan")
 def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
     """On the reversal test all of the limits stay in spec only at a crawl."""
     machine = load_machine("lathe-winder")

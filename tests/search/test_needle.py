@@ -29,6 +29,7 @@ points = [[0, 0], [20, 0], [20, 10]]
 """
 
 
+@pytest.mark.usefixtures("coarse_scan")
 def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
     file = tmp_path / "corner.seam.toml"
     file.write_text(SEAM)

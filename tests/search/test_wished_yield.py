@@ -79,6 +79,7 @@ def test_a_yield_is_a_share_below_the_whole(text: str) -> None:
         trials_of(True, None, False, "99 %")
 
 
+@pytest.mark.usefixtures("coarse_search")
 def test_fastest_with_a_yield_can_be_typed_back(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
