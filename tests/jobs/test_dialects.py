@@ -29,6 +29,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     ("dialect", "preamble", "words"),
     [
         ("linuxcnc", "G17 G21 G40 G49 G54 G80 G90 G94 G64 P0.01\nM3 S100\nM8", "G40 G49 G54 S M8"),
+        ("linuxcnc", "G54 G64 P0.01 Q0.02\nG2\nG64 P0 Q0\nG1", "G54"),
         ("grbl", "G17 G21 G40 G49 G54 G80 G90 G94\nM3 S100\nM8\nT1 M6", "G40 G49 G54 S M8 T"),
         ("fluidnc", "G21 G54\nM4 S5 M7", "G54 S M7"),
         ("marlin", "G21\nM17\nM104 S200\nM82\nM117 wind on! X5\nM30", "M17 M104 M82 M117 M30"),

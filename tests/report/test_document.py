@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -19,7 +20,7 @@ from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
 from threadline.report.document import Document, Table
-from threadline.report.figures import error_figure
+from threadline.report.figures import _bars, error_figure
 from threadline.report.mismatch import draw_mismatch
 from threadline.report.proof import write_comparison
 from threadline.report.publish import write_document
@@ -27,7 +28,7 @@ from threadline.report.style import AXES, LIMIT, figure_style, headed
 from threadline.report.traces import collect
 from threadline.search import Mismatch, compare
 from threadline.search.mismatch import CYCLE, NEEDLE
-from threadline.verdict import Verdict, load_spec
+from threadline.verdict import Status, Verdict, load_spec
 from threadline.verdict.rendering import closing_of_all
 
 
@@ -213,6 +214,24 @@ def test_the_labels_of_many_bars_do_not_touch(tmp_path) -> None:
     labels = [label.get_window_extent() for label in figure.axes[2].get_yticklabels()]
     assert len(labels) >= 12
     assert all(abs(a.y0 - b.y0) >= a.height for a, b in pairwise(labels))
+
+
+def test_a_bar_that_passed_is_within_its_limit(tmp_path) -> None:
+    """A plan may ask for a thousandth more between samples; 101 % would be said of it."""
+    machine = load_machine("lathe-winder")
+    job = tmp_path / "a.prg"
+    job.write_text("G91 G1 X 5 F 600\nX -5\nM30\n")
+    proof = prove_plan(
+        plan_job(read_job(job, machine), machine, Options()), load_spec(None, machine)
+    )
+    row = next(r for r in proof.verdict.results if r.name == "velocity" and r.axis == "X")
+    over = [
+        replace(row, measured=1.0004 * row.limit, status=status)
+        for status in (Status.PASSED, Status.FAILED)
+    ]
+    panel = Figure().add_subplot()
+    _bars(replace(proof, verdict=replace(proof.verdict, results=tuple(over))), panel)
+    assert [text.get_text() for text in panel.texts] == ["100 %", "101 %"]
 
 
 def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:

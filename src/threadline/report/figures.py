@@ -298,12 +298,14 @@ def _bars(proof: Proof, panel: Axes) -> None:
     hatches = ["////" if r.status is Status.FAILED else "" for r in limited]
     shown = np.minimum(used, 200.0) if used else np.empty(0)
     drawn = panel.barh(names, shown, color=colours, edgecolor="black", linewidth=0.6)
-    for bar, hatch, percent in zip(drawn, hatches, used, strict=True):
+    for bar, hatch, percent, result in zip(drawn, hatches, used, limited, strict=True):
         bar.set_hatch(hatch)
+        # What a plan asks for between samples may pass a limit that it keeps at each of them.
+        told = min(percent, 100.0) if result.status is Status.PASSED else percent
         panel.text(
             max(bar.get_width() + 2, 102.0 if 88.0 < percent < 100.0 else 0.0),
             bar.get_y() + bar.get_height() / 2,
-            percent_used(percent / 100.0),
+            percent_used(told / 100.0),
             va="center",
             fontsize=7,
         )

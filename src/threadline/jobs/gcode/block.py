@@ -206,6 +206,9 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
             idle = (*idle, letter)
         else:
             refuse_word(letter, number, -1, line, reading)
+    if curve and 640 in settings and not axes and motion not in _CURVED:
+        # G64 P Q: how far LinuxCNC's planner may leave the path, of which the reader makes nothing.
+        curve = tuple(one for one in curve if one[0] != "Q")
     if action == 40 and dwell_s is None and p is not None:  # written before the G4
         dwell_s = p / ONE * dialect.dwell_s["P"]["." in p_number]
     if (
