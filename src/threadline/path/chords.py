@@ -296,53 +296,47 @@ def _walked(positions, radius_m, here, start, limit, thin_m, d):
     return k
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", fastmath={"contract"})
 def _strayed(positions, radius_m, here, d, start, stop):
     """Return the largest distance of vertices ``start`` to ``stop`` from their places on a chord.
 
-    The first and the last stand for its ends, the others for the nearest place behind the last.
+    The first and the last stand for its ends, the others for the nearest place behind the last. A
+    product and the sum that it goes into are rounded once, not twice, where the processor can.
     """
-    axes, square = len(d), squared_of(d)
+    axes, square = len(d), 0.0
+    for j in range(axes):
+        square += d[j] * d[j]
     if not square > 0.0:
         return np.inf
-    if axes == 3:  # most are: written out, it takes a fifth of the time
-        return _strayed_of_three(positions[start : stop + 1], radius_m, here, d, square)
+    own, last = positions[start : stop + 1], stop - start
     per, share, worst = 1.0 / square, 0.0, 0.0
-    for i in range(start, stop + 1):
+    if axes == 3:  # most are: written out, it takes a fifth of the time
+        r0, r1, r2 = radius_m[0], radius_m[1], radius_m[2]
+        h0, h1, h2 = here[0], here[1], here[2]
+        d0, d1, d2 = d[0], d[1], d[2]
+        for i in range(last + 1):
+            x, y, z = own[i, 0] * r0 - h0, own[i, 1] * r1 - h1, own[i, 2] * r2 - h2
+            along = (x * d0 + y * d1 + z * d2) * per
+            if i > 0 and along > share:
+                share = min(along, 1.0)
+            if i == last:
+                share = 1.0
+            x, y, z = x - share * d0, y - share * d1, z - share * d2
+            squared = x * x + y * y + z * z
+            if squared > worst:  # noqa: PLR1730 - max() looks for NaN as well
+                worst = squared
+        return np.sqrt(worst)
+    for i in range(last + 1):
         along = 0.0
         for j in range(axes):
-            along += (positions[i, j] * radius_m[j] - here[j]) * d[j]
+            along += (own[i, j] * radius_m[j] - here[j]) * d[j]
         share = min(max(share, along * per), 1.0)
-        if i == start:
+        if i == 0:
             share = 0.0
-        elif i == stop:
+        elif i == last:
             share = 1.0
         squared = 0.0
         for j in range(axes):
-            squared += (positions[i, j] * radius_m[j] - here[j] - share * d[j]) ** 2
+            squared += (own[i, j] * radius_m[j] - here[j] - share * d[j]) ** 2
         worst = max(worst, squared)
-    return np.sqrt(worst)
-
-
-@njit(error_model="numpy", fastmath={"contract"})
-def _strayed_of_three(own, radius_m, here, d, square):
-    """Return what ``_strayed`` does for the vertices ``own`` in three axes.
-
-    A product and the sum that it goes into are rounded once, not twice, where the processor can.
-    """
-    r0, r1, r2 = radius_m[0], radius_m[1], radius_m[2]
-    h0, h1, h2 = here[0], here[1], here[2]
-    d0, d1, d2 = d[0], d[1], d[2]
-    per, share, worst, last = 1.0 / square, 0.0, 0.0, len(own) - 1
-    for i in range(last + 1):
-        x, y, z = own[i, 0] * r0 - h0, own[i, 1] * r1 - h1, own[i, 2] * r2 - h2
-        along = (x * d0 + y * d1 + z * d2) * per
-        if i > 0 and along > share:
-            share = min(along, 1.0)
-        if i == last:
-            share = 1.0
-        x, y, z = x - share * d0, y - share * d1, z - share * d2
-        squared = x * x + y * y + z * z
-        if squared > worst:  # noqa: PLR1730 - max() looks for NaN as well
-            worst = squared
     return np.sqrt(worst)

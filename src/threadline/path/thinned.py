@@ -32,15 +32,16 @@ ENOUGH = 1024  # vertices of a chunk behind chords: for fewer, a call takes long
 
 def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Iterator[Chunk]:
     """Yield what ``runs`` does, with chords in place of legs where the program is rough."""
-    thinner, held = Thinner(programmed.radius_m, cut_m), None
+    thinner = Thinner(programmed.radius_m, cut_m)
+    held: list[Vertices] = []
     for chunk in runs(programmed, near_m):
         fresh = thinner.thinned(chunk)
-        held = join_vertices(held, *fresh.parts)
-        if fresh.ends or len(held) >= ENOUGH:
-            yield replace(fresh, parts=(held,))
-            held = None
-    if held is not None and len(held):
-        yield Chunk(parts=(held,), ends=False, dwell_s=0.0)
+        held += fresh.parts
+        if fresh.ends or sum(map(len, held)) >= ENOUGH:
+            yield replace(fresh, parts=tuple(held))
+            held = []
+    if any(map(len, held)):
+        yield Chunk(parts=tuple(held), ends=False, dwell_s=0.0)
 
 
 @dataclass(slots=True)
@@ -190,4 +191,6 @@ def _thin(
         n += 1
         start = k
     known = (until, rough, valid, level, before_m, guess)
-    return out[:n], beside[:n], time_s[:n], row[:n], start, here, known
+    # Of these arrays there is much more than is used of them.
+    own = out[:n].copy(), beside[:n].copy(), time_s[:n].copy(), row[:n].copy()
+    return *own, start, here, known
