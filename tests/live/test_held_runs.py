@@ -22,12 +22,16 @@ PROGRAM = "G91\nG1 X10 F480\nM00\nX-10\nM30\n"
 SPEC = load_spec(None, winder())
 
 
-@pytest.fixture(scope="module")
-def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
-    """The plan, in which the loads follow: the motors are told something else."""
-    job = tmp_path_factory.mktemp("held") / "there.prg"
+def plan_of(folder: Path) -> Plan:
+    """Return the plan, in which the loads follow: the motors are told something else."""
+    job = folder / "there.prg"
     job.write_text(PROGRAM, "utf-8")
     return plan_job(read_job(job, winder()), winder(), Options(feed_forward_s=0.04))
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    return plan_of(tmp_path_factory.mktemp("held"))
 
 
 @pytest.fixture(scope="module")
