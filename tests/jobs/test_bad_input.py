@@ -134,7 +134,7 @@ BLOCKS = [
     ("M98 P7 L-1", "L -1 must be a whole number"),
     ("#1=5", "'#1=5': parameters and expressions are not read"),
     ("X[1+2]", "'X[1+2]': parameters and expressions are not read"),
-    ("/X1", "'/X1' is not part of this dialect"),
+    ("/X1", "a line that begins with / is run or left out by a switch of the control"),
     ("O100 sub", "'sub': the letter S has no number"),
     ("X1 % 5", "'% 5' is not part of this dialect"),
     ("X\xb2", "'X\xb2': the letter X has no number"),

@@ -186,6 +186,7 @@ def _places(job):
 
 REFUSED = [
     ("o1 if [1]", "if 1 has no end"),
+    ("/#1=2", "run or left out by a switch of the control"),
     ("o1 endif", "endif 1 has no if of that label before it"),
     ("o1 while [1]\no2 if [1]\no1 endwhile\no2 endif", "which stands in if 2"),
     ("o1 if [1]\no1 else\no1 elseif [1]\no1 endif", "elseif stands behind else"),

@@ -36,6 +36,7 @@ _SIDE_PT, _TOP_PT, _BOTTOM_PT = 37.0, 48.0, 46.0
 _ROOM_PT = WIDTH_PT - 2 * _SIDE_PT  # 7.24 inches: a figure of 7.2 stands as it is
 _TALL_PT = HEIGHT_PT - _TOP_PT - _BOTTOM_PT - 12.0  # room of a page below its verdict
 _GAP_PT = 10.0  # below a caption
+_LEAST_SHARE = 0.85  # of its size, to which a figure is made smaller for half a page
 _HEAD_PT = 8.0
 _HEAD_LINES = 2  # of the verdict above a page; the first page has all of it
 
@@ -177,5 +178,8 @@ def _with_caption(
     inches = figure.get_size_inches()
     wide_pt, tall_pt = 72.0 * float(inches[0]), 72.0 * float(inches[1])
     scale = min(1.0, _ROOM_PT / wide_pt, (_TALL_PT - taken_pt - 2.0 * _GAP_PT) / tall_pt)
+    halved = (_TALL_PT / 2.0 - taken_pt - _GAP_PT - 1.0) / tall_pt
+    if _LEAST_SHARE * scale <= halved < scale:
+        scale = halved  # two of them stand on a page, which would be half empty
     picture = _Picture(name, (scale * wide_pt, scale * tall_pt), scale, places)
     return KeepTogether([*above, picture, caption, Spacer(1.0, _GAP_PT)])

@@ -165,6 +165,21 @@ def tags_of(comment: str, file: str, line: int) -> tuple[tuple[str, float], ...]
     return tuple(tags.items())
 
 
+def refuse_switched(place: Place) -> NoReturn:
+    """Refuse a line that begins with ``/``.
+
+    Raises
+    ------
+    JobError
+        Always.
+    """
+    raise JobError(
+        "a line that begins with / is run or left out by a switch of the control (block delete)",
+        place=place,
+        remedy="Take the line out, or the / alone.",
+    )
+
+
 def _shown(text: str) -> str:
     short = text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
     return repr(short)
@@ -192,6 +207,8 @@ def _diagnose(text: str, file: str, line: int) -> NoReturn:
         )
     if re.match(rf"[A-Za-z][ \t]*{_NUMBER}\.", rest):
         raise JobError(f"{_shown(word)} is not a number", place=place, remedy="Correct it.")
+    if text.lstrip(" \t").startswith("/"):
+        refuse_switched(place)
     if re.match(r"[A-Za-z]?[ \t]*[#\[]", rest):
         raise JobError(
             f"{_shown(rest)}: parameters and expressions are not read",

@@ -19,7 +19,7 @@ from threadline.jobs.gcode.parametric.parameters import Values
 from threadline.jobs.gcode.parametric.statements import Code, code_of
 from threadline.jobs.gcode.tapes import TAPE, Tapes
 from threadline.jobs.gcode.textfile import Lines, SourceFile
-from threadline.jobs.gcode.words import ONE
+from threadline.jobs.gcode.words import ONE, refuse_switched
 from threadline.jobs.operations import MoveRun, Operation, Source, Stop
 
 MOST_BYTES = 16 << 20
@@ -80,6 +80,8 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
             code = code_of(text, flavour, reading.file, number)
         if code.text:
             begun = True
+            if code.text[0] == "/":
+                refuse_switched(Place(reading.file, number))
             tapes.check(number)
             o = o_word(code.text, Place(reading.file, number))
             if o is not None:
