@@ -14,6 +14,8 @@ from threadline.live.hold_deviation import (
     hold_deviation_m,
     hold_limit_m,
     hold_waits,
+    hold_words,
+    rests_within,
 )
 from threadline.live.states import Cause, State
 from threadline.machine import load_machine
@@ -117,10 +119,32 @@ def test_where_loads_would_come_too_far_along_the_path_it_waits_for_a_rest() -> 
     assert 36e-3 * 29.4e-3 < worst < 2e-3  # most of all where it turns
     spec = load_spec(None, plan.machine)
     assert hold_waits(plan, spec, leaves_m=1e-6)
+    words = hold_words(plan, 1e-4, waits=True)
+    assert f"0.10 mm beside the path or {1e3 * worst:.2f} mm from where it is due" in words
+    assert words.endswith("there is none before the end")
+    assert hold_words(plan, 1e-4, waits=False).endswith("within the limit")
     wide = replace(spec, criteria=[
         replace(c, limit=2e-3) if c.name == "progress_error" else c for c in spec.criteria
     ])  # fmt: skip
     assert not hold_waits(plan, wide, leaves_m=1e-6)
     motors = planned("x-180.prg", "lathe-winder", interpolation="linear")
     assert hold_ahead_m(motors) == 0.0
+    assert hold_words(motors, 0.0, waits=False) == ""
     assert not hold_waits(motors, spec, leaves_m=0.0)
+
+
+@pytest.mark.parametrize(("rest", "long"), [(0, False), (1, False), (2, True), (40, True)])
+def test_whether_there_is_a_rest_is_known_before(rest: int, long: bool) -> None:
+    """Against the executor: it stands before the end where the plan says that it can."""
+    rows = there_and_back(40.0, cruise=30)
+    whole = np.concatenate([np.zeros((30, 3), np.int64), rows, np.zeros((rest, 3), np.int64), rows])
+    table = table_of_counts(whole)
+    bench = Bench().ready()
+    bench.executor.start(table, hold_at_rest=True)
+    bench.go_on(100)
+    bench.desk.ask(Cause.HOLD)
+    bench.go_on(len(whole) + 30)
+    plan = planned("x-180.prg", "lathe-winder", interpolation="linear")
+    known = rests_within(replace(plan, commands=table))
+    assert bool(bench.commanded()[-1, 0] < whole[:, 0].sum()) is known
+    assert known is long  # 50 ms, with the rows about it that have no count

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -59,7 +58,7 @@ from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError, RecordingError
 from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
-from threadline.live.hold_deviation import hold_waits
+from threadline.live.hold_deviation import hold_waits, hold_words
 from threadline.live.links import Link, link_of
 from threadline.live.sim_faults import parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
@@ -302,9 +301,8 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
 def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> bool:
     """Say how far beside its path a hold would stand; return whether it waits for a rest."""
     at_rest = hold_waits(plan, spec, leaves_m)
-    if 0.0 < leaves_m < math.inf:
-        where = "so h stands at the next rest" if at_rest else "within the limit"
-        note(f"a hold may stand {1e3 * leaves_m:.2f} mm beside the path, {where}")
+    if words := hold_words(plan, leaves_m, waits=at_rest):
+        note(words)
     return at_rest
 
 

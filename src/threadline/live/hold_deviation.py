@@ -13,6 +13,7 @@ from math import ceil
 import numpy as np
 from scipy.spatial import KDTree
 
+from threadline.live.path_window import HALTS, rest_rows
 from threadline.plan import Plan
 from threadline.signals import tick_table
 from threadline.trajectory import TrajectoryReader
@@ -94,3 +95,42 @@ def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
         return True
     limit_m = hold_limit_m(spec, "progress_error")
     return leaves_m > 0.0 and math.isfinite(limit_m) and hold_ahead_m(plan) > limit_m
+
+
+def hold_words(plan: Plan, leaves_m: float, *, waits: bool) -> str:
+    """Return what the operator has to know of holds before a run; empty where that is nothing.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    leaves_m, waits
+        The distance from the path at which it would stand, and whether it waits for a rest.
+    """
+    if not 0.0 < leaves_m < math.inf:
+        return ""
+    ahead_m = hold_ahead_m(plan)
+    places = f"{1e3 * leaves_m:.2f} mm beside the path"
+    if ahead_m > 0.0:
+        places += f" or {1e3 * ahead_m:.2f} mm from where it is due"
+    if not waits:
+        return f"a hold may stand {places}, within the limit"
+    if rests_within(plan):
+        return f"a hold may stand {places}, so h stands at the next rest"
+    return f"a hold may stand {places}, so h waits for a rest, and there is none before the end"
+
+
+def rests_within(plan: Plan) -> bool:
+    """Return whether the rows of a plan rest between two motions, or stop, so that a hold may."""
+    table = tick_table(plan.commands)
+    needed, moved = rest_rows(table), -1  # the last row that moves
+    for block in table:
+        rows = np.flatnonzero((block.counts != 0).any(axis=1)) + block.first_tick
+        if moved < 0 and len(rows):
+            moved = int(rows[0])  # the rest before it is the start
+        if len(rows) and (np.diff(rows, prepend=moved) > needed).any():
+            return True
+        if any(event.kind in HALTS for event in block.events):
+            return True
+        moved = int(rows[-1]) if len(rows) else moved
+    return False

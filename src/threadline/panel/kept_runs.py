@@ -20,7 +20,7 @@ from threadline.errors import ProofError, RecordingError, ThreadlineError
 from threadline.input_files import inputs_read, noting_inputs
 from threadline.live.continued_sink import ContinuedSink
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
-from threadline.live.hold_deviation import hold_waits
+from threadline.live.hold_deviation import hold_waits, hold_words
 from threadline.live.kept import Sink
 from threadline.live.operated import Load, Operated
 from threadline.live.states import Cause, State
@@ -201,6 +201,8 @@ class KeptRuns:
         leaves_m = way_of(self._machine).hold_deviation_m(plan)
         at_rest = hold_waits(plan, spec, leaves_m)
         load, number = executor.prepare(plan), int(told["number"])
+        if words := hold_words(plan, leaves_m, waits=at_rest):
+            load = replace(load, notes=(*load.notes, words))
         found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m, at_rest)
         if "run" not in told:
             return found
