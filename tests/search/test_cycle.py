@@ -195,7 +195,14 @@ def test_what_it_wrote_proves_the_same(
     assert figures(proved["criteria"]) == figures(found["verdict"]["criteria"])
 
 
-def test_off_its_file_the_cycle_is_found_with_commands_for_the_file() -> None:
+@pytest.fixture(scope="module")
+def typed() -> FastestCycle:
+    """Return what is found for the machine as its file says."""
+    machine = load_machine("letter-placer")
+    return fastest_cycle(read_job(CYCLE, machine), machine, load_spec(None, machine))
+
+
+def test_off_its_file_the_cycle_is_found_with_commands_for_the_file(typed: FastestCycle) -> None:
     """Springs at their upper ends: the cycle for the file fails there, the one found passes.
 
     Both are proved anew, one run each, on the machine that is off its file.
@@ -210,24 +217,24 @@ def test_off_its_file_the_cycle_is_found_with_commands_for_the_file() -> None:
         plan = plan_job(found.job, machine, Options())
         return prove_plan(plan, spec, actual=stiff).verdict.passed
 
-    assert not passes(fastest_cycle(job, machine, spec))
+    assert not passes(typed)
     assert passes(fastest_cycle(job, machine, spec, actual=stiff))
 
 
 def test_the_command_searches_over_tolerances(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    typed: FastestCycle,
 ) -> None:
     """Nine machines run the cycles, and the plans are made for the file's."""
     machine = load_machine("letter-placer")
-    spec = load_spec(None, machine)
-    job = read_job(CYCLE, machine)
-    real = fastest_cycle(job, machine, spec)
     ran: list[Machine] = []
 
     def canned(_job: Job, planned: Machine, _spec: Spec, *, actual: Machine) -> FastestCycle:
         assert planned == machine
         ran.append(actual)
-        return real if len(ran) != 5 else replace(real, job=None)
+        return typed if len(ran) != 5 else replace(typed, job=None)
 
     monkeypatch.setattr(mismatch, "fastest_cycle", canned)
     words = ["fastest", CYCLE, "-m", "letter-placer", "--nominal", "--mismatch", "--json"]
@@ -237,7 +244,7 @@ def test_the_command_searches_over_tolerances(
     assert ran == [
         off_tolerance(machine, mass=m, stiffness=k) for m in (-1, 0, 1) for k in (-1, 0, 1)
     ]
-    assert cells[0]["best"] == pytest.approx(real.cycle_s)
+    assert cells[0]["best"] == pytest.approx(typed.cycle_s)
     assert (cells[4]["best"], cells[4]["intervals"]) == (None, [])
     drawn = (tmp_path / "r" / "tolerances.svg").read_text(encoding="utf-8")
     assert "shortest in spec, s" in drawn

@@ -29,8 +29,9 @@ X180 = EXAMPLES / "x-180.prg"
 
 
 def drawn(low: float, high: float) -> list[float]:
-    """Return both ends and ten places inside, from a fixed seed."""
-    return [low, high, *np.random.default_rng(7).uniform(low, high, 10).tolist()]
+    """Return both ends and ten places inside, from a fixed seed; one where the ends are one."""
+    inside = np.random.default_rng(7).uniform(low, high, 10).tolist()
+    return list(dict.fromkeys((low, high, *inside)))
 
 
 def _turn(folder: Path) -> Path:
@@ -53,7 +54,11 @@ def stitcher(tmp_path: Path) -> Machine:
 
 @pytest.mark.parametrize(
     ("trials", "low", "high"),
-    [(NOMINAL, 29.0, 33.0), (REPEATED, 27.0, 30.0), (Trials(repeats=2, machines=20), 27.0, 32.0)],
+    [
+        (NOMINAL, 29.2, 29.4),
+        (REPEATED, 29.15, 29.28),
+        (Trials(repeats=2, machines=20), 28.1, 28.3),
+    ],
     ids=lambda value: getattr(value, "level", None),
 )
 def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
@@ -62,11 +67,11 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     """With gaps where whole ticks do not suit; lists had them in. At every level."""
     seam = EXAMPLES / "stitcher-test-path.seam.toml"
     spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", stitcher)
-    points, near = (12, 4) if trials == NOMINAL else (4, 2)
+    points, near = (5, 2) if trials == NOMINAL else (3, 1)
     found = fastest_needle(
         seam, stitcher, spec, Options(), low=low, high=high, points=points, near=near, trials=trials
     )
-    assert found.intervals
+    assert len(found.intervals) > 1
     for interval in found.intervals:
         for speed in drawn(interval.low, interval.high):
             job = read_job(seam, stitcher, needle_speed=f"{typed(speed)} stitch/s")

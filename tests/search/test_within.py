@@ -18,6 +18,7 @@ from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
+from threadline.search import cycle_robust
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
 from threadline.search.fastest import find_fastest
@@ -163,8 +164,14 @@ def test_cycles_end_with_the_best_so_far(interrupts: bool) -> None:
     assert until.ended == (INTERRUPTED if interrupts else OUT_OF_TIME)
 
 
-def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried(tmp_path: Path) -> None:
-    """Less ringing than any cycle has: without an end ten are tried."""
+def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Less ringing than any cycle has: without an end ten are tried.
+
+    One command of the move is looked for, in place of one for each of five shares of the limit.
+    """
+    monkeypatch.setattr(cycle_robust, "_SHARES", (0.9,))
     machine = load_machine("letter-placer")
     file = tmp_path / "across.toml"
     file.write_text(
