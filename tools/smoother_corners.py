@@ -1,11 +1,11 @@
 """What a corner takes whose spline is smoother: cubic, quartic and quintic within one tolerance.
 
 ``python -m tools.smoother_corners`` prints, for corners of several angles and limits, how long the
-fastest motion along two chords takes, from rest to rest. A spline of a higher degree with evenly
-spaced control points cuts a vertex more, so that its points stand nearer to the vertex: at ``cut``
-of their distance times the turn, 1/6, 13/64 and 7/30. Below the table stand what the timing itself
-costs of the processor, into how many elements it cuts a corner, and how far cubic and quartic cut
-a vertex between points of any spacing: per turn and longer leg, the most of a random search.
+fastest motion along two chords takes, from rest to rest. A vertex is a control point of a cubic
+and of a quintic, and a knot of a quartic, as in the paths of ``auto`` and ``retime``. A spline of
+a higher degree with even spacing cuts a vertex more, so that its points stand nearer to the
+vertex: at ``cut`` of their distance times the turn, 1/6, 7/24 and 7/30. Below the table stand what
+the timing itself costs of the processor, and into how many elements it cuts a corner.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from time import process_time
 import numpy as np
 from scipy.interpolate import BSpline
 
+from threadline.path.greville import CUT
 from threadline.trajectory.optimal import Limits, elements_of, fastest
 from threadline.trajectory.optimal.in_time import in_time
 
-CUTS = {3: 1 / 6, 4: 13 / 64, 5: 7 / 30}
+CUTS = {3: 1 / 6, 4: CUT, 5: 7 / 30}
 TOLERANCE_M = 1e-4
 LEG_M = 0.02
-LEGS, SPACINGS = 12, 3000
 
 
 def pieces(degree: int, angle_deg: float) -> tuple[np.ndarray, float]:
@@ -30,7 +30,10 @@ def pieces(degree: int, angle_deg: float) -> tuple[np.ndarray, float]:
     tangents = np.array([[1.0, 0.0], [np.cos(angle), np.sin(angle)]])
     turn = float(np.linalg.norm(tangents[1] - tangents[0]))
     spacing = TOLERANCE_M / (CUTS[degree] * turn)
-    steps = np.arange(-2 * degree, 2 * degree + 1)[:, None] * spacing
+    if degree % 2:
+        steps = np.arange(-2 * degree, 2 * degree + 1)[:, None] * spacing
+    else:
+        steps = (np.arange(-2 * degree, 2 * degree) + 0.5)[:, None] * spacing
     points = np.where(steps < 0.0, steps * tangents[0], steps * tangents[1])
     spline = BSpline(np.arange(len(points) + degree + 1.0), points, degree)
     begins = np.arange(degree, len(points), dtype=np.float64)
@@ -62,32 +65,6 @@ def time_s(degree: int, angle_deg: float, limits: Limits) -> tuple[float, int]:
     return in_time(solution, limits).end_s, len(solution.y)
 
 
-def cut_of(degree: int, legs: np.ndarray) -> float:
-    """Return how far a spline leaves the polygon at its middle vertex, per turn and longer leg.
-
-    Knots stand at the points of a cubic, and midway between those of a quartic; beyond the ends
-    they are as far apart as the last ones.
-    """
-    places = np.concatenate([[0.0], np.cumsum(legs)])
-    middle = len(places) // 2
-    own = places if degree == 3 else 0.5 * (places[1:] + places[:-1])
-    beyond = len(places) + degree + 1 - len(own)
-    lead, trail = beyond // 2, beyond - beyond // 2
-    knots = np.concatenate(
-        [
-            own[0] - np.arange(lead, 0, -1) * legs[0],
-            own,
-            own[-1] + np.arange(1, trail + 1) * legs[-1],
-        ]
-    )
-    turned = np.maximum(places - places[middle], 0.0)
-    spline = BSpline(knots, np.stack([places, turned], axis=1), degree)
-    longer = max(legs[middle - 1 : middle + 1])
-    u = places[middle] + np.linspace(-2.0, 2.0, 401) * longer
-    along, beside = spline(u[(u > knots[degree]) & (u < knots[len(places)])]).T
-    return float(np.abs(beside - np.maximum(along - places[middle], 0.0)).max() / longer)
-
-
 def main() -> None:
     """Print the table."""
     print("turn  jerk m/s^3  cubic s  quartic s  quintic s")
@@ -107,13 +84,6 @@ def main() -> None:
     for degree in CUTS:
         each_ms, count = 1e3 * spent[degree] / corners, elements[degree] / corners
         print(f"degree {degree}: {each_ms:.0f} ms and {count:.0f} elements for a corner")
-    random = np.random.default_rng(0)
-    spacings = [10.0 ** random.uniform(-2.0, 2.0, LEGS) for _ in range(SPACINGS)]
-    spacings += [np.where(abs(np.arange(LEGS) - LEGS // 2 + 0.5) < 1, 1.0, own) for own in spacings]
-    for degree in (3, 4):
-        even = cut_of(degree, np.ones(LEGS))
-        most = max(cut_of(degree, own) for own in spacings)
-        print(f"degree {degree}: cuts {even:.3f} with even spacing, up to {most:.3f} with any")
 
 
 def _limits(jerk: float) -> Limits:

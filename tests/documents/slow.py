@@ -38,7 +38,7 @@ SLOW: dict[str, dict[str, str]] = {
         "python -m tools.points_growth 3 7 --picture docs/pictures/points-growth-chords.png": (
             "a minute; times and memory of one computer"
         ),
-        "python -m tools.smoother_corners": "half a minute; what a path could gain",
+        "python -m tools.smoother_corners": "half a minute; what a path gains",
         "python -m tools.random_paths 1000 200000": "a minute",
         "python -m tools.random_paths 60000 300000": "an hour",
     },

@@ -154,14 +154,16 @@ def test_the_bound_holds_in_the_order_of_the_points(beside_m):
     assert near_in_order(filled(points, step_m), filled(found["positions"], step_m), bound)
 
 
+@pytest.mark.parametrize("degree", [3, 4])
 @pytest.mark.parametrize("beside_m", [1e-6, 2e-5])
-def test_the_spline_stays_within_the_tolerance_of_rough_points(beside_m):
+def test_the_spline_stays_within_the_tolerance_of_rough_points(beside_m, degree):
     """At 10^5 places, and the points themselves from the spline."""
     points = noisy(200, beside_m, axes=3)
-    blocks = list(auto_pieces(programmed(points), CUT_M, 0.0, CUTTING_ENDS, thin=True))
+    path = auto_pieces(programmed(points), CUT_M, 0.0, CUTTING_ENDS, degree=degree, thin=True)
+    blocks = list(path)
     c = np.concatenate([block.coefficients for block in blocks])
     u = np.linspace(0.0, 1.0, 100_000 // len(c) + 1)
-    places = (u[:, None] ** np.arange(4) @ c).reshape(-1, 3)
+    places = (u[:, None] ** np.arange(degree + 1) @ c).reshape(-1, 3)
     assert nearest(places, points).max() <= CUT_M
     assert nearest(points, places[::20]).max() <= CUT_M * 1.001
     assert len(c) < 100

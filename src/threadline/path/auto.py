@@ -1,9 +1,11 @@
 """Paths that follow the program within a tolerance: lines where straight, B-splines elsewhere.
 
-Between two rests, the programmed vertices and points added beside them are the control polygon of
-one cubic B-spline with knots spaced as the points are. Four consecutive control points on one line
-make a straight piece. All pieces join with continuous second derivative. The spline stays in the
-convex hull of its polygon and so within the travel of the axes.
+Between two rests, the programmed vertices and points added beside them are the polygon of one
+B-spline. A cubic has them as control points, and knots spaced as they are; its pieces join with
+continuous second derivative. A quartic has its knots there and control points between them
+(``greville``); its pieces join with continuous third derivative. A piece is straight where all of
+its control points are on one line. Either stays in the convex hull of its polygon and so within
+the travel of the axes.
 """
 
 from __future__ import annotations
@@ -15,7 +17,9 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.machine.mandrel import LocalRadii
+from threadline.path.greville import AHEAD, CUT
 from threadline.path.polygon import (
+    CUBIC,
     EVEN_CUT,
     LEAST_SPACING_M,
     Controls,
@@ -28,10 +32,8 @@ from threadline.path.spans import pieces_of
 from threadline.path.thinned import thinned_runs
 from threadline.path.types import PieceBlock, ProgrammedPath
 
-_AHEAD = 1  # number of vertices beyond a chord on which its control points depend
 CUTTING_ENDS = 0.15
 """``beside_end`` of paths that are to take the least time: 0.05 costs more in pace than it cuts."""
-_CARRIED = 2  # number of control points on either side of a span on which its shape depends
 
 
 def auto_pieces(
@@ -40,23 +42,24 @@ def auto_pieces(
     near_m: float = COINCIDENT_M,
     beside_end: float = 1.0,
     *,
+    degree: int = CUBIC,
     thin: bool = False,
 ) -> Iterator[PieceBlock]:
     """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
 
     Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
-    the one before it is left out; ``beside_end`` is as for ``pieces_of``. With ``thin``, chords
-    take the place of moves where the program is rough (``thinned_runs``); the pieces of a chord
-    belong to the last of its moves.
+    the one before it is left out; ``beside_end`` and ``degree`` are as for ``pieces_of``. With
+    ``thin``, chords take the place of moves where the program is rough (``thinned_runs``); the
+    pieces of a chord belong to the last of its moves.
     """
-    run = _Run(programmed.radius_m, programmed.local, cut_m, beside_end)
+    run = _Run(programmed.radius_m, programmed.local, cut_m, beside_end, degree)
     for chunk in thinned_runs(programmed, near_m, cut_m) if thin else runs(programmed, near_m):
         yield from run.extend(chunk)
 
 
-def points_added(programmed: ProgrammedPath, cut_m: float) -> int:
-    """Return the number of control points that are not vertices; reads the whole program."""
-    run = _Run(programmed.radius_m, programmed.local, cut_m)
+def points_added(programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC) -> int:
+    """Return the number of points that are not vertices; reads the whole program."""
+    run = _Run(programmed.radius_m, programmed.local, cut_m, degree=degree)
     for chunk in runs(programmed):
         for _ in run.extend(chunk):
             pass
@@ -71,20 +74,33 @@ class _Run:
     local: LocalRadii | None
     cut_m: float
     beside_end: float = 1.0
+    degree: int = CUBIC
     vertices: Vertices | None = None
     controls: Controls | None = None
     first_chord: int = 0  # first chord between ``vertices`` that is not yet in ``controls``
+    begins: bool = True  # whether the run begins with the first of ``vertices``
     begun: bool = False  # whether pieces of this run were yielded already
     added: int = 0  # number of control points so far that are not vertices
+
+    @property
+    def _ahead(self) -> int:
+        """Number of vertices beyond a chord on which its points depend."""
+        return 1 if self.degree == CUBIC else AHEAD
+
+    @property
+    def _carried(self) -> int:
+        """Number of points on either side of a span on which its shape depends."""
+        return 2 if self.degree == CUBIC else AHEAD
 
     def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
         """Add vertices, and yield the pieces that no later vertex can change."""
         self.vertices = join_vertices(self.vertices, *chunk.parts)
+        cut = EVEN_CUT if self.degree == CUBIC else CUT
         while True:
             length, turn = turns(self.vertices.positions, self.radius_m, self.local)
             # At a corner too tight for a curve within the tolerance the motion comes to rest.
             least_m = self.cut_m - self.vertices.beside_m.max()
-            tight = np.flatnonzero(least_m < EVEN_CUT * LEAST_SPACING_M * turn)
+            tight = np.flatnonzero(least_m < cut * LEAST_SPACING_M * turn)
             tight = tight[tight >= max(self.first_chord, 1)]
             if not len(tight):
                 break
@@ -92,8 +108,9 @@ class _Run:
         count = len(self.vertices)
         if chunk.ends:
             yield from self._advance(count - 1, length, turn, ends=True, dwell_s=chunk.dwell_s)
-        elif count - 1 - _AHEAD > self.first_chord:
-            yield from self._advance(count - 1 - _AHEAD, length, turn, ends=False, dwell_s=0.0)
+        elif count - 1 - self._ahead > self.first_chord:
+            stop = count - 1 - self._ahead
+            yield from self._advance(stop, length, turn, ends=False, dwell_s=0.0)
 
     def _advance(
         self, stop: int, length: FloatArray, turn: FloatArray, *, ends: bool, dwell_s: float
@@ -110,26 +127,45 @@ class _Run:
         if self.controls is None:
             self.controls = _start_of(vertices)
         if stop > self.first_chord:
-            fresh = control_polygon(vertices, length, turn, self.cut_m, self.first_chord, stop)
+            fresh = control_polygon(
+                vertices,
+                length,
+                turn,
+                self.cut_m,
+                self.first_chord,
+                stop,
+                self.degree,
+                begins=self.begins,
+                ends=ends,
+            )
             self.controls = join_controls(self.controls, fresh)
             self.added += int(fresh.added.sum())
         yield from self._settle(ends, dwell_s)
         if ends:
             self.vertices, self.first_chord = vertices.take(slice(stop, None)), 0
+            self.begins = True
         else:
-            kept = max(stop - _AHEAD, 0)
+            kept = max(stop - self._ahead, 0)
+            self.begins = self.begins and kept == 0
             self.vertices, self.first_chord = vertices.take(slice(kept, None)), stop - kept
 
     def _settle(self, ends: bool, dwell_s: float) -> Iterator[PieceBlock]:
         controls = self.controls
         assert controls is not None
-        first = _CARRIED if self.begun else 0
-        stop = len(controls) - 1 - (0 if ends else _CARRIED)
-        if stop > first:
+        first = self._carried if self.begun else 0
+        stop = len(controls) - 1 - (0 if ends else self._carried)
+        # As many points are carried behind the first pieces of a run as behind any others.
+        if stop > first and (ends or stop >= self._carried):
             yield pieces_of(
-                controls, first, stop, ends=ends, dwell_s=dwell_s, beside_end=self.beside_end
+                controls,
+                first,
+                stop,
+                ends=ends,
+                dwell_s=dwell_s,
+                beside_end=self.beside_end,
+                degree=self.degree,
             )
-            self.controls = controls.take(slice(stop - _CARRIED, None))
+            self.controls = controls.take(slice(stop - self._carried, None))
             self.begun = True
         if ends:
             self.controls, self.begun = None, False

@@ -1,9 +1,10 @@
-"""The control polygon of a cubic B-spline that stays within a tolerance of programmed vertices.
+"""The polygon of a spline that stays within a tolerance of programmed vertices.
 
 Where the program turns so little that the spline cuts a vertex by less than the tolerance, the
-vertices alone are the control points. Elsewhere points are added on the chords on either side of
-the vertex, the nearer to it the smaller the tolerance. All lengths are measured at the tool, with
-rotary axes at their radius.
+vertices alone are its points. Elsewhere points are added on the chords on either side of the
+vertex, the nearer to it the smaller the tolerance: one on each for a cubic, whose control points
+they are, two for a quartic, whose knots they are. All lengths are measured at the tool, with rotary
+axes at their radius.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -16,6 +17,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.machine.mandrel import LocalRadii
+from threadline.path.greville import TOUCH, knots_between, quartic_spacing
 from threadline.path.runs import Vertices
 
 STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
@@ -24,14 +26,15 @@ LEAST_SPACING_M = 1e-7  # a corner that would need points nearer than this is me
 # spacing beyond them; with even spacing l on both sides by |dt| l / 6.
 ANY_CUT = 1.0 / 4.0
 EVEN_CUT = 1.0 / 6.0
-TOUCH = 1e-9  # share of the chord: two added points that are nearer to each other become one
 EXTRA = 1.75  # share of the spacing: room for another point before a vertex without points
-MOST_POINTS = 4  # most control points of a chord, the vertex at its end included
+MOST_POINTS = 5  # most points of a chord, the vertex at its end included
+CUBIC, QUARTIC = 3, 4
+"""Degrees of a spline: with continuous second derivative, or third."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Controls:
-    """Consecutive control points; the leg of point i leads from point i - 1 to it.
+    """Consecutive points of the polygon; the leg of point i leads from point i - 1 to it.
 
     Parameters
     ----------
@@ -146,45 +149,58 @@ def control_polygon(
     cut_m: float,
     first: int,
     stop: int,
+    degree: int = CUBIC,
+    *,
+    begins: bool = False,
+    ends: bool = False,
 ) -> Controls:
-    """Return the control points of chords ``first`` to ``stop``, the first vertex left out.
+    """Return the points of chords ``first`` to ``stop``, the first vertex left out.
 
     Parameters
     ----------
     vertices
-        n vertices of one run, among them one on either side of the chords unless the run ends
-        there.
+        n vertices of one run, among them one on either side of the chords, three for a quartic,
+        unless the run ends there.
     length_m, turn
         (n - 1,) lengths and (n,) turns of ``turns``.
     cut_m
         Largest distance of the spline from the program, at the tool.
+    begins, ends
+        Whether the run begins with the first vertex, and ends with the last.
     """
+    spacing = np.empty(len(turn))
+    if degree == CUBIC:
+        corner_spacing(length_m, turn, cut_m, vertices.beside_m, spacing)
+    else:
+        quartic_spacing(length_m, turn, cut_m, vertices.beside_m, first, stop, spacing)
     columns = _points(
         vertices.positions,
         vertices.nominal_s,
         vertices.operation,
         vertices.line,
-        vertices.beside_m,
         length_m,
         turn,
-        cut_m,
+        spacing,
         first,
         stop,
+        degree == QUARTIC,
+        begins,
+        ends,
     )
     return Controls(**dict(zip(_COLUMNS, columns, strict=True)))
 
 
 @njit(error_model="numpy")
-def _points(positions, nominal_s, operation, line, beside_m, length_m, turn, cut_m, first, stop):
-    """Return the columns of the control points of chords ``first`` to ``stop``."""
+def _points(
+    positions, nominal_s, operation, line, length_m, turn, spacing, first, stop, quartic,
+    begins, ends,
+):  # fmt: skip
+    """Return the columns of the points of chords ``first`` to ``stop``."""
     axes = positions.shape[1]
-    spacing = np.empty(len(turn))
-    corner_spacing(length_m, turn, cut_m, beside_m, spacing)
     share = np.empty(MOST_POINTS)
     count = 0
     for c in range(first, stop):
-        plain = spacing[c] == 0.0 and spacing[c + 1] == 0.0
-        count += 1 if plain else _on_chord(length_m, turn, spacing, c, share)
+        count += _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share)
     out = np.empty((count, axes))
     turned, gone, time_s = np.zeros(count), np.empty(count), np.empty(count)
     added = np.zeros(count, dtype=np.int64)
@@ -192,16 +208,15 @@ def _points(positions, nominal_s, operation, line, beside_m, length_m, turn, cut
     n = 0
     for c in range(first, stop):
         before = 0.0
-        if spacing[c] > 0.0 or spacing[c + 1] > 0.0:
-            for k in range(_on_chord(length_m, turn, spacing, c, share) - 1):
-                at = share[k]
-                for j in range(axes):
-                    out[n, j] = positions[c, j] + at * (positions[c + 1, j] - positions[c, j])
-                gone[n] = (at - before) * length_m[c]
-                time_s[n] = (at - before) * nominal_s[c + 1]
-                own[n], row[n], added[n] = operation[c + 1], line[c + 1], 1
-                before = at
-                n += 1
+        for k in range(_on_chord(length_m, turn, spacing, c, quartic, begins, ends, share) - 1):
+            at = share[k]
+            for j in range(axes):
+                out[n, j] = positions[c, j] + at * (positions[c + 1, j] - positions[c, j])
+            gone[n] = (at - before) * length_m[c]
+            time_s[n] = (at - before) * nominal_s[c + 1]
+            own[n], row[n], added[n] = operation[c + 1], line[c + 1], 1
+            before = at
+            n += 1
         # The end is written out so that a vertex is met bit for bit.
         for j in range(axes):
             out[n, j] = positions[c + 1, j]
@@ -212,9 +227,14 @@ def _points(positions, nominal_s, operation, line, beside_m, length_m, turn, cut
 
 
 @njit(error_model="numpy")
-def _on_chord(length, turn, spacing, c, share):
-    """Write the places (0 to 1) of the control points on a chord, its end the last; count them."""
+def _on_chord(length, turn, spacing, c, quartic, begins, ends, share):
+    """Write the places (0 to 1) of the points on a chord, its end the last; count them."""
     near, far = spacing[c] / length[c], spacing[c + 1] / length[c]
+    if quartic:
+        opens, closes = begins and c == 0, ends and c == len(length) - 1
+        other = c + 1 if near > 0.0 else c - 1
+        beyond = length[other] / length[c] if 0 <= other < len(length) else np.inf
+        return knots_between(near, far, opens, closes, beyond, share)
     n = 0
     room = 1.0 - near - far
     if near > 0.0 and far > 0.0 and room < TOUCH:

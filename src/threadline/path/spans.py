@@ -1,4 +1,4 @@
-"""The cubic pieces of a B-spline whose knots are spaced as its control points are."""
+"""The pieces of a B-spline of third or fourth degree with knots at the points of a polygon."""
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from threadline.compiled import njit
-from threadline.path.polygon import Controls
+from threadline.path.greville import quartic_spans
+from threadline.path.polygon import CUBIC, Controls
 from threadline.path.types import PieceBlock
 
 _EVEN = 0.02
@@ -27,29 +28,28 @@ def pieces_of(
     ends: bool,
     dwell_s: float,
     beside_end: float = 1.0,
+    degree: int = CUBIC,
 ) -> PieceBlock:
-    """Return the pieces between control points ``first`` and ``stop``.
+    """Return the pieces between points ``first`` and ``stop``.
 
     Parameters
     ----------
     controls
-        Control points, with at least two before ``first`` and two after ``stop`` unless the run
-        begins at the first or ends at the last.
+        Points, with at least two before ``first`` and two after ``stop``, three for a quartic,
+        unless the run begins at the first or ends at the last.
     ends, dwell_s
         Whether the run ends at ``stop``, and the pause there.
     beside_end
         How far beyond an end of the run the next knot is, in lengths of the leg there, where that
-        leads to a sharp corner that the tolerance lets be cut as far as a spline can.
+        leads to a sharp corner that the tolerance lets a cubic cut as far as it can.
+    degree
+        3, with the points as control points, or 4, with control points between them.
     """
-    coefficients, pace, straight = _spans(
-        controls.positions,
-        controls.turn,
-        controls.length_m,
-        controls.nominal_s,
-        first,
-        stop,
-        beside_end,
-    )
+    columns = controls.positions, controls.turn, controls.length_m, controls.nominal_s
+    if degree == CUBIC:
+        coefficients, pace, straight = _spans(*columns, first, stop, beside_end)
+    else:
+        coefficients, pace, straight = quartic_spans(*columns, first, stop)
     own = slice(first + 1, stop + 1)
     operation, line = controls.operation[own], controls.line[own]
     parts = _parts(pace, straight)
@@ -154,14 +154,13 @@ def _spans(positions, turn, length_m, nominal_s, first, stop, beside_end):
 def _parts(pace, straight):
     """Return into how many parts each of m pieces is divided so that its pace is even in each.
 
-    A piece has a single nominal time. At the slowest of its three paces (m, 3) it would take up to
+    A piece has a single nominal time. At the slowest of its paces (m, degree) it would take up to
     half as long again as programmed, and the needle of a stitcher would wait for the head.
     """
     out = np.ones(len(pace), dtype=np.int64)
     for i in range(len(pace)):
-        a, b, d = pace[i]
-        mean = max((a + b + d) / 3.0, _TINY)
-        uneven = (max(a, b, d) - min(a, b, d)) / mean
+        mean = max(pace[i].sum() / pace.shape[1], _TINY)
+        uneven = (pace[i].max() - pace[i].min()) / mean
         if not straight[i] and uneven > _EVEN:
             out[i] = min(int(np.ceil(uneven / _EVEN)), _MOST_PARTS)
     return out
@@ -183,8 +182,7 @@ def _nominal(pace, straight, passed_s):
     """Return the (m,) times of whole pieces: at the slowest pace of those that are curved."""
     out = np.empty(len(pace))
     for i in range(len(pace)):
-        a, b, d = pace[i]
-        out[i] = passed_s[i] if straight[i] else max(a, b, d)
+        out[i] = passed_s[i] if straight[i] else pace[i].max()
     return out
 
 
@@ -195,12 +193,13 @@ def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, l
     Returns
     -------
     coefficients, nominal_s, operation, line
-        (count, 4, axes) and (count,) of the pieces.
+        (count, degree + 1, axes) and (count,) of the pieces.
     """
-    axes = coefficients.shape[2]
-    out = np.empty((count, 4, axes))
+    order, axes = coefficients.shape[1:]
+    out = np.empty((count, order, axes))
     time_s = np.empty(count)
     own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    part_s = np.empty(order - 1)
     n = 0
     for i in range(len(parts)):
         same = i > 0 and straight[i] and straight[i - 1] and operation[i] == operation[i - 1]
@@ -211,29 +210,36 @@ def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, l
             continue
         own[n : n + parts[i]], row[n : n + parts[i]] = operation[i], line[i]
         if parts[i] == 1:
-            for power in range(4):  # an assignment of the whole takes seconds to compile
+            for power in range(order):  # an assignment of the whole takes seconds to compile
                 for j in range(axes):
                     out[n, power, j] = coefficients[i, power, j]
             time_s[n] = nominal_s[i]
             n += 1
             continue
-        a, b, d = pace[i]
         h = 1.0 / parts[i]
         for part in range(parts[i]):
             u = h * part
-            end = u + h
             for j in range(axes):
-                c0, c1 = coefficients[i, 0, j], coefficients[i, 1, j]
-                c2, c3 = coefficients[i, 2, j], coefficients[i, 3, j]
-                out[n, 0, j] = c0 + u * (c1 + u * (c2 + u * c3))
-                out[n, 1, j] = h * (c1 + u * (2.0 * c2 + 3.0 * u * c3))
-                out[n, 2, j] = h**2 * (c2 + 3.0 * u * c3)
-                out[n, 3, j] = h**3 * c3
+                for power in range(order):
+                    out[n, power, j] = coefficients[i, power, j]
+                # Horner's scheme in both directions is the shift of a polynomial.
+                for low in range(order - 1):
+                    for power in range(order - 2, low - 1, -1):
+                        out[n, power, j] += u * out[n, power + 1, j]
+                width = 1.0
+                for power in range(1, order):
+                    width *= h
+                    out[n, power, j] *= width
             # The largest Bezier value of the part's time per u, so that no place is above its feed.
-            first = a * (1.0 - u) ** 2 + 2.0 * b * u * (1.0 - u) + d * u**2
-            last = a * (1.0 - end) ** 2 + 2.0 * b * end * (1.0 - end) + d * end**2
-            middle = a * (1.0 - u) * (1.0 - end) + d * u * end
-            middle += b * (u * (1.0 - end) + end * (1.0 - u))
-            time_s[n] = h * max(first, last, middle)
+            most = 0.0
+            for later in range(order - 1):
+                for k in range(order - 1):
+                    part_s[k] = pace[i, k]
+                for level in range(order - 2):
+                    at = u + h if level < later else u
+                    for k in range(order - 2 - level):
+                        part_s[k] += at * (part_s[k + 1] - part_s[k])
+                most = max(most, part_s[0])
+            time_s[n] = h * most
             n += 1
     return out, time_s, own, row

@@ -210,12 +210,18 @@ def caps(pieces: Pieces, factor: FloatArray, allowed: Allowance) -> FloatArray:
 
 def slope(c: FloatArray) -> FloatArray:
     """Return the (n, axes) derivative at the end of each piece."""
-    return np.asarray(c[:, 1] + 2.0 * c[:, 2] + 3.0 * c[:, 3])
+    out = c[:, 1] + 2.0 * c[:, 2]
+    for power in range(3, c.shape[1]):
+        out += float(power) * c[:, power]
+    return np.asarray(out)
 
 
 def bend(c: FloatArray) -> FloatArray:
     """Return the (n, axes) second derivative at the end of each piece."""
-    return np.asarray(2.0 * c[:, 2] + 6.0 * c[:, 3])
+    out = 2.0 * c[:, 2]
+    for power in range(3, c.shape[1]):
+        out += float(power * (power - 1)) * c[:, power]
+    return np.asarray(out)
 
 
 def size(vectors: FloatArray, radius: FloatArray) -> FloatArray:

@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from threadline.arrays import FloatArray, IntArray, real_numbers
 from threadline.errors import PlanError
-from threadline.path.auto import CUTTING_ENDS, auto_pieces
+from threadline.path.auto import auto_pieces
+from threadline.path.polygon import QUARTIC
 from threadline.path.runs import AT_A_TIME
 from threadline.path.turning_back import reversals
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
@@ -43,8 +44,9 @@ def retime(
 ) -> Retimed:
     """Return the fastest motion from the first of ``points`` to the last, at rest at both.
 
-    The path runs along the straight lines between the points and rounds the corners; it is never
-    farther than the tolerance from those lines, and they from it. Dense points beside a curve are
+    The path runs along the straight lines between the points and rounds the corners, with three
+    derivatives that are continuous; it is never farther than the tolerance from those lines, and
+    they from it. Dense points beside a curve are
     not followed one by one where the tolerance lets a chord pass many of them. The limits of the
     axes and ``centripetal`` are exceeded at no instant, but for rounding (by a thousandth at
     most); ``path_velocity``, ``path_acceleration`` and ``path_jerk`` are held at instants that lie
@@ -148,7 +150,7 @@ def path_through(
             programmed,
             (1.0 - _NEAR_SHARE) * tolerance,
             _NEAR_SHARE * tolerance,
-            CUTTING_ENDS,
+            degree=QUARTIC,
             thin=True,
         ),
     )

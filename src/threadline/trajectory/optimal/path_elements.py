@@ -19,6 +19,7 @@ DEGREE = 5
 _LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
 _LEAST_LEAD_SHARE = 1e-4
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
+_OF_QUARTIC = 5  # coefficients of a piece; such paths have twice as many pieces at a corner
 DENSE = 5000
 """Pieces of a run, beyond which those that are curved are fine enough as they are."""
 _ROUNDING = 1e-13  # of the largest coefficient of an axis: below is nothing
@@ -134,7 +135,7 @@ def elements_of(
     Parameters
     ----------
     c
-        (n, 4, axes) pieces of the planned path.
+        (n, order, axes) pieces of the planned path.
     ratio
         (n - 1,) rate of u before each joint over that after it, which keeps the velocity.
     nominal_s
@@ -171,7 +172,7 @@ def elements_of(
         lead_out = reverse(_with_lead_in(last, lead_share[1]))
         whole = join([whole.take(slice(None, -1)), lead_out])
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
-    curve = _PARTS_OF_CURVE if count <= DENSE and not dense else 1
+    curve = _PARTS_OF_CURVE if order != _OF_QUARTIC and count <= DENSE and not dense else 1
     parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
     if from_rest:
         parts[0] = _PARTS_OF_LEAD

@@ -33,7 +33,7 @@ class Shaped:
     length
         (n,) of each piece in the common parameter, without what a lead-in adds.
     last
-        (1, 4, axes) the last piece.
+        (1, order, axes) the last piece.
     ending
         The last ``slow`` pieces once more, to a rest at their end; None where the motion rests
         there anyway.
@@ -163,21 +163,25 @@ def _beyond_rounding(
 def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None) -> None:
     """Move the start of the first piece and the end of the last, in place: by 0.1 nm at most.
 
-    A piece is bent by the third power of the way to its other end, so that it joins the next one as
-    smoothly as before. A line that hardly turns by it is moved at its end and stays a line.
+    A piece is bent by its highest power of the way to its other end, so that it joins the next one
+    as smoothly as before. A line that hardly turns by it is moved at its end and stays a line.
     """
-    nothing = np.zeros(c.shape[2])
+    order, nothing = c.shape[1], np.zeros(c.shape[2])
     began = nothing if start is None else start - c[0, 0]
     ended = nothing if end is None else end - c[-1].sum(axis=0)
-    for k, way, cubic in (
-        (-1, ended, np.array([0.0, 0.0, 0.0, 1.0])),
-        (0, began, np.array([1.0, -3.0, 3.0, -1.0])),
+    highest = np.eye(order)[-1]
+    for k, way, power in (
+        (-1, ended, highest),
+        (0, began, np.polynomial.polynomial.polypow([1.0, -1.0], order - 1)),
     ):
         if not way.any():
             continue
         line = not c[k, 2:].any()
         hardly = len(c) == 1 or np.abs(way).max() < _TURNED * np.abs(c[k, 1]).max()
-        bend = np.array([cubic[0], 1.0 - 2.0 * cubic[0], 0.0, 0.0]) if line and hardly else cubic
+        bend = power
+        if line and hardly:
+            bend = np.zeros(order)
+            bend[:2] = power[0], 1.0 - 2.0 * power[0]
         c[k] += bend[:, None] * way
 
 
