@@ -204,7 +204,7 @@ REFUSED = [
     ("o1 sub\no1 call\no1 endsub\no1 call", "calls are nested more than 9 deep"),
     ("o1 if [1] G0 X1\no1 endif", "something stands behind if"),
     ("o1 else G0 X1", "stands behind else"),
-    ("o1 what", "is no O word"),
+    ("#1=1\no1 what", "is no O word"),
     ("o100\n#1=1", "begins with its number"),
     ("#1=1\nM98 P2", "M98 and M99 do not go with O words"),
     ("#1", "= is missing"),
@@ -212,6 +212,8 @@ REFUSED = [
     ("#5221=1", "parameter #5221 is not one"),
     ("#1.5=1", "1.5 must be a whole number here"),
     ("#<_x>=1", "the control sets #<_x>, and no program does"),
+    ("#<_rpm>=1", "the control sets #<_rpm>, and no program does"),
+    ("G0 X#<_abs_x>", "parameter #<_abs_x>: only the control knows"),
     ("G0 X#<a>", "#<a> is read before it is set"),
     ("G0 X#5061", "parameter #5061: only the control knows"),
     ("G0 X#6000", "there is no parameter #6000"),
@@ -281,6 +283,14 @@ def test_loops_without_an_end_are_refused(
         monkeypatch.setattr(module, name, most)
     with pytest.raises(InputError, match=said):
         read(tmp_path, xyza, f"{text}\nM2\n", "linuxcnc")
+
+
+def test_numbered_programs_are_read_as_before(tmp_path: Path, xyza: Machine) -> None:
+    """A block behind the number is no O word."""
+    text = "G1 X1 F60\nM98 P2 L2\nM30\nO2 G91\nX1\nG90 M99\n"
+    for _ in range(2):
+        job = read(tmp_path, xyza, text, "linuxcnc")
+        assert [p[0] for p in millimetres(job)] == [1, 2, 3]
 
 
 def test_a_program_that_only_reckons_moves_nothing(tmp_path: Path, xyza: Machine) -> None:

@@ -14,12 +14,12 @@ from typing import NamedTuple, NoReturn
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.flavour import Flavour
 
-_WORDS = (
+WORDS = (
     "endrepeat", "endwhile", "continue", "elseif", "repeat", "return", "endsub", "endif", "while",
     "break", "alarm", "error", "call", "else", "sub", "do", "if",
 )  # fmt: skip
 _O_WORD = re.compile(
-    rf"(?:n[0-9]+)?o(?:<([^<>]*)>|([0-9]+)|([#\[].*?))({'|'.join(_WORDS)})(.*)", re.DOTALL
+    rf"(?:n[0-9]+)?o(?:<([^<>]*)>|([0-9]+)|([#\[].*?))({'|'.join(WORDS)})(.*)", re.DOTALL
 )
 _NUMBERED = re.compile(r"(?:n[0-9]+)?o(?:<[^<>]*>|[0-9]+)?$")
 MAX_NESTED = 100

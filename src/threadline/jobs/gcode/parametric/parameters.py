@@ -17,6 +17,18 @@ _POSITION = 5420
 _AXES = "XYZABCUVW"
 _LAST = 5601
 _KEPT = "only the control knows what it keeps there (offsets, tools, probes, inputs)"
+_OF_CONTROL = frozenset(
+    f"_{name}"
+    for name in """
+    line motion_mode plane ccomp metric imperial absolute incremental inverse_time units_per_minute
+    units_per_rev coord_system tool_offset retract_r_plane retract_old_z spindle_rpm_mode
+    spindle_css_mode ijk_absolute_mode lathe_diameter_mode lathe_radius_mode spindle_on spindle_cw
+    spindle_m mist flood speed_override feed_override adaptive_feed feed_hold feed rpm current_tool
+    selected_pocket current_pocket selected_tool task remap_level x y z a b c u v w abs_x abs_y
+    abs_z abs_a abs_b abs_c abs_u abs_v abs_w vmajor vminor
+    """.split()  # noqa: SIM905 - a table of words
+)
+_ALONE = "Have the program written with numbers alone."
 _IN_PROGRAM = "Set it in the program, or have the program written with numbers alone."
 
 
@@ -119,21 +131,19 @@ class Values:
             If it was not set.
         """
         value = self._find(name)
+        if value is None and name in _OF_CONTROL:
+            raise JobError(f"parameter #<{name}>: {_KEPT}", place=at, remedy=_ALONE)
         if value is None:
             raise JobError(
                 f"the parameter #<{name[:40]}> is read before it is set",
                 place=at,
-                remedy="Set it in the program."
-                if name[:1] != "_"
-                else "Set it in the program; of those that the control sets, the position (_x ... "
-                "_w), _metric, _imperial, _absolute, _incremental, _motion_mode, _plane, _value "
-                "and some more are known here.",
+                remedy="Set it in the program.",
             )
         return value
 
     def exists(self, name: str) -> bool:
         """Say whether a named parameter was set."""
-        return self._find(name) is not None
+        return name in _OF_CONTROL or self._find(name) is not None
 
     def has_number(self, which: int) -> bool:
         """Say whether there is a numbered parameter."""
@@ -147,7 +157,7 @@ class Values:
         JobError
             If the control sets it.
         """
-        if name[:1] == "_" and name not in self._globals and self._predefined(name) is not None:
+        if name in _OF_CONTROL or (name[:1] == "_" and self._predefined(name) is not None):
             raise JobError(
                 f"the control sets #<{name}>, and no program does",
                 place=at,

@@ -14,7 +14,7 @@ from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.flavour import Flavour
 from threadline.jobs.gcode.modal import Modal, ProgramText
 from threadline.jobs.gcode.parametric.course import Run
-from threadline.jobs.gcode.parametric.flow import Flow, FlowReader, o_word
+from threadline.jobs.gcode.parametric.flow import WORDS, Flow, FlowReader, o_word
 from threadline.jobs.gcode.parametric.parameters import Values
 from threadline.jobs.gcode.parametric.statements import Code, code_of
 from threadline.jobs.gcode.tapes import TAPE, Tapes
@@ -24,9 +24,9 @@ from threadline.jobs.operations import MoveRun, Operation, Source, Stop
 
 MOST_BYTES = 16 << 20
 _SIGN = re.compile(
-    rb"[#\[]|^[ \t]*(?:[nN][ \t]*[0-9]+[ \t]*)?[oO][ \t]*"
-    rb"(?:<|[0-9]+[ \t]*(?:\([^()\r\n]*\)[ \t]*)*[a-zA-Z])",
-    re.MULTILINE,
+    rb"[#\[]|^[ \t]*(?:n[ \t]*[0-9]+[ \t]*)?o[ \t]*"
+    rb"(?:<|[0-9]+[ \t]*(?:\([^()\r\n]*\)[ \t]*)*(?:%s))" % "|".join(WORDS).encode(),
+    re.MULTILINE | re.IGNORECASE,
 )
 _PARENTHESES = re.compile(rb"\([^()]*\)")
 _AXIS_NAMES = {f"_{letter}": letter.upper() for letter in "xyzabcuvw"}
