@@ -200,15 +200,20 @@ def _points(
     share = np.empty(MOST_POINTS)
     count = 0
     for c in range(first, stop):
-        count += _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share)
+        if not quartic and spacing[c] == 0.0 and spacing[c + 1] == 0.0:
+            count += 1  # most are: told without a call
+        else:
+            count += _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share)
     out = np.empty((count, axes))
     turned, gone, time_s = np.zeros(count), np.empty(count), np.empty(count)
     added = np.zeros(count, dtype=np.int64)
     own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
     n = 0
     for c in range(first, stop):
-        before = 0.0
-        for k in range(_on_chord(length_m, turn, spacing, c, quartic, begins, ends, share) - 1):
+        before, between = 0.0, 0
+        if quartic or spacing[c] > 0.0 or spacing[c + 1] > 0.0:
+            between = _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share) - 1
+        for k in range(between):
             at = share[k]
             for j in range(axes):
                 out[n, j] = positions[c, j] + at * (positions[c + 1, j] - positions[c, j])

@@ -159,8 +159,11 @@ def _parts(pace, straight):
     """
     out = np.ones(len(pace), dtype=np.int64)
     for i in range(len(pace)):
-        mean = max(pace[i].sum() / pace.shape[1], _TINY)
-        uneven = (pace[i].max() - pace[i].min()) / mean
+        total, least, most = 0.0, np.inf, -np.inf
+        for k in range(pace.shape[1]):  # of a row, sum() and max() would make an array each
+            total += pace[i, k]
+            least, most = min(least, pace[i, k]), max(most, pace[i, k])
+        uneven = (most - least) / max(total / pace.shape[1], _TINY)
         if not straight[i] and uneven > _EVEN:
             out[i] = min(int(np.ceil(uneven / _EVEN)), _MOST_PARTS)
     return out
@@ -182,7 +185,10 @@ def _nominal(pace, straight, passed_s):
     """Return the (m,) times of whole pieces: at the slowest pace of those that are curved."""
     out = np.empty(len(pace))
     for i in range(len(pace)):
-        out[i] = passed_s[i] if straight[i] else pace[i].max()
+        most = -np.inf
+        for k in range(pace.shape[1]):
+            most = max(most, pace[i, k])
+        out[i] = passed_s[i] if straight[i] else most
     return out
 
 
