@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -151,6 +152,7 @@ def period_scans(turn: complex) -> float:
     return float(2.0 * np.pi / np.angle(turn))
 
 
+@lru_cache(maxsize=256)  # some fifteen programs; searches over tolerances ask for the same again
 def time_optimal_s(on_s: float, pole: complex) -> float:
     """Return the shortest duration of any command that leaves nothing ringing, s.
 
