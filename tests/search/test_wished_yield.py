@@ -125,8 +125,13 @@ def test_a_yield_that_no_tolerance_reaches_is_said(asked: tuple[Plan, Spec]) -> 
     assert not found.reached
 
 
-def test_the_set_is_told_where_the_yield_is_too_low(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "100", "--json"]
+def test_the_set_is_told_where_the_yield_is_too_low(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One corner of the reversal test, with a move either side."""
+    job = tmp_path / "turn.prg"
+    job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n", encoding="utf-8")
+    words = ["yield", str(job), "-m", "lathe-winder", "--variants", "100", "--json"]
     with pytest.raises(SystemExit) as ended:
         main([*words, "--at-least", "85 %"])
     content = json.loads(capsys.readouterr().out)

@@ -97,10 +97,10 @@ def test_the_loads_keep_the_contour_that_was_asked_for():
 
 def test_the_contour_is_kept_where_the_program_rests():
     """What the loops still make of the move before a rest counts against the one after it."""
-    extra = {k: Dwell(0.001, Source("job.prg", k)) for k in (1, 2, 3)}
-    plan, found = proved(CORNERS, extra=extra)
+    extra = {k: Dwell(0.001, Source("job.prg", k)) for k in (1, 2)}
+    plan, found = proved(CORNERS[:4], extra=extra)
     assert worst(found, "contour_error") <= 0.43e-3
-    _, lost = proved(CORNERS, extra=extra, contour_m=np.inf)
+    _, lost = proved(CORNERS[:4], extra=extra, contour_m=np.inf)
     assert worst(lost, "contour_error") > 1e-3
     assert max(peak.ratio for peak in limit_peaks(plan.motion.trajectory, WINDER)) <= 1.001
 
