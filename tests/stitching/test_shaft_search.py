@@ -57,7 +57,9 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     for share in (0.8, 0.0):
         counted.clear()
         monkeypatch.setattr(shaft, "_FAR", share)
-        one = shaft.constant_speeds(job, MACHINE, SPEC, Options(), points=6, near=1, trials=eight)
+        one = shaft.constant_speeds(
+            job, MACHINE, SPEC, Options(), low=0.8, high=1.2, points=4, near=1, trials=eight
+        )
         found.append((one.intervals, one.limited_by, sum(counted)))
         assert one.best is not None
         assert one.verdict.runs == eight.repeats
