@@ -223,7 +223,7 @@ def _report(text: str, folder: Path) -> tuple[list[tuple[str, tuple[str, ...]]],
     with figure_style():
         figure = Figure()
         panel = figure.add_subplot()
-        panel.semilogy([0, 1], [1, 1000], label=text)
+        panel.semilogy([0, 1], [1, 100], label=text)
         panel.set_title(text)
         panel.set_xticks([0, 1], ["$x^$", "b"])  # steps and outputs: letters, digits, _ and -
         panel.legend()

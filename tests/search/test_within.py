@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
 from threadline.search import cycle_robust
+from threadline.search import shaft as shaft_search
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
 from threadline.search.fastest import find_fastest
@@ -137,8 +139,10 @@ def test_a_search_that_judged_nothing_has_no_answer(name: str) -> None:
         SEARCHES[name](After(0, interrupts=True))
 
 
-def test_schedules_of_a_shaft_end_with_the_best_so_far() -> None:
-    """The speeds are searched to their end; of the seven schedules one is tried."""
+def test_schedules_of_a_shaft_end_with_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The speeds are searched to their end, a few here; of the seven schedules one is tried."""
+    few = partial(shaft_search.constant_speeds, points=4, near=1)
+    monkeypatch.setattr(shaft_search, "constant_speeds", few)
     machine = load_machine("schiffli-frame")
     job = open_job(EXAMPLES / "rosette.dst", machine, Options())
     spec = load_spec(None, machine)
