@@ -41,18 +41,20 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int,
     return cores + max(2, cores // 4)
 
 
-_WAITING = ("tests/live/", "tests/panel/")
-"""Where tests wait for machines that run in real time, and for browsers."""
-
-
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with tests that wait: one worker has them while others compute, and none is left last.
+    """Let two workers begin with the tests that wait, for live machines and for browsers.
 
-    Each worker is given as many tests as the others, in this order, and takes from those that have
-    the most left when it has no more.
+    The others compute meanwhile. Each worker is given as many tests as the others, in this order,
+    and takes from the end of another's when it has no more: last in one queue, those that wait
+    would leave the cores idle.
     """
-    items.sort(key=lambda item: not item.nodeid.startswith(_WAITING))
+    share = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    live = [item for item in items if item.nodeid.startswith("tests/live/")]
+    panel = [item for item in items if item.nodeid.startswith("tests/panel/")]
+    rest = [item for item in items if not item.nodeid.startswith(("tests/live/", "tests/panel/"))]
+    beside = max(share - len(live), 0)
+    items[:] = [*live, *rest[:beside], *panel, *rest[beside:]]
 
 
 @pytest.hookimpl(wrapper=True)
