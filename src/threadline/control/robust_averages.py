@@ -14,6 +14,11 @@ smoothed. A stop is a start backwards in time. The speed is there soon enough af
 departed (:data:`STILL`, :data:`THERE`), the load does not stray while another axis moves, and the
 current stays within that of the amplifiers. The linear program is solved on the instants that bind:
 those that its result violates are added.
+
+Every program has a solution: what is not an error has to be kept, and one excess by which all of it
+may be left is so dear that it is 0 where that is possible. There are no weights where it is more
+than a stated margin. A program that may have no solution is one that HiGHS often ends without an
+answer, here where neighbouring rows are alike; and it does so, too, with some that have one.
 """
 
 from __future__ import annotations
@@ -35,17 +40,31 @@ another axis has its speed: 1 % and 95 % are asked of seams, and a tenth across 
 _SPARE = 0.012  # of the wanted speed: so much more is there where it costs little
 _FIRST_ROWS = 512  # every so many instants are in the first program
 _MOST_ROUNDS = 100
-_CLOSE = 1e-5  # of the step: no instant is violated by more
+_CLOSE = 1e-6  # of the step: no instant is violated by more
 _RISES = 1e-9  # of the cost
 _NEAR = 0.01  # of the step: instants that are further within are left out of the next program
 MEAN_S = 0.0021
 """Time over which a speed is taken, and a little more."""
 _SEEN = 16.0  # times the time for a change: so long after it a load is looked at
 _LOOKED = 4.0  # times it: so long before and after it a current is
-_ERROR, _SHARE, _LATE = 0, 1, 2  # slacks: of the even speed, of the current, of what is there
+_ERROR, _SHARE, _LATE, _EXCESS = 0, 1, 2, 4
+"""Slacks: of the even speed, of the current, of what is there; 3 is the size of the largest weight;
+of all that has to be kept."""
 _LATE_COSTS = 0.1  # worth of what is not there against the largest error
 _DRIVEN = 0.05  # worth of the share of the current against the largest error
 _SPIKES = 1e-4  # worth of the largest weight against the largest error
+_SIZE = 1e-5
+"""Worth of the size of a weight, twice that of the last, against the largest error: where many
+weights leave the same error and spikes alike these are definite ones, whatever the last digits."""
+_EXCESS_COSTS = 1000.0
+"""Worth of what is left of bands that have to be kept: with an excess of the margin at this price
+the least error without it is a tenth of the speed larger, which serves nobody."""
+_MARGIN = 1e-4  # of speed, room or current: bands that are left by no more are kept
+_LARGEST = 10.0  # weight; those that are found are below 0.3
+_DEAREST = 1.0 + _DRIVEN + _LATE_COSTS * _SPARE + _EXCESS_COSTS * _MARGIN
+"""Cost above which a program is given up: the error is all of the speed, or the margin is left. The
+weights have next to no part in it."""
+_KEPT = 0.5 * _CLOSE  # a solution that leaves a row of its own program by more is none
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,12 +149,12 @@ class RobustWeights:
 
 @dataclass(slots=True)
 class _Band:
-    """Rows ``low - slack <= R w <= high + slack``, the slack being the unknown of that column."""
+    """Rows ``low - slack <= R w <= high + slack``, the slack being the sum of those unknowns."""
 
     R: FloatArray
     low: FloatArray
     high: FloatArray
-    slack: int | None = None
+    slacks: tuple[int, ...] = (_EXCESS,)
 
 
 def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
@@ -155,6 +174,7 @@ def robust_weights(
     grid_s: float,
     samples: int,
     near: RobustWeights | None = None,
+    dearest: float = np.inf,
 ) -> RobustWeights | None:
     """Return the weights of which all machines leave the least error; None where there are none.
 
@@ -174,6 +194,13 @@ def robust_weights(
     near
         Weights of a problem that is much like this one: the first program has the instants that
         bind them, and fewer programs are solved. The result is the same.
+    dearest
+        Cost from which on weights are of no use, so that none are returned.
+
+    Raises
+    ------
+    PlanError
+        If a program has no answer, or too many are needed.
     """
     omega = frequencies_rad_s(grid_s, samples)
     spline = np.sinc(omega * step_s / (2.0 * np.pi)) ** (degree + 1)
@@ -188,23 +215,29 @@ def robust_weights(
         for index, one in enumerate(axis.machines)
         for band in _bands(axis, one, index == 0, t, change, shape)
     ]
-    return _least(bands, np.asarray(shift_s / step_s), near)
+    return _least(bands, np.asarray(shift_s / step_s), near, min(dearest, _DEAREST))
 
 
 def _least(
-    bands: Sequence[_Band], shift: FloatArray, near: RobustWeights | None
+    bands: Sequence[_Band], shift: FloatArray, near: RobustWeights | None, dearest: float
 ) -> RobustWeights | None:
-    """Return the weights, of the moment 0 about ``shift``, with the least error over all bands."""
-    from scipy.optimize import linprog
+    """Return the weights, of the moment 0 about ``shift``, with the least error over all bands.
 
-    # Unknowns: the weights, then the slacks, and the size of the largest weight.
+    None where bands that have to be kept cannot be, or at a cost of ``dearest`` and more.
+    """
+    # Unknowns: what weights are above 0, what they are below it, then the slacks, and among them
+    # the size of the largest weight.
     count = len(shift)
-    cost = np.append(np.zeros(count), [1.0, _DRIVEN, _LATE_COSTS, _SPIKES * count])
-    sums = np.zeros((2, count + 4))
-    sums[0, :count], sums[1, :count] = 1.0, shift
-    spikes = np.zeros((2 * count, count + 4))
-    spikes[:, :count] = np.vstack([np.eye(count), -np.eye(count)])
-    spikes[:, -1] = -1.0
+    size = _SIZE * (1.0 + np.arange(count) / count)
+    cost = np.concatenate([size, size, [1.0, _DRIVEN, _LATE_COSTS, _SPIKES * count, _EXCESS_COSTS]])
+    width, first = len(cost), 2 * count
+    sums = np.zeros((2, width))
+    sums[:, :first] = _both(np.vstack([np.ones(count), shift]))
+    spikes = np.zeros((count, width))
+    spikes[:, :first] = np.hstack([np.eye(count), np.eye(count)])
+    spikes[:, first + 3] = -1.0
+    bounds = [(0.0, _LARGEST)] * first
+    bounds += [(0.0, np.inf), (0.0, 1.0), (0.0, _SPARE), (0.0, np.inf), (0.0, np.inf)]
     chosen = [np.arange(0, len(band.R), _FIRST_ROWS) for band in bands]
     if near is not None:
         chosen = [
@@ -213,34 +246,28 @@ def _least(
         ]
     least = -np.inf
     for _ in range(_MOST_ROUNDS):
-        rows, limits = [spikes], [np.zeros(2 * count)]
+        rows, limits = [spikes], [np.zeros(count)]
         for band, at in zip(bands, chosen, strict=True):
             for sign, bound in ((1.0, band.high[at]), (-1.0, -band.low[at])):
                 kept = np.isfinite(bound)
-                part = np.zeros((int(kept.sum()), count + 4))
-                part[:, :count] = sign * band.R[at][kept]
-                if band.slack is not None:
-                    part[:, count + band.slack] = -1.0
+                part = np.zeros((int(kept.sum()), width))
+                part[:, :first] = _both(sign * band.R[at][kept])
+                for slack in band.slacks:
+                    part[:, first + slack] = -1.0
                 rows.append(part)
                 limits.append(bound[kept])
-        found = linprog(
-            cost,
-            A_ub=np.vstack(rows),
-            b_ub=np.concatenate(limits),
-            A_eq=sums,
-            b_eq=[1.0, 0.0],
-            bounds=[(None, None)] * count + [(0.0, None), (0.0, 1.0), (0.0, _SPARE), (0.0, None)],
-            method="highs-ds",
-        )
-        if found.x is None:
-            return None
-        weights, slack = np.asarray(found.x[:count]), np.asarray(found.x[count:])
-        reached = float(np.asarray(cost) @ found.x)
-        over = [_over(band, weights, slack) for band in bands]
+        found = _solved(cost, np.vstack(rows), np.concatenate(limits), sums, bounds)
+        weights, slacks = found[:count] - found[count:first], found[first:]
+        reached = float(cost @ found)
+        if reached >= dearest:
+            return None  # more instants make it dearer still
+        over = [_over(band, weights, slacks) for band in bands]
         peaks = [np.flatnonzero(_peaks(one)) for one in over]
         if not any(len(new) for new in peaks):
+            if slacks[_EXCESS] > _MARGIN:
+                return None
             return RobustWeights(
-                weights=weights, error=float(slack[_ERROR]), cost=reached, slack=slack
+                weights=weights, error=float(slacks[_ERROR]), cost=reached, slack=slacks
             )
         # What is left out may come back: the least cost rises from program to program, so that
         # none is met twice.
@@ -257,10 +284,42 @@ def _least(
     )
 
 
+def _solved(
+    cost: FloatArray,
+    rows: FloatArray,
+    limits: FloatArray,
+    sums: FloatArray,
+    bounds: Sequence[tuple[float, float]],
+) -> FloatArray:
+    """Return the unknowns of the least cost, whose rows are checked here.
+
+    The program has a solution; where one algorithm has none, another is asked.
+    """
+    from scipy.optimize import linprog
+
+    for method in ("highs-ds", "highs-ipm"):
+        found = linprog(cost, rows, limits, sums, [1.0, 0.0], bounds, method=method)
+        if found.x is not None and found.status == 0:
+            unknowns: FloatArray = np.asarray(found.x)
+            off = max(float((rows @ unknowns - limits).max()), abs(float(sums[0] @ unknowns) - 1.0))
+            if max(off, abs(float(sums[1] @ unknowns))) <= _KEPT:
+                return unknowns
+    raise PlanError(
+        "averages for machines within their tolerances: a linear program that has a solution was "
+        f"not solved ({found.message})",
+        remedy="Give another --smoothing.",
+    )
+
+
+def _both(of_weights: FloatArray) -> FloatArray:
+    """Return the columns of what weights are above 0, and of what they are below it."""
+    return np.hstack([of_weights, -of_weights])
+
+
 def _over(band: _Band, weights: FloatArray, slack: FloatArray) -> FloatArray:
     """Return by how much a band is left at each instant, negative within it."""
     value = band.R @ weights
-    allowed = 0.0 if band.slack is None else float(slack[band.slack])
+    allowed = float(slack[list(band.slacks)].sum())
     return np.maximum(value - band.high, band.low - value) - allowed
 
 
@@ -303,10 +362,12 @@ def _bands(
         seen = (run[until] - run[even]) / (until - even)[:, None]
     bands: list[_Band] = []
     if not change.mean_s:
-        bands.append(_Band(S[there] * least, *_at_least(THERE + _SPARE, len(there)), _LATE))
+        bands.append(
+            _Band(S[there] * least, *_at_least(THERE + _SPARE, len(there)), (_LATE, _EXCESS))
+        )
     bands += [
-        _Band(seen * least, *_at_least(1.0, len(even)), _ERROR),
-        _Band(seen * most, -np.inf * asked, asked, _ERROR),
+        _Band(seen * least, *_at_least(1.0, len(even)), (_ERROR,)),
+        _Band(seen * most, -np.inf * asked, asked, (_ERROR,)),
     ]
     if planned and not change.mean_s:
         still = np.flatnonzero((t >= -change.still_s) & (t <= -change.early_s))
@@ -323,7 +384,7 @@ def _bands(
         # A stop takes away what the motion needed, which is at the limit's side already.
         cruise = float(one.current_s_a_m[0].real) * axis.speed if change.stop else 0.0
         level = np.full(int(near.sum()), cruise / axis.current_limit_a)
-        bands.append(_Band(share[near], level, level, _SHARE))
+        bands.append(_Band(share[near], level, level, (_SHARE, _EXCESS)))
     return bands
 
 

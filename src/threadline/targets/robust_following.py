@@ -48,6 +48,7 @@ _SOONER = 0.96
 is planned departs from that of the programs by some per cent of it."""
 _STANDS_S = 1.5 * MEAN_S  # before and after a corner, so that it is seen to stand
 _CLOSE = 2e-3  # of the speed: an error that is nearer to the least possible is good enough
+_ALIKE = 1e-5  # of the cost: of ways whose costs differ by less the first is taken
 _STRAIGHT = 1e-9
 _BEND = 0.3  # of the speed: smaller steps need next to no current
 
@@ -203,10 +204,7 @@ class _Program:
         """
         if turn_s is None:
             return self.least(ways), []
-        try:
-            found = self.least(ways, enough=_ENOUGH)
-        except PlanError:
-            found = None
+        found = self.least(ways, enough=_ENOUGH)
         if found is not None:
             return found, []
         first = ways[0][0][0]
@@ -231,12 +229,14 @@ class _Program:
         Raises
         ------
         PlanError
-            If an axis has none.
+            If an axis has none and ``enough`` is not given.
         """
         found = []
         for name, axis in zip(self._names, self.axes, strict=True):
             best = self._best(axis, ways)
             if best is None:
+                if np.isfinite(enough):
+                    return None
                 raise PlanError(
                     f"axes.{name}: no average over time changes the speed by {axis.speed:.4g} "
                     f"within {self._change_s * 1e3:.4g} ms and {axis.current_limit_a:.4g} A on all "
@@ -265,17 +265,24 @@ class _Program:
         return shared
 
     def _best(self, axis: StepOfSpeed, ways: _Ways) -> RobustWeights | None:
-        found: list[RobustWeights] = []
+        best, enough = None, False
         for part in (_RIPPLE, 1.0):
             spared = replace(axis, current_limit_a=part * axis.current_limit_a)
             for alike in ways:
-                tried = [self._solved(spared, changes) for changes in alike]
-                found += [weights for weights in tried if weights is not None]
-                if any(weights.error <= _ENOUGH for weights in found):
-                    return min(found, key=lambda weights: weights.cost)
-        return min(found, key=lambda weights: weights.cost, default=None)
+                for changes in alike:
+                    cheaper = np.inf if best is None else best.cost - _ALIKE
+                    # Where one is enough only what is cheaper can be taken in its place.
+                    weights = self._solved(spared, changes, cheaper if enough else np.inf)
+                    if weights is not None and weights.cost < cheaper:
+                        best = weights
+                    enough = enough or (weights is not None and weights.error <= _ENOUGH)
+                if enough:
+                    return best
+        return best
 
-    def _solved(self, axis: StepOfSpeed, changes: Sequence[ChangeOfSpeed]) -> RobustWeights | None:
+    def _solved(
+        self, axis: StepOfSpeed, changes: Sequence[ChangeOfSpeed], dearest: float
+    ) -> RobustWeights | None:
         found = robust_weights(
             axis,
             changes,
@@ -285,6 +292,7 @@ class _Program:
             grid_s=self._grid_s,
             samples=self._samples,
             near=self._near,
+            dearest=dearest,
         )
         self._near = found or self._near
         return found
