@@ -20,6 +20,7 @@ from numba import njit
 
 from benchmarks.planning import entry
 from threadline.path.auto import auto_pieces
+from threadline.path.polygon import QUARTIC
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import Stream
 from threadline.trajectory.optimal import Limits
@@ -317,7 +318,7 @@ def followed(places: np.ndarray) -> Iterator[PieceBlock]:
     programmed = ProgrammedPath(
         axes=("X", "Y", "Z"), radius_m=np.ones(3), blocks=Stream(vertex_blocks, places, None)
     )
-    return auto_pieces(programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M)
+    return auto_pieces(programmed, 0.99 * TOLERANCE_M, 0.01 * TOLERANCE_M, degree=QUARTIC)
 
 
 def noisy_curve(count: int) -> np.ndarray:

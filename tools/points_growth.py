@@ -4,9 +4,8 @@
 to 2 um beside a curve, streamed through smoothing and timing. Each number of points has a process
 of its own: seconds of the processor for each point, its largest memory, and the motion's time.
 What is compiled was compiled, and every kernel was used, before the clock begins.
-``--every-point`` follows each of them by a cubic, as jobs are followed; without it chords pass
-many, and the path is a quartic, as in ``retime``. ``--picture FILE`` draws both against the number
-of points.
+``--every-point`` follows each of them, as jobs are followed; without it chords pass many, as in
+``retime``. ``--picture FILE`` draws both against the number of points.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from time import process_time
 import numpy as np
 
 from threadline.path.auto import auto_pieces
-from threadline.path.polygon import CUBIC, QUARTIC
+from threadline.path.polygon import QUARTIC
 from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
 from threadline.signals import Stream
 from threadline.trajectory.optimal import Limits
@@ -66,7 +65,7 @@ def planned(count: int, *, thin: bool) -> tuple[float, float]:
             programmed,
             0.99 * TOLERANCE_M,
             0.01 * TOLERANCE_M,
-            degree=QUARTIC if thin else CUBIC,
+            degree=QUARTIC,
             thin=thin,
         ),
     )

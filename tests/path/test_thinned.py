@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from threadline.path.auto import CUTTING_ENDS, auto_pieces
+from threadline.path.auto import auto_pieces
 from threadline.path.polygon import turns
 from threadline.path.runs import runs
 from threadline.path.thinned import SHARES, Thinner
@@ -159,7 +159,7 @@ def test_the_bound_holds_in_the_order_of_the_points(beside_m):
 def test_the_spline_stays_within_the_tolerance_of_rough_points(beside_m, degree):
     """At 10^5 places, and the points themselves from the spline."""
     points = noisy(200, beside_m, axes=3)
-    path = auto_pieces(programmed(points), CUT_M, 0.0, CUTTING_ENDS, degree=degree, thin=True)
+    path = auto_pieces(programmed(points), CUT_M, 0.0, degree=degree, thin=True)
     blocks = list(path)
     c = np.concatenate([block.coefficients for block in blocks])
     u = np.linspace(0.0, 1.0, 100_000 // len(c) + 1)
@@ -178,7 +178,7 @@ def test_what_is_smooth_is_left_bit_for_bit():
     for points in (circle, corners, np.stack([stairs[1:], stairs[:-1]], axis=1)):
         plain, thin = (
             np.concatenate(
-                [b.coefficients for b in auto_pieces(programmed(points), CUT_M, 0.0, 0.15, thin=t)]
+                [b.coefficients for b in auto_pieces(programmed(points), CUT_M, 0.0, thin=t)]
             )
             for t in (False, True)
         )

@@ -205,19 +205,15 @@ def test_moves_of_nanometres_neither_stop_it_nor_break_a_limit(points):
 
 
 def test_a_chord_of_nanometres_before_the_end_leaves_no_jump(monkeypatch):
-    """Beside it a spline has spans of femtometres, along which no motion from rest has digits.
-
-    The vertex before it is kept here, which a metre's tolerance leaves out otherwise.
-    """
+    """The vertex before it is kept here, which a metre's tolerance leaves out otherwise."""
     monkeypatch.setattr(interpolations, "_NEAR_SHARE", 1e-9)
     points = [[0.0, 0.0], [-0.078, 0.0105], [-0.0309, -0.03], [-0.1051, -0.03]]
     points.append([points[-1][0] - 2.5e-8, points[-1][1] - 1.08e-8])
     _, path, trajectory = plan(("X", "Y"), points, 1.0)
     assert max(peak.ratio for peak in limit_peaks(trajectory, WINDER)) <= 1.001
     assert trajectory(trajectory.duration_s)[0] == pytest.approx(points[-1], abs=1e-15)
-    # The last chord bends away from a metre's tolerance: the path has those spans indeed.
     last = np.concatenate([block.coefficients for block in path])[-1, 1:]
-    assert 0.0 < np.abs(last).max() < 1e-12
+    assert 0.0 < np.abs(last).max() < 3e-8  # the path has that chord indeed
 
 
 @pytest.mark.parametrize("speed", [0.004, 0.03])
@@ -239,14 +235,15 @@ def test_a_dense_run_has_as_many_elements_as_pieces_and_loses_little(monkeypatch
     """Two elements a piece and one: both within the limits, and within half a percent."""
     turn = np.linspace(0.0, 9.0, 300)
     points = np.stack([0.1 * np.sin(turn), 0.05 - 0.05 * np.cos(1.3 * turn)], axis=1).tolist()
-    trajectories = []
-    for dense in (10**9, 10):
-        monkeypatch.setattr("threadline.trajectory.optimal.path_elements.DENSE", dense)
-        trajectories.append(plan(("X", "Y"), points)[2])
-    fine, coarse = trajectories
-    assert sum(map(len, coarse)) < 0.9 * sum(map(len, fine))
-    assert coarse.duration_s == pytest.approx(fine.duration_s, rel=5e-3)
-    assert max(peak.ratio for peak in limit_peaks(coarse, WINDER)) <= 1.001
+    found = []
+    for order in (0, 5):  # of the coefficients of pieces for which one is enough
+        monkeypatch.setattr("threadline.trajectory.optimal.path_elements._OF_QUARTIC", order)
+        trajectory = plan(("X", "Y"), points)[2]
+        found.append((sum(map(len, trajectory)), trajectory.duration_s))
+        assert max(peak.ratio for peak in limit_peaks(trajectory, WINDER)) <= 1.001
+    (fine, fine_s), (coarse, coarse_s) = found
+    assert coarse < 0.9 * fine
+    assert coarse_s == pytest.approx(fine_s, rel=5e-3)
 
 
 def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):

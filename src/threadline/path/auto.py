@@ -32,15 +32,11 @@ from threadline.path.spans import pieces_of
 from threadline.path.thinned import thinned_runs
 from threadline.path.types import PieceBlock, ProgrammedPath
 
-CUTTING_ENDS = 0.15
-"""``beside_end`` of paths that are to take the least time: 0.05 costs more in pace than it cuts."""
-
 
 def auto_pieces(
     programmed: ProgrammedPath,
     cut_m: float,
     near_m: float = COINCIDENT_M,
-    beside_end: float = 1.0,
     *,
     degree: int = CUBIC,
     thin: bool = False,
@@ -48,18 +44,18 @@ def auto_pieces(
     """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
 
     Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
-    the one before it is left out; ``beside_end`` and ``degree`` are as for ``pieces_of``. With
-    ``thin``, chords take the place of moves where the program is rough (``thinned_runs``); the
-    pieces of a chord belong to the last of its moves.
+    the one before it is left out; ``degree`` is as for ``pieces_of``. With ``thin``,
+    chords take the place of moves where the program is rough (``thinned_runs``); the pieces of a
+    chord belong to the last of its moves.
     """
-    run = _Run(programmed.radius_m, programmed.local, cut_m, beside_end, degree)
+    run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
     for chunk in thinned_runs(programmed, near_m, cut_m) if thin else runs(programmed, near_m):
         yield from run.extend(chunk)
 
 
 def points_added(programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC) -> int:
     """Return the number of points that are not vertices; reads the whole program."""
-    run = _Run(programmed.radius_m, programmed.local, cut_m, degree=degree)
+    run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
     for chunk in runs(programmed):
         for _ in run.extend(chunk):
             pass
@@ -73,7 +69,6 @@ class _Run:
     radius_m: FloatArray
     local: LocalRadii | None
     cut_m: float
-    beside_end: float = 1.0
     degree: int = CUBIC
     vertices: Vertices | None = None
     controls: Controls | None = None
@@ -162,7 +157,6 @@ class _Run:
                 stop,
                 ends=ends,
                 dwell_s=dwell_s,
-                beside_end=self.beside_end,
                 degree=self.degree,
             )
             self.controls = controls.take(slice(stop - self._carried, None))

@@ -12,8 +12,9 @@ from threadline.foreign_messages import nearest
 from threadline.machine import Machine
 from threadline.machine.within_path import within_path
 from threadline.path import bspline, straight
-from threadline.path.auto import CUTTING_ENDS, auto_pieces
+from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
+from threadline.path.polygon import QUARTIC
 from threadline.path.polynomial import polynomial_pieces
 from threadline.path.pulled import PULLS, Pull
 from threadline.path.summary import LazySummary, auto_summary, deviation_summary
@@ -216,9 +217,9 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
         interpolation=OPTIMAL,
         timing=Timing.FASTEST,
         historical=False,
-        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, CUTTING_ENDS),
+        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC),
     )
-    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
+    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m, QUARTIC))
 
 
 def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:

@@ -13,10 +13,6 @@ from threadline.path.types import PieceBlock
 _EVEN = 0.02
 """A piece is divided where its time per unit of u, by the feed, varies by more than this share."""
 _MOST_PARTS = 16
-_SHARP = 0.5
-"""Turn of a corner (the difference of two unit vectors) beside which the spacing may be uneven."""
-_LIKE = 0.25
-"""Of the spacing: a leg beyond such a corner that is shorter allows no larger cut."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -27,7 +23,6 @@ def pieces_of(
     *,
     ends: bool,
     dwell_s: float,
-    beside_end: float = 1.0,
     degree: int = CUBIC,
 ) -> PieceBlock:
     """Return the pieces between points ``first`` and ``stop``.
@@ -39,15 +34,12 @@ def pieces_of(
         unless the run begins at the first or ends at the last.
     ends, dwell_s
         Whether the run ends at ``stop``, and the pause there.
-    beside_end
-        How far beyond an end of the run the next knot is, in lengths of the leg there, where that
-        leads to a sharp corner that the tolerance lets a cubic cut as far as it can.
     degree
         3, with the points as control points, or 4, with control points between them.
     """
     columns = controls.positions, controls.turn, controls.length_m, controls.nominal_s
     if degree == CUBIC:
-        coefficients, pace, straight = _spans(*columns, first, stop, beside_end)
+        coefficients, pace, straight = _spans(*columns, first, stop)
     else:
         coefficients, pace, straight = quartic_spans(*columns, first, stop)
     own = slice(first + 1, stop + 1)
@@ -76,7 +68,7 @@ def pieces_of(
 
 
 @njit(error_model="numpy")
-def _spans(positions, turn, length_m, nominal_s, first, stop, beside_end):
+def _spans(positions, turn, length_m, nominal_s, first, stop):
     """Return the pieces between two control points, their paces, and which of them are straight.
 
     Returns
@@ -92,9 +84,7 @@ def _spans(positions, turn, length_m, nominal_s, first, stop, beside_end):
     of leg k as h[k-1] : h[k]. A leg between two points where the polygon does not turn is a line.
     The spline beside a line ends in their common point as at the end of a run: its polygon is
     mirrored there, so that it leaves straight, without curvature and evenly, whatever the length
-    of the line. Where a run begins or ends beside a sharp corner that the tolerance lets be cut
-    as far as a spline can, the knot beyond its end may be near: the curve leaves straight, not
-    evenly, and cuts more. The time at the feed is a spline over the same knots as the path.
+    of the line. The time at the feed is a spline over the same knots as the path.
     """
     legs, axes = len(positions) - 1, positions.shape[1]
     line = np.empty(legs, dtype=np.bool_)
@@ -109,10 +99,6 @@ def _spans(positions, turn, length_m, nominal_s, first, stop, beside_end):
         h = length_m[k + 1]
         before = h if opens[k] else length_m[k]
         after = h if closes[k] else length_m[k + 2]
-        if k == 0 and legs > 1 and turn[1] > _SHARP and not line[1] and after > _LIKE * h:
-            before = beside_end * h
-        if k == legs - 1 and k > 0 and turn[k] > _SHARP and not line[k - 1] and before > _LIKE * h:
-            after = beside_end * h
         total = before + h + after
         lead[k], trail[k] = before / total, after / total
     coefficients = np.empty((stop - first, 4, axes))

@@ -8,6 +8,7 @@ from typing import ParamSpec
 
 from threadline.path.auto import points_added
 from threadline.path.deviation import path_deviation
+from threadline.path.polygon import CUBIC
 from threadline.path.types import PlannedPath, ProgrammedPath
 
 P = ParamSpec("P")
@@ -45,10 +46,10 @@ class LazySummary(Mapping[str, float]):
 
 
 def auto_summary(
-    programmed: ProgrammedPath, planned: PlannedPath, cut_m: float
+    programmed: ProgrammedPath, planned: PlannedPath, cut_m: float, degree: int = CUBIC
 ) -> dict[str, float]:
     """Return the number of points added, the largest deviation in m and its program line."""
-    added = {"points_added": float(points_added(programmed, cut_m))}
+    added = {"points_added": float(points_added(programmed, cut_m, degree))}
     return added | deviation_summary(programmed, planned)
 
 

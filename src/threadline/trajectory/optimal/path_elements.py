@@ -128,7 +128,7 @@ def elements_of(
     from_rest: bool,
     to_rest: bool,
     lead_share: tuple[float, float] = (_LEAD_SHARE, _LEAD_SHARE),
-    dense: bool = False,
+    dense: bool | None = None,
 ) -> Elements:
     """Return the elements of consecutive pieces of one run.
 
@@ -150,7 +150,8 @@ def elements_of(
         What the lead-in, and that to the rest at the end, may be of their pieces at most: in them
         feed and velocity bound the rate of their parameter, which is the speed at their end alone.
     dense
-        Whether there are so many pieces that those that are curved are fine enough as they are.
+        Whether those that are curved are fine enough as they are. Where it is not said, a quartic's
+        are, and others where there are very many.
     """
     count, order, axes = c.shape
     full = np.zeros((count, DEGREE + 1, axes))
@@ -172,7 +173,9 @@ def elements_of(
         lead_out = reverse(_with_lead_in(last, lead_share[1]))
         whole = join([whole.take(slice(None, -1)), lead_out])
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
-    curve = _PARTS_OF_CURVE if order != _OF_QUARTIC and count <= DENSE and not dense else 1
+    if dense is None:
+        dense = order == _OF_QUARTIC or count > DENSE
+    curve = 1 if dense else _PARTS_OF_CURVE
     parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
     if from_rest:
         parts[0] = _PARTS_OF_LEAD

@@ -68,7 +68,7 @@ def shaped(
     before: Shaped | None = None,
     *,
     to_rest: bool = True,
-    dense: bool = False,
+    dense: bool | None = None,
     slow: int = 1,
 ) -> Shaped | None:
     """Return the elements of pieces; with limits along the path, the way gone is their last axis.
@@ -84,7 +84,7 @@ def shaped(
     to_rest
         Whether it rests behind the last piece.
     dense
-        Whether they belong to so many that those that are curved are fine enough as they are.
+        Whether those that are curved are fine enough as they are; see ``elements_of``.
     slow
         From how many pieces at the end it can come to rest, where it does not anyway.
     """

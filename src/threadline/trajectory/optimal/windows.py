@@ -245,11 +245,11 @@ def _planned(
 
     None where none is known; without ``after`` it comes to rest.
     """
-    before = None
+    before, fine = None, True if dense else None
     if kept is not None:
-        before, dense = kept.shape, dense and kept.cut < _CUT
+        before, fine = kept.shape, fine if kept.cut < _CUT else False
     shape = shaped(
-        run, radius_m, limits, before, to_rest=after is None, dense=dense, slow=_SLOW_PIECES
+        run, radius_m, limits, before, to_rest=after is None, dense=fine, slow=_SLOW_PIECES
     )
     if shape is None:
         return None
