@@ -25,7 +25,7 @@ from threadline.trajectory.optimal.shaped import Shaped, shaped
 from threadline.trajectory.optimal.solve import Problem, Solution, bernstein
 from threadline.trajectory.types import TrajectoryBlock
 
-ADDED = 1500
+ADDED = 1000
 """Pieces by which a window goes beyond the one before it; more where they are hardly cut."""
 MOST_ADDED = 6000
 _ELEMENTS = 11_000  # by which a window goes beyond the one before it, about
@@ -40,6 +40,8 @@ _SLOW = 0.25  # of what the elements about the end of a window allow while the r
 _LONGER = 3e-4  # share by which a motion should take longer: jerks of 1.0009 of their limit
 _AT_A_TIME = 4096  # elements whose motion is told in time together
 _SLOWER, _TRIES = 0.8, 16  # of x, where that is too much
+_HELD = (1, 8, 64, 512)
+"""Elements in which a window goes on at the even x that it began with, at the least."""
 _SLOW_PIECES = 40  # at the end of a window, which are gone evenly
 _CUT = 2.0  # elements of a piece, on the mean: where there are more, the next begin with two
 _EVEN = 1e-9  # of x: the change of one that is even
@@ -293,11 +295,9 @@ def _slow_way(
     """
     at, n = shape.elements, len(shape.elements)
     most = np.full(n, np.inf)
-    if level is not None:
-        most[0] = level
     if after is None or shape.ending is None:
-        slow = Problem(at, limits, most)
-        return (slow.b, slow.tangent, 0, slow.b[:0]) if _is_even(slow.b[:2], level) else None
+        slow = _from_level(at, limits, most, level)
+        return None if slow is None else (slow.b, slow.tangent, 0, slow.b[:0])
     if len(shape) < 3 * shape.slow:
         return None
     ends = np.cumsum(at.length)
@@ -311,8 +311,8 @@ def _slow_way(
     stops = np.full(len(shape.ending), np.inf)
     for _ in range(_TRIES):
         most[n - count : n + 1], stops[0] = last, last
-        slow, rest = Problem(at, limits, most), Problem(shape.ending, limits, stops)
-        if not _is_even(slow.b[:2], level):
+        slow, rest = _from_level(at, limits, most, level), Problem(shape.ending, limits, stops)
+        if slow is None:
             return None
         even = np.concatenate([slow.b[n - count + 1 : n + 2], rest.b[:2]])
         if _is_even(even, last):
@@ -320,6 +320,24 @@ def _slow_way(
             b[n - count + 1 :] = rest.b[:2] = last
             return b, slow.tangent[:n], count + 1, rest.b
         last = _SLOWER * float(even.min())
+    return None
+
+
+def _from_level(
+    at: Elements, limits: Limits, most: FloatArray, level: float | None
+) -> Problem | None:
+    """Return a slow motion, with (n,) x of ``most`` at most, that begins with an even x.
+
+    A slow motion becomes faster as soon as it may, and is slowed about the places where its jerk
+    is too large then. Where these are at its beginning, it is to be even for some elements first.
+    """
+    for held in _HELD:
+        own = most.copy()
+        if level is not None:
+            own[:held] = np.minimum(own[:held], level)
+        slow = Problem(at, limits, own)
+        if _is_even(slow.b[:2], level):
+            return slow
     return None
 
 
