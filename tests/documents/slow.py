@@ -26,7 +26,7 @@ SLOW: dict[str, dict[str, str]] = {
         "make fuzz": "hours",
         "python tools/fuzz.py --seed 317 --reader READER --cases N": "an hour for all readers",
         "python tools/fuzz.py --seed 1301 --reader NAME --cases 100000": "600 000 cases",
-        "python -m tools.duration_against_contour": "an hour",
+        "python -m tools.duration_against_contour": "four minutes, and toppra",
         "python -m tools.x_180_bound": "half a minute",
         "python tools/big_program.py 5000000 BIG.prg": "writes 197 MB",
         "/usr/bin/time -v threadline prove BIG.prg -m lathe-winder --interpolation NAME --json": (
