@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from threadline.machine import load_machine
+from threadline.path import plan_path
 from threadline.path.auto import auto_pieces, points_added
 from threadline.path.greville import CUT, cut_of, quartic_spans
 from threadline.path.polygon import QUARTIC, control_polygon, turns
@@ -216,3 +220,22 @@ def test_points_are_counted_for_either_degree():
     """One on either side of a corner for a cubic, two for a quartic."""
     corner = programmed(np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]]))
     assert [points_added(corner, 1e-4, degree) for degree in (3, QUARTIC)] == [2, 4]
+
+
+def test_optimal_follows_the_quartic_and_auto_a_cubic():
+    """Third derivatives at the joints of a corner, in units of length; and the points told."""
+    corner = programmed(np.array([[0.0, 0.1], [0.1, 0.1], [0.1, 0.2]]))
+    corner = replace(corner, axes=("X", "Y"))
+    steps, told = [], []
+    for name in ("optimal", "auto"):
+        path = plan_path(corner, load_machine("lathe-winder"), name, 1e-4)
+        c = np.concatenate([block.coefficients for block in path])
+        powers = np.arange(c.shape[1])
+        # The pieces run on evenly: each in units of its own rate at the joint.
+        last = (c * (powers * (powers - 1) * (powers - 2))[:, None]).sum(axis=1)[:-1]
+        last /= np.linalg.norm((c * powers[:, None]).sum(axis=1)[:-1], axis=1)[:, None] ** 3
+        first = 6.0 * c[1:, 3] / np.linalg.norm(c[1:, 1], axis=1)[:, None] ** 3
+        steps.append(np.abs(last - first).max() / np.abs(first).max())
+        told.append(path.summary["points_added"])
+    assert steps[0] < 1e-6 < 0.5 < steps[1]
+    assert told == [4, 2]
