@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from math import ceil, log2
 from typing import overload
 
@@ -266,36 +267,30 @@ class _Program:
 
     def _best(self, axis: StepOfSpeed, ways: _Ways) -> RobustWeights | None:
         best, enough = None, False
-        for part in (_RIPPLE, 1.0):
+        for part, alike in product((_RIPPLE, 1.0), ways):
             spared = replace(axis, current_limit_a=part * axis.current_limit_a)
-            for alike in ways:
-                for changes in alike:
-                    cheaper = np.inf if best is None else best.cost - _ALIKE
+            for changes in alike:
+                cheaper = np.inf if best is None else best.cost - _ALIKE
+                weights = robust_weights(
+                    spared,
+                    changes,
+                    count=_COUNT,
+                    step_s=self._change_s / _STEPS,
+                    degree=DEGREE,
+                    grid_s=self._grid_s,
+                    samples=self._samples,
+                    near=self._near,
                     # Where one is enough only what is cheaper can be taken in its place.
-                    weights = self._solved(spared, changes, cheaper if enough else np.inf)
-                    if weights is not None and weights.cost < cheaper:
-                        best = weights
-                    enough = enough or (weights is not None and weights.error <= _ENOUGH)
-                if enough:
-                    return best
+                    dearest=cheaper if enough else np.inf,
+                )
+                if weights is None:
+                    continue
+                self._near = weights
+                best = weights if weights.cost < cheaper else best
+                enough = enough or weights.error <= _ENOUGH
+            if enough:
+                return best
         return best
-
-    def _solved(
-        self, axis: StepOfSpeed, changes: Sequence[ChangeOfSpeed], dearest: float
-    ) -> RobustWeights | None:
-        found = robust_weights(
-            axis,
-            changes,
-            count=_COUNT,
-            step_s=self._change_s / _STEPS,
-            degree=DEGREE,
-            grid_s=self._grid_s,
-            samples=self._samples,
-            near=self._near,
-            dearest=dearest,
-        )
-        self._near = found or self._near
-        return found
 
 
 def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
