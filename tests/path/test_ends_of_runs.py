@@ -37,7 +37,8 @@ def programmed(places, cuts=(), rests=()) -> ProgrammedPath:
 def test_wide_tolerances_are_used_at_the_ends_of_a_run_and_held(seed):
     """Two or three legs, a tolerance just so wide that no corner needs points beside it.
 
-    Held against the program by ``path_deviation``; evenly spaced, as for ``auto``, less is cut.
+    Held against the program by ``path_deviation``; ``auto`` cuts less, as its smoothing in time
+    has a share of the tolerance.
     """
     random = np.random.default_rng(seed)
     places = np.cumsum(random.uniform(-0.02, 0.02, (3 + seed % 2, 2)), axis=0)
