@@ -24,6 +24,9 @@ settings.register_profile(
 )
 settings.load_profile("fixed")
 
+# An assertion of theirs says what it saw, as those of the tests do; some are looked at for it.
+pytest.register_assert_rewrite("tests.live.bench", "tests.live.kill_bench", "tests.panel.bench")
+
 from threadline.cli import told  # noqa: E402 - behind what is read when numpy is imported
 from threadline.search import edges, fastest, gentle  # noqa: E402
 

@@ -254,8 +254,9 @@ class Operator:
 
     def ready(self) -> Operator:
         self.take().see("disabled")
-        assert self.act("enable") == ""
-        assert self.act("home") == ""
+        for what in ("enable", "home"):
+            why = self.act(what)
+            assert not why, why
         self.see("idle")
         return self
 
