@@ -162,12 +162,21 @@ def solved(matrix, g):
 
 
 @njit()
-def solved_all(matrix, rows):
-    """Return the z of ``matrix z = -g`` for every row g of ``rows``."""
+def halved(matrix, rows):
+    """Return ``rows L'^-1 D^-1/2`` of ``matrix = L D L'``: times its transpose, rows B^-1 rows'."""
     out = np.empty(rows.shape)
     one, two, d = _factors(matrix)
+    root = 1.0 / np.sqrt(d)
     for r in range(len(rows)):
-        _substitute(one, two, d, rows[r], out[r])
+        before, last = 0.0, 0.0
+        for i in range(len(d)):
+            v = rows[r, i]
+            if i >= 1:
+                v -= one[i] * last
+            if i >= 2:
+                v -= two[i] * before
+            before, last = last, v
+            out[r, i] = v * root[i]
     return out
 
 

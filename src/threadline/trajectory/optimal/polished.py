@@ -3,8 +3,9 @@
 Guards bound accelerations and stand for what the loops make of them: of the right size, and not
 exact. From a motion that was found with them, the same barrier goes on with the errors themselves
 (``stray_rows``) in their place. These rows are as long as the memory of a loop, so that the matrix
-of a step is no longer narrow: it is one that is, with as many rows beside it as there are large
-errors, and solved by the formula of Woodbury. A run with too many of both keeps its guards.
+of a step is no longer narrow: it is one that is, with some hundred rows beside it, and solved by
+the formula of Woodbury. Rows are of the largest errors and of some between them; what strays too
+far beside them is slowed for. A run with too many of both keeps its guards.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
 from threadline.trajectory.optimal.followers import Follower, Past
 from threadline.trajectory.optimal.in_time import in_time
@@ -22,12 +23,16 @@ from threadline.trajectory.optimal.solve import Problem, bernstein
 from threadline.trajectory.optimal.stray_rows import Rows, stray_rows
 from threadline.trajectory.types import TrajectoryBlock
 
-_MOST = 1_500_000  # rows times elements
+_MOST = 1_000_000  # rows times elements
 _ROUNDS = 24
 _IDLE = 3  # rounds without much gain, after which no further one is made
 _ENOUGH = 5e-4  # of the duration: a smaller gain is not much
-_NEAR = 0.6  # of the tolerance: a larger error has a row
+_NEAR = 0.6  # of the tolerance: a larger error has a row, where it is the largest about it
+_EVERY = (1, 3, 5)  # of other large errors one in so many; ticks have 4 places: all phases of them
+_FEW = 5e7  # square of rows times elements, what a step takes: above it rows are of fewer errors
 _AIM = 0.995  # of the tolerance
+_LITTLE = 1.1  # of the tolerance: with more a motion is not worth to be slowed for it
+_SLOWER, _BY_SHARE, _SLOWED_ROUNDS = 1.0001, 0.35, 8  # and by how much it is, at a time
 _LEAST_ROOM = 2e-3  # of the tolerance, where a row begins
 _FASTER = 1.2  # of x, in one round: the rows are of where it was
 _MOST_SLOWER = 0.3  # of x
@@ -52,7 +57,7 @@ def polished(
         Of axes and drives; the motion before it.
     """
     begin_s = float(block.start_s[0])
-    best, idle = block, 0
+    best, least_s, idle = block, np.inf, 0
     at = problem.elements
     problem.regard(
         replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)),
@@ -61,15 +66,52 @@ def polished(
         solution = problem.solution()
         now = in_time(solution, limits, begin_s)
         strays = follower.strays(past, now)
-        if strays.share.max() <= 1.0:
-            gained = 1.0 - (now.end_s - begin_s) / (best.end_s - begin_s)
-            idle = 0 if gained > _ENOUGH else idle + 1
-            best = now if gained > 0.0 else best
-        chosen = np.flatnonzero(strays.share > _NEAR)
+        kept = _kept(now, float(strays.share.max()), follower, past)
+        enough_s = _ENOUGH * (best.end_s - begin_s)
+        # Where it goes on to be faster, slowing may gain later what it does not yet.
+        idle = 0 if now.end_s < least_s - enough_s else idle + 1
+        least_s = min(least_s, now.end_s)
+        if kept is not None and kept.end_s < best.end_s:
+            idle = 0 if kept.end_s < best.end_s - enough_s else idle
+            best = kept
+        chosen = _chosen(strays.share, len(at))
         if idle == _IDLE or len(chosen) * len(at) > _MOST:
             break
         _descend(problem, stray_rows(solution, now, strays, chosen))
     return best
+
+
+def _kept(
+    block: TrajectoryBlock, share: float, follower: Follower, past: Past
+) -> TrajectoryBlock | None:
+    """Return the motion, slowed evenly where its loads stray a little too far by ``share``.
+
+    The rows are of where the motion was, so that most rounds end with some of a hundredth too much.
+    """
+    begin = float(block.start_s[0])
+    for _ in range(_SLOWED_ROUNDS):
+        if share <= 1.0 or share > _LITTLE:
+            break
+        slower = _SLOWER * share**_BY_SHARE
+        block = replace(
+            block,
+            start_s=begin + slower * (block.start_s - begin),
+            duration_s=slower * block.duration_s,
+        )
+        share = float(follower.strays(past, block).share.max())
+    return block if share <= 1.0 else None
+
+
+def _chosen(share: FloatArray, elements: int) -> IntArray:
+    """Return the places of the errors that have rows: as many as are quickly solved with."""
+    inside = np.concatenate([[-np.inf], share, [-np.inf]])
+    peak = (share >= inside[:-2]) & (share > inside[2:])
+    number = np.arange(len(share))
+    for every in _EVERY:
+        chosen = np.flatnonzero((share > _NEAR) & (peak | (number % every == 0)))
+        if len(chosen) ** 2 * elements <= _FEW:
+            break
+    return chosen
 
 
 def _descend(problem: Problem, rows: Rows) -> None:
@@ -122,10 +164,13 @@ def _newton(
     g = g + weights.T @ (weight / slack)
     step = barrier.solved(matrix, g)
     if len(weights):
-        # (B + W' D W)^-1 = B^-1 - B^-1 W' (D^-1 + W B^-1 W')^-1 W B^-1; across is -W B^-1.
-        across = barrier.solved_all(matrix, weights)
-        inner = np.diag(slack**2 / weight) - across @ weights.T
-        step = step + across.T @ np.linalg.solve(inner, weights @ step)
+        # With B = L D L' and V = W L'^-1 D^-1/2, W B^-1 W' is V V'; so the step is
+        # (B + W' S W)^-1 = B^-1 - B^-1 W' (S^-1 + V V')^-1 W B^-1 of -g.
+        halved = barrier.halved(matrix, weights)
+        inner = halved @ halved.T
+        inner[np.diag_indices_from(inner)] += slack**2 / weight
+        pushed = weights.T @ np.linalg.solve(inner, weights @ step)
+        step = step + barrier.solved(matrix, pushed)
         nearer = weights @ step
         far = np.full(len(slack), np.inf)
         np.divide(slack, nearer, out=far, where=nearer > 0.0)
