@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 from threadline.machine.mandrel import Mandrel
 from threadline.machine.quantity import Quantity, Units
 
-STRICT = ConfigDict(extra="forbid")
+STRICT = ConfigDict(extra="forbid", defer_build=True)
 
 PositiveTime = Annotated[Quantity, Units(("s",), positive=True)]
 Period = Annotated[Quantity, Units(("s",), positive=True, most=3600.0)]
