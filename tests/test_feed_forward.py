@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.blank_pictures import blank_pictures
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
 from threadline.described import options_from
@@ -267,7 +268,8 @@ def test_prove_says_what_the_drives_must_give(capsys, seam):
     assert smoothing["measured"] == pytest.approx(0.13e-3, abs=30e-6)
 
 
-def test_titles_say_what_was_asked_for(capsys, proof, tmp_path):
+def test_titles_say_what_was_asked_for(capsys, proof, tmp_path, monkeypatch):
+    blank_pictures(monkeypatch)
     show_proof(proof)
     out = capsys.readouterr().out
     assert "corner.seam.toml on stitcher, auto, feed-forward" in out

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.blank_pictures import blank_pictures
 from threadline import pipeline
 from threadline.cli.main import main
 from threadline.errors import RecordingError
@@ -120,8 +121,11 @@ def test_repeats_are_drawn_from_a_fixed_seed_and_the_worst_counts() -> None:
     assert found[0] > once
 
 
-def test_shapers_stand_side_by_side(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_shapers_stand_side_by_side(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Unless told otherwise; one that its valves cannot follow is listed, and why."""
+    blank_pictures(monkeypatch)
     folder = tmp_path / "report"
     words = ["compare", CYCLE, "-m", "letter-placer", "--shaper", "none, zv, um-zv"]
     code, out, _ = run(capsys, *words, "--report", folder)

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from blark.parse import parse_source_code
 from lark import Token, Tree
+
+from tests.plc.parsed import parsed
 
 UNITS_US = {"hours": 3_600_000_000, "minutes": 60_000_000, "seconds": 1_000_000}
 UNITS_US |= {"milliseconds": 1000, "days": 86_400_000_000}
@@ -49,10 +50,8 @@ def tokens(node: Tree[Any]) -> list[Token]:
 
 def read(text: str) -> dict[str, Unit]:
     """Return the units of ``text`` by lower-case name."""
-    result = parse_source_code(text)
-    assert result.exception is None, result.exception
     units: dict[str, Unit] = {}
-    for child in result.tree.children:
+    for child in parsed(text).children:
         unit = unit_of(child)
         units[unit.name] = unit
     return units

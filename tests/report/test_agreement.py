@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from pypdf import PdfReader
+from tests.blank_pictures import blank_pictures
 
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
@@ -114,9 +115,13 @@ def same(criterion: dict[str, Any], what: str, shown: str) -> bool:
     "make", [winder, winder_out_of_spec, winder_repeated, stepper, stitcher, placer]
 )
 def test_json_terminal_screen_and_paper_tell_the_same(
-    make: Callable[[Path], Proof], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    make: Callable[[Path], Proof],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Names, axes, statuses, lines; figures to the four digits that people are shown."""
+    blank_pictures(monkeypatch)
     proof = make(tmp_path)
     told = verdict_json(proof.verdict, proof.plan)
     page = write_report(studied(proof), tmp_path / "report").read_text(encoding="utf-8")
@@ -172,9 +177,10 @@ def test_bars_are_of_axes_that_move(tmp_path: Path) -> None:
 
 
 def test_the_report_has_the_warnings_that_the_terminal_has(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of the machine file too, those of one kind together; each once."""
+    blank_pictures(monkeypatch)
     job = tmp_path / "a.seam.toml"
     job.write_text(SEAM.format(speed=20))
     with pytest.raises(SystemExit):
