@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from math import ceil, comb, degrees, radians, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Source
@@ -59,20 +61,24 @@ def _operations(
 ) -> Iterator[Operation]:
     merged = _Merged(job)
     for block in trajectory:
+        changes: NDArray[np.bool_] = block.coefficients[:, 1:] != 0.0
         pieces = zip(
-            block.operation.tolist(), block.duration_s.tolist(), block.coefficients, strict=True
+            block.operation.tolist(),
+            block.duration_s.tolist(),
+            block.coefficients,
+            [bool(piece.any()) for piece in changes],
+            _parts(block.coefficients, radius, tolerance_m),
+            strict=True,
         )
-        for operation, duration_s, coefficients in pieces:
+        for operation, duration_s, coefficients, moves, parts in pieces:
             yield from merged.before(operation)
-            if not coefficients[1:].any():
+            if not moves:
                 if not merged.dwells_next():
                     yield Dwell(duration_s, merged.source)
                 continue
-            parts = _parts(coefficients, radius, tolerance_m)
-            u = np.arange(1, parts + 1) / parts
-            powers = u[:, None] ** np.arange(len(coefficients))
             feed = Feed(FeedMode.INVERSE_TIME, parts / duration_s)
-            for target in (powers @ coefficients)[:, order].tolist():
+            ends = _powers(parts, len(coefficients)) @ coefficients
+            for target in ends[:, order].tolist():
                 rounded = tuple(map(_rounded, target, linear))
                 yield Move(rounded, feed, merged.source)
     yield from merged.rest()
@@ -85,16 +91,28 @@ def _rounded(position_si: float, linear: bool) -> float:
     return radians(round(degrees(position_si), _DECIMALS))
 
 
-def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> int:
-    """Return into how many chords a piece has to be divided.
+@lru_cache(maxsize=64)
+def _powers(parts: int, count: int) -> FloatArray:
+    """Return the ``count`` powers of the ends of ``parts`` even parts of [0, 1]."""
+    u = np.arange(1, parts + 1) / parts
+    powers: FloatArray = u[:, None] ** np.arange(count)
+    powers.flags.writeable = False
+    return powers
+
+
+def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> list[int]:
+    """Return into how many chords each of (N, degree + 1, A) pieces has to be divided.
 
     A polynomial on [0, 1] lies between its smallest and largest Bernstein coefficient.
     """
-    second = np.polynomial.polynomial.polyder(coefficients * radius, 2)
-    n = len(second) - 1
+    second = coefficients * radius
+    for _ in range(2):
+        count = second.shape[1]
+        second = second[:, 1:] * np.arange(1.0, count)[:, None] if count > 1 else 0.0 * second
+    n = second.shape[1] - 1
     to_bernstein = [[comb(i, j) / comb(n, j) for j in range(n + 1)] for i in range(n + 1)]
-    bound = float(np.abs(np.array(to_bernstein) @ second).max())
-    return max(1, ceil(sqrt(bound / (8.0 * tolerance_m))))
+    bounds = np.abs(np.array(to_bernstein) @ second).max(axis=(1, 2)).tolist()
+    return [max(1, ceil(sqrt(bound / (8.0 * tolerance_m)))) for bound in bounds]
 
 
 class _Merged:
