@@ -128,21 +128,26 @@ def fewest(comes: Callable[[int], bool], low: int, high: int) -> int:
     return high
 
 
+def comes(
+    machine: Machine, count: int, reserve: float, kept: str, within_m: float = WITHIN_M
+) -> bool:
+    """Say whether a motion of ``count`` instants may come to its end; all as of ``farthest_m``."""
+    middle = count // (2 * (1 if kept == "free" else STEPS))
+    # Between two ticks it may have been farther by this.
+    short_m = within_m + machine.axes["X"].acceleration.si * answers(machine)[0] ** 2 / 8.0
+    return any(
+        farthest_m(machine, count, at, reserve, kept, within_m) >= WAY_M - short_m
+        for at in range(middle, middle + LATEST)
+    )
+
+
 def least_s(machine: Machine, reserve: float, kept: str, within_m: float = WITHIN_M) -> float:
     """Return a time that every plan takes more than, s; ``kept`` as of ``farthest_m``."""
-    period_s = answers(machine)[0]
     steps = 1 if kept == "free" else STEPS
-    # Between two ticks it may have been farther by this.
-    short_m = within_m + machine.axes["X"].acceleration.si * period_s**2 / 8.0
-
-    def comes(count: int) -> bool:
-        middle = count // (2 * steps)
-        return any(
-            farthest_m(machine, count, at, reserve, kept, within_m) >= WAY_M - short_m
-            for at in range(middle, middle + LATEST)
-        )
-
-    return (fewest(comes, LOW * steps, HIGH * steps) - 1) * period_s / steps
+    count = fewest(
+        lambda count: comes(machine, count, reserve, kept, within_m), LOW * steps, HIGH * steps
+    )
+    return (count - 1) * answers(machine)[0] / steps
 
 
 def main() -> int:
