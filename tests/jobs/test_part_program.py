@@ -197,7 +197,7 @@ LINES = st.lists(WORDS, max_size=5).map(" ".join)
 def outcome(path: Path, plain: bool) -> tuple[list[object], str]:
     """All operations up to the error, and the error; with the kernel wherever it can, or never."""
     done: list[object] = []
-    with patch.object(PlainReader, "worth_trying", return_value=plain):
+    with patch.object(PlainReader, "worth_trying", lambda *_: plain):
         try:
             job = read_job(path, MACHINE)
             done += [job.suspicions(own_feed=True)]
