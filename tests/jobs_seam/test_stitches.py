@@ -141,12 +141,12 @@ def test_no_other_number_of_stitches_is_nearer_to_the_wanted_length(
     """
     settings = Stitching(stitch_length_m=2.5e-3, needle_speed_hz=40.0)
     loss = sum(rests) * 40.0**2 / (2 * a)
-    roots = {n: np.roots([loss, -n, length]) for n in range(1, 2000)}
-    off = {
-        n: abs(float(np.log(found.real.min() / 2.5e-3)))
-        for n, found in roots.items()
-        if not found.imag.any()
-    }
+    n = np.arange(1.0, 2000.0)
+    rows = np.stack([n / loss, np.full(len(n), -length / loss)], axis=1)  # as np.roots has them
+    roots = np.linalg.eigvals(np.stack([rows, np.tile([1.0, 0.0], (len(n), 1))], axis=1))
+    real = ~roots.imag.any(axis=1)
+    far = np.abs(np.log(roots.real.min(axis=1) / 2.5e-3))
+    off = dict(zip(n[real].tolist(), far[real].tolist(), strict=True))
     count = stitch_count(length, settings, Accelerations(a, a), rests)
     # A double root comes out complex where it is rounded: then the next number is the best.
     assert off.get(count, 0.0) <= min(off.values()) + 1e-9
