@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,3 +88,67 @@ def test_the_motion_is_near_the_least_that_any_plan_can_take(monkeypatch):
     assert found["contour_error", ""].measured < 4.2e-4
     monkeypatch.setattr(polished, "_ROUNDS", 0)
     assert planned(3e-4).duration_s > 1.03 * plan.duration_s
+
+
+def test_a_motion_that_strays_a_little_is_slowed_for_it(monkeypatch):
+    """Most rounds end with a hundredth too much; it takes no more than it had to spare."""
+    caught = {}
+
+    def kept(problem, block, limits, follower, past):
+        caught.update(block=block, follower=follower)
+        return block
+
+    monkeypatch.setattr(following_error, "polished", kept)
+    list(fastest_blocks(planned(3e-4).intent.path, WINDER, 3e-4))
+    block, follower = caught["block"], caught["follower"]
+    past = Past(follower.memory_s)
+    begin = float(block.start_s[0])
+
+    def quicker(by):
+        start = begin + (block.start_s - begin) / by
+        return replace(block, start_s=start, duration_s=block.duration_s / by)
+
+    def share(of):
+        return float(follower.strays(past, of).share.max())
+
+    just = next(by for by in np.arange(1.0, 1.3, 1e-3) if share(quicker(by)) > 1.0)
+    within = quicker(just - 2e-3)
+    assert polished._kept(within, share(within), follower, past) is within
+    over = quicker(just + 0.01)
+    assert 1.005 < share(over) < polished._LITTLE
+    found = polished._kept(over, share(over), follower, past)
+    assert share(found) <= 1.0
+    assert found.end_s - begin == pytest.approx((block.end_s - begin) / just, rel=2e-3)
+    far = quicker(1.3 * just)
+    assert polished._kept(far, share(far), follower, past) is None
+
+
+@pytest.mark.parametrize("many", [0, 7, 40])
+def test_the_step_is_that_of_the_whole_matrix(monkeypatch, many):
+    """With few rows and with many, against the matrix written out."""
+    rng = np.random.default_rng(many)
+    band = np.column_stack([rng.uniform(4.0, 5.0, 12), rng.normal(0.0, 0.5, (12, 2))])
+    g, weights, slack = rng.normal(size=12), rng.normal(size=(many, 12)), rng.uniform(0.1, 1, many)
+    monkeypatch.setattr(polished.barrier, "derivatives", lambda *_: (band, g))
+    problem = SimpleNamespace(b=None, elements=SimpleNamespace(length=None), rows=0, tangent=0)
+    step, decrement = polished._newton(problem, weights, slack, 1e-2)
+    whole = np.diag(band[:, 0]) + weights.T @ np.diag(1e-2 / slack**2) @ weights
+    for k in (1, 2):
+        whole += np.diag(band[:-k, k], k) + np.diag(band[:-k, k], -k)
+    slope = g + weights.T @ (1e-2 / slack)
+    full = -np.linalg.solve(whole, slope)
+    near = 0.9 / max([0.9, *(weights @ full / slack)])
+    assert step == pytest.approx(near * full, rel=1e-9)
+    assert decrement == pytest.approx(-near * (slope @ full), rel=1e-9)
+
+
+def test_rows_are_of_peaks_and_of_some_places_between_them():
+    """A step takes the square of their number: with many elements, fewer of them."""
+    share = 0.8 + 0.15 * np.sin(np.arange(3000) / 7.0)
+    share[1000:2000] = 0.5
+    peaks = [k for k in range(1, 2999) if share[k - 1] < share[k] > share[k + 1] and share[k] > 0.6]
+    few, many = polished._chosen(share, 10), polished._chosen(share, 5000)
+    assert few.tolist() == np.flatnonzero(share > 0.6).tolist()
+    assert set(peaks) <= set(many.tolist()) < set(few.tolist())
+    assert len(many) < 0.4 * len(few)
+    assert np.diff(many).max(initial=0, where=np.diff(many) < 900) <= 5
