@@ -1,17 +1,20 @@
-"""Duration against contour error, by method: ``python -m tools.duration_against_contour``.
+"""Duration against contour error: ``python -m tools.duration_against_contour [JOB ...]``.
 
 One figure a job into ``docs/pictures``, at level nominal, on the winder as built. Every method is
 turned from slow to fast by what slows it: its feed, a share of the limits, or the contour and the
 tolerance that it is allowed. The planners of others are built here from their formulas: Klipper's
 junction deviation and LinuxCNC's blends on the chords, and toppra's fastest run along a spline
-through the points (where toppra is installed). All are followed by the motors but for those that
-say feed-forward.
+through the points. All are followed by the motors but for those that say feed-forward. Where
+toppra is not installed nothing is drawn, but for ``--without-toppra`` (``make bench`` makes
+``.venv-bench``, which has it).
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -45,14 +48,27 @@ LOOKS = ("o-", "s-", "^-", "v-", "D-", "x--", "+--", "*--", "P:", "h:")
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m tools.duration_against_contour", description=__doc__
+    )
+    parser.add_argument("job", nargs="*", metavar="JOB", help=f"of {', '.join(JOBS)}; else all")
+    parser.add_argument("--without-toppra", action="store_true", help="leave its curve out")
+    asked = parser.parse_args()
+    if unknown := set(asked.job) - set(JOBS):
+        parser.error(f"no job {', '.join(sorted(unknown))}; there are {', '.join(JOBS)}")
+    if find_spec("toppra") is None and not asked.without_toppra:
+        parser.error("toppra is not installed here; its curve is left out by --without-toppra")
     machine = load_machine("lathe-winder")
     with figure_style():
-        for name in JOBS:
+        for name in asked.job or JOBS:
             job = read_job(ROOT / "examples" / f"{name}.prg", machine)
-            draw(name, {method: list(points) for method, points in curves(job, machine)})
+            found = curves(job, machine, toppra=not asked.without_toppra)
+            draw(name, {method: list(points) for method, points in found})
 
 
-def curves(job: Job, machine: Machine) -> Iterator[tuple[str, Iterator[tuple[float, float]]]]:
+def curves(
+    job: Job, machine: Machine, *, toppra: bool
+) -> Iterator[tuple[str, Iterator[tuple[float, float]]]]:
     """Yield the name of a method and its points: duration in s, contour error in m."""
     for name in ("linear", "b-spline"):
         feeds = [parse_feed(f"{feed} count/tick") for feed in FEEDS]
@@ -63,8 +79,9 @@ def curves(job: Job, machine: Machine) -> Iterator[tuple[str, Iterator[tuple[flo
     others: dict[str, Callable[[np.ndarray, Machine], Sampled]] = {
         "Klipper's corners": klipper,
         "LinuxCNC's blends": linuxcnc,
-        "toppra, spline": through_spline,
     }
+    if toppra:
+        others["toppra, spline"] = through_spline
     for name, timed in others.items():
         yield name, made(job, machine, timed)
     own = Options(interpolation="optimal", feed=FREE)
@@ -102,10 +119,7 @@ def made(
     moved = np.concatenate([[True], np.abs(np.diff(points, axis=0)).max(axis=1) > 0.0])
     points, owner = points[moved], owner[moved]
     for share in SHARES:
-        try:
-            place, chord = timed(points, derate(machine, share))
-        except ImportError:
-            return
+        place, chord = timed(points, derate(machine, share))
         block = TrajectoryBlock(
             start_s=STEP_S * np.arange(len(place) - 1),
             duration_s=np.full(len(place) - 1, STEP_S),
@@ -242,8 +256,6 @@ def draw(name: str, found: dict[str, list[tuple[float, float]]]) -> None:
     figure = Figure(figsize=(7.2, 5.2))
     panel = figure.subplots()
     for (method, points), look in zip(found.items(), LOOKS, strict=False):
-        if not points:
-            continue
         seconds, metres = np.array(points).T
         print(name, method, np.round(seconds, 3).tolist(), np.round(metres * 1e3, 3).tolist())
         grey = {"color": "black"} if method.startswith("optimal") else {"linewidth": 0.9}

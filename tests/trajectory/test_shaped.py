@@ -1,0 +1,31 @@
+"""Pieces of a run as elements."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.path.types import PieceBlock
+from threadline.trajectory.optimal.motion_limits import Limits
+from threadline.trajectory.optimal.shaped import shaped
+
+
+def test_pieces_of_femtometres_beside_a_rest_are_left_out():
+    """They are less than the rounding of a place: no motion from rest along them has digits."""
+    ways = np.array([1e-15, 0.1, 1e-13, 0.05, 2e-15])
+    starts = np.cumsum(ways) - ways
+    zeros = np.zeros(5)
+    run = PieceBlock(
+        coefficients=np.stack([starts, ways], axis=1)[:, :, None],
+        operation=np.arange(5),
+        nominal_s=zeros,
+        rest_after=np.array([0, 0, 0, 0, 1]),
+        dwell_s=zeros,
+        line=np.arange(5),
+    )
+    limits = Limits(velocity=np.ones(1), acceleration=np.ones(1), jerk=np.ones(1))
+    whole = shaped(run, np.ones(1), limits)
+    assert whole is not None
+    assert sorted(set(whole.elements.operation.tolist())) == [1, 2, 3]
+    went_on = shaped(run, np.ones(1), limits, to_rest=False)
+    assert went_on is not None
+    assert sorted(set(went_on.elements.operation.tolist())) == [1, 2, 3, 4]
