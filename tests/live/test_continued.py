@@ -19,6 +19,7 @@ from threadline.live.derived import Rest
 from threadline.live.desk import Desk
 from threadline.live.kept import Kept
 from threadline.live.sim_faults import parse_fault
+from threadline.live.sim_process import group_ticks
 from threadline.live.states import Cause
 from threadline.live.supervised import run_commands
 from threadline.live.ways import way_of
@@ -69,6 +70,7 @@ def run(
     machine = plan.machine
     found = None if fault is None else parse_fault(f"{fault}", machine)
     wire, kept = Wire(machine, way_of(machine).start(plan.commands), found), Kept()
+    wire.group = group_ticks(machine, 0.0)  # as the process of a machine has it
     with closing(Desk()) as desk:
         if asked is not None:
             desk.ask(asked)
@@ -90,13 +92,13 @@ def broken_off(name: str) -> tuple[Recording, int]:
 
 
 @cache
-def rest_of(name: str) -> tuple[Continued, Recording]:
-    """Return the rest of a run that was broken off, and the recording of that."""
+def rest_of(name: str) -> tuple[Continued, Recording, Wire]:
+    """Return the rest of a run that was broken off, the recording of that, and what was sent."""
     plan = planned(name)
     again = continued(plan, broken_off(name)[1], at_rest=False)
-    (ended, why), recording, _ = run(plan, again)
+    (ended, why), recording, wire = run(plan, again)
     assert (ended, why) == (Ended.COMPLETED, "")
-    return again, recording
+    return again, recording, wire
 
 
 @pytest.mark.parametrize("name", JOBS)
@@ -111,10 +113,8 @@ def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
     """Home, approach and rest add up to the whole; no row of the rest is skipped or repeated."""
     plan = planned(name)
     machine, table = plan.machine, tick_table(plan.commands)
-    again = continued(plan, broken_off(name)[1], at_rest=False)
+    again, recording, wire = rest_of(name)
     rest = again.rest
-    (ended, why), recording, wire = run(plan, again)
-    assert (ended, why) == (Ended.COMPLETED, "")
     scale = machine.counts_per_unit
     told = np.stack(
         [np.rint(recording.samples(f"{axis}.commanded")[1] * k)
@@ -150,7 +150,7 @@ def test_axes_are_moved_there_and_do_the_rest_row_by_row(name: str) -> None:
 @pytest.mark.parametrize("name", JOBS)
 def test_the_rest_alone_proves_nothing_of_the_whole(name: str) -> None:
     plan = planned(name)
-    again, recording = rest_of(name)
+    again, recording, _ = rest_of(name)
     spec = load_spec(None, plan.machine)
     if name == "letter-placer":  # of a cycle every switching has to be seen
         with pytest.raises(RecordingError, match=r"begins at .*, the motion before"):
