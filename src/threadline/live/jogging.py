@@ -118,7 +118,7 @@ class JogAhead:
             if self.complete:
                 break
             after = self._step(self._states[-1], self._target)
-            rest = self._braking(after)[-1].position
+            rest = self._rest(after)
             if self._target and not self._low <= rest <= self._high:
                 self._target, self.why = 0.0, "the end of its travel"
                 after = self._step(self._states[-1], 0.0)
@@ -161,6 +161,12 @@ class JogAhead:
         if ticks:
             states.append(_At(_state(found, float(found.duration)).position, 0.0, 0.0))
         return [at, *states]
+
+    def _rest(self, at: _At) -> float:
+        """Return the position of the last state of ``_braking``, without those before it."""
+        found = self._trajectory(at, 0.0)
+        stays = found.duration <= 1e-9
+        return at.position if stays else _state(found, float(found.duration)).position
 
     def _refill(self, begin: int, tail: list[_At]) -> Message:
         """Return the refill from a tick on, with what brakes after it."""
