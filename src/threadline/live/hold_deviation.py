@@ -11,7 +11,6 @@ import math
 from math import ceil
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from threadline.live.path_window import HALTS, rest_rows
 from threadline.plan import Plan
@@ -29,6 +28,8 @@ def hold_deviation_m(plan: Plan) -> float:
 
     Rotary axes are taken at their radius. It is 0 where the commands are the path itself.
     """
+    from scipy.spatial import KDTree
+
     motion = plan.motion
     if motion.timed is None:
         return 0.0
