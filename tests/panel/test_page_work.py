@@ -27,7 +27,7 @@ from threadline.jobs.operations import Move
 from threadline.machine import load_machine
 from threadline.options import Options
 from threadline.panel.drawn import shapes_of
-from threadline.panel.kept_traces import thinned
+from threadline.panel.thinned_traces import thinned
 from threadline.pipeline import open_job
 from threadline.signals.files import read_recording
 

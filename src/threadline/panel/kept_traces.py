@@ -1,4 +1,4 @@
-"""Runs of the store for the panel: their list, traces thinned for the eye, files of recordings.
+"""Runs of the store for the panel: their list, and files made of their traces.
 
 A long recording is read in a process of its own, so that the server stays small.
 """
@@ -6,26 +6,16 @@ A long recording is read in a process of its own, so that the server stays small
 from __future__ import annotations
 
 import asyncio
-import json
 import sys
 import tempfile
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from threadline.arrays import FloatArray, IntArray
-from threadline.errors import StoreError, ThreadlineError
-from threadline.signals import Channel, ChannelKind, Recording
-from threadline.signals.files import read_recording, write_recording
+from threadline.errors import StoreError
 from threadline.store.run_store import TRACE, opened
 
-STRETCHES = 1000
-"""Stretches of time of a trace; each shows where a deviation is least, and where largest."""
-_CHILD = "from threadline.panel.kept_traces import main; main()"
-_ACTUAL = (ChannelKind.LOAD, ChannelKind.MEASURED)
+_CHILD = "from threadline.panel.thinned_traces import main; main()"
 _TOLD = ("run", "started", "job", "ended", "text", "passed")
 _MOST_RUNS = 200
 _one_at_a_time = asyncio.Semaphore(1)
@@ -54,67 +44,6 @@ def trace_file(store: Path, run: str) -> Path:
     return kept.find(run) / TRACE
 
 
-def thinned(recording: Recording) -> dict[str, Any]:
-    """Return commanded and actual positions of all that moves, SI.
-
-    Instants are common to all: of each stretch of time those at which one of the deviations is
-    least or largest, so that no peak is lost. Actual is where the load was, or, where nobody can
-    know that, what the encoder read.
-    """
-    pairs = _pairs(recording)
-    if not pairs:
-        return {"times_s": [], "axes": {}}
-    columns: dict[str, list[FloatArray]] = {c.name: [] for pair in pairs.values() for c in pair}
-    for block in recording:
-        for name, parts in columns.items():
-            parts.append(block.samples[name])
-    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
-    first = next(iter(pairs.values()))[0]
-    at = {name: (whole[c.name], whole[a.name]) for name, (c, a) in pairs.items()}
-    count = min(len(column) for column in whole.values())
-    kept = _kept(np.stack([(a - c)[:count] for c, a in at.values()]))
-    period_s = float(first.clock.period_s) * first.stride
-    return {
-        "times_s": [round(float(k) * period_s, 6) for k in kept],
-        "axes": {
-            name: {"commanded": _told(c[kept]), "actual": _told(a[kept])}
-            for name, (c, a) in at.items()
-        },
-    }
-
-
-def _pairs(recording: Recording) -> dict[str, tuple[Channel, Channel]]:
-    """Return the channels of what is commanded and of what happened, by axis."""
-    found: dict[str, tuple[Channel, Channel]] = {}
-    for channel in recording.channels:
-        if channel.kind is ChannelKind.COMMANDED and channel.axis:
-            actual = [
-                other
-                for kind in _ACTUAL
-                for other in recording.channels
-                if (other.kind, other.axis) == (kind, channel.axis)
-                and (other.clock.period_s, other.stride) == (channel.clock.period_s, channel.stride)
-            ]
-            found[channel.axis] = (channel, actual[0] if actual else channel)
-    return found
-
-
-def _kept(deviations: FloatArray) -> IntArray:
-    """Return the columns of (axes, n) ``deviations`` that are shown, in order."""
-    count = deviations.shape[1]
-    starts = np.unique(np.linspace(0, count, min(STRETCHES, count) + 1, dtype=np.int64)[:-1])
-    picked = [
-        begin + np.array([part.argmin(), part.argmax()])
-        for row in deviations
-        for begin, part in zip(starts, np.split(row, starts[1:]), strict=True)
-    ]
-    return np.unique(np.concatenate([*picked, [0, count - 1]]).astype(np.int64))
-
-
-def _told(values: FloatArray) -> list[float]:
-    return [round(float(value), 8) for value in values]
-
-
 async def in_process(trace: Path, out: Path) -> str:
     """Write a trace as JSON, or as a recording of another format; return why not, or nothing.
 
@@ -135,17 +64,3 @@ async def in_process(trace: Path, out: Path) -> str:
 def temporary(ending: str) -> Path:
     """Return a file for an answer; who sends it deletes its folder."""
     return Path(tempfile.mkdtemp(prefix="threadline-trace-")) / f"trace.{ending}"
-
-
-def main() -> None:
-    """Write the trace of the first argument into the file of the second."""
-    trace, out = Path(sys.argv[1]), Path(sys.argv[2])
-    try:
-        recording = read_recording(trace)
-        if out.suffix == ".json":
-            content: Mapping[str, Any] = thinned(recording)
-            out.write_text(json.dumps(content, allow_nan=False), "utf-8")
-        else:
-            write_recording(recording, out)
-    except (ThreadlineError, OSError) as error:
-        sys.stdout.write(f"{error}\n")
