@@ -1,9 +1,15 @@
-"""Blocks made by a function of a test, which need not be sent anywhere as those of a stream do."""
+"""Blocks made by a function of a test, which need not be sent anywhere as those of a stream do.
+
+And those of a recording, read once for all that a test wants of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
+
+from threadline.signals import Recording
 
 
 class Made:
@@ -14,3 +20,11 @@ class Made:
 
     def __iter__(self) -> Iterator[Any]:
         return self._function()
+
+
+def read_once(recording: Recording) -> Recording:
+    """Return a recording with its blocks in memory.
+
+    Each channel that is asked for reads them all: from a file, or by simulating them again.
+    """
+    return replace(recording, blocks=tuple(recording))

@@ -7,10 +7,12 @@ its black box, to the very end.
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import socket
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -32,6 +34,7 @@ from threadline.pipeline import open_job, plan_job
 from threadline.signals import Commands
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+SEND_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +110,27 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
         box, heard=seen["heard"], standing=seen["standing"], position=seen["position"],
         **{f"c_{name}": np.concatenate(parts) for name, parts in told.items()},
     )  # fmt: skip
+
+
+@contextmanager
+def forked_link(_program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
+    """Stand in for ``process_link`` of a simulated machine, which is told the same bytes."""
+    ours, theirs = socket.socketpair()
+    words = pickle.dumps(told)
+
+    def machine_only() -> None:
+        ours.close()
+        sim_process.serve(theirs, *pickle.loads(words))  # of ours
+
+    machine = child(machine_only)
+    theirs.close()
+    ours.settimeout(SEND_S)
+    connection = Connection(ours)
+    try:
+        yield connection
+    finally:
+        connection.close()
+        assert os.waitpid(machine, 0)[1] == 0
 
 
 def execute(

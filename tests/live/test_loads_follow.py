@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench
+from tests.made import read_once
 from threadline.errors import LimitError
 from threadline.live.desk import Desk
 from threadline.live.kept import Kept
@@ -38,6 +39,7 @@ def fastest_row(plan: Plan) -> float:
     return max(float(np.abs(block.counts).max()) for block in tick_table(plan.commands))
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_a_seam_at_71_stitches_a_second_runs_as_it_was_proved() -> None:
     """Its rows ask for twice what the loads may do; they do it, to the bit, and are judged so."""
     plan = planned()
@@ -51,7 +53,7 @@ def test_a_seam_at_71_stitches_a_second_runs_as_it_was_proved() -> None:
             plan, desk, kept, pass_stops=False, hold_at_rest=True, watch=lambda _: None
         )
     assert (ended, why) == (Ended.COMPLETED, "")
-    proved, ran = simulate(plan.commands, machine), kept.recording(plan)
+    proved, ran = read_once(simulate(plan.commands, machine)), read_once(kept.recording(plan))
     assert proved.channels == ran.channels
     for channel in proved.channels:
         assert np.array_equal(proved.samples(channel.name), ran.samples(channel.name))

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 from pathlib import Path
+
+import numpy as np
+
+from threadline.machine import load_machine
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 JOBS = {
@@ -58,6 +63,30 @@ for told in sys.argv[1:]:
     serve(theirs, machine, way_of(machine).start(commands), 0.0)
     executor.join()
 """
+
+# As the process of a machine begins, which has imported nothing else.
+SERVES = """
+import pickle, socket, sys
+from threadline.live.sim_process import serve
+from threadline.live.wire import Connection
+
+for told in pickle.load(sys.stdin.buffer):
+    ours, theirs = socket.socketpair()
+    ours.shutdown(socket.SHUT_WR)
+    serve(theirs, *told)
+    print(Connection(ours).receive().head["machine_sha256"], flush=True)
+"""
+
+
+def test_a_process_that_knows_nothing_else_serves_each_kind() -> None:
+    """Each is told to it through a pipe, and greets."""
+    machines = [load_machine(name) for name in ("lathe-winder", *JOBS, "stitcher")]
+    told = [(one, np.zeros(len(one.axes), np.int64), 0.0, None) for one in machines]
+    done = subprocess.run(
+        [sys.executable, "-c", SERVES],
+        input=pickle.dumps(told), capture_output=True, check=False, timeout=600,
+    )  # fmt: skip
+    assert done.stdout.decode().splitlines() == [one.sha256 for one in machines], done.stderr
 
 
 def test_nothing_is_loaded_once_time_counts() -> None:

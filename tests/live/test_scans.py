@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench
+from tests.made import read_once
 from threadline.cli.main import main
 from threadline.errors import CommandError, LimitError
 from threadline.live.sim_faults import SimFault, parse_fault
@@ -43,8 +44,7 @@ def planned() -> Plan:
 
 @cache
 def simulated() -> Recording:
-    recording = simulate_switching(switch_schedule(planned().commands), placer())
-    return replace(recording, blocks=type(recording.blocks).of(list(recording)))
+    return read_once(simulate_switching(switch_schedule(planned().commands), placer()))
 
 
 def bench(fault: SimFault | None = None) -> Bench:
@@ -214,10 +214,11 @@ def test_a_row_for_both_sides_of_a_cylinder_is_never_sent() -> None:
     assert not outputs(made)[:, schedule.outputs.index("z_down")].any()
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The machine in its own process, and the same judge."""
+    """The machine in a process beside this one, and the same judge."""
     how = (str(EXAMPLES / "letter-cycle.toml"), "-m", "letter-placer", "--nominal", "--json")
     how = (*how, "--shaper", "um-zv")
     verdicts, recordings = [], []
@@ -227,7 +228,7 @@ def test_the_command_records_what_it_proves(
             main([words[0], *how, *words[1:], "--recording", str(file)])
         assert ended.value.code in (None, 0)
         verdicts.append(json.loads(capsys.readouterr().out)["criteria"])
-        recordings.append(read_recording(file))
+        recordings.append(read_once(read_recording(file)))
     assert verdicts[0] == verdicts[1]
     first, second = recordings
     for channel in first.channels:

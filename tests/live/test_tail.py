@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
+from tests.made import read_once
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import PathWindow
 from threadline.live.states import Cause, State
@@ -35,7 +36,7 @@ def test_undisturbed_it_is_the_simulation_to_the_bit() -> None:
     bench = Bench().ready()
     bench.executor.start(table)
     bench.go_on()
-    expected = simulate(table, winder())
+    expected = read_once(simulate(table, winder()))
     assert bench.executor.state is State.IDLE
     assert bench.executor.ended == (Ended.COMPLETED, "")
     for channel in expected.channels:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench
+from tests.made import read_once
 from threadline.cli.main import main
 from threadline.errors import LimitError
 from threadline.live.sim_faults import SimFault
@@ -62,8 +63,7 @@ def sewn() -> StepPlay:
 
 @cache
 def simulated() -> Recording:
-    recording = simulate_stitching(sewn(), frame())
-    return replace(recording, blocks=type(recording.blocks).of(list(recording)))
+    return read_once(simulate_stitching(sewn(), frame()))
 
 
 def window() -> int:
@@ -170,10 +170,11 @@ def test_turns_beyond_the_travel_are_never_sent() -> None:
     assert not [message for message in made.wire.sent if message.kind == "refill"]
 
 
+@pytest.mark.usefixtures("forked_machine")
 def test_the_command_records_what_it_proves(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The machine in its own process, and the same judge."""
+    """The machine in a process beside this one, and the same judge."""
     how = (str(EXAMPLES / "rosette.dst"), "-m", "schiffli-frame", "--nominal", "--json")
     verdicts, recordings = [], []
     for words in (("prove",), ("run", "--speed", "0", "--store", str(tmp_path / "runs"))):
@@ -182,7 +183,7 @@ def test_the_command_records_what_it_proves(
             main([words[0], *how, *words[1:], "--recording", str(file)])
         assert ended.value.code in (None, 0)
         verdicts.append(json.loads(capsys.readouterr().out)["criteria"])
-        recordings.append(read_recording(file))
+        recordings.append(read_once(read_recording(file)))
     assert verdicts[0] == verdicts[1]
     first, second = recordings
     for channel in first.channels:
