@@ -37,7 +37,7 @@ from threadline.twin.switching_run import (
     run,
 )
 from threadline.twin.switching_tables import Cylinders, cylinders_of
-from threadline.twin.switching_units import flows_of, units_of
+from threadline.twin.switching_units import Units, flows_of, units_of
 
 SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0
@@ -154,10 +154,25 @@ def switching_channels(outputs: Sequence[str], machine: Machine) -> Iterator[Cha
     yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock)
 
 
+def times_of(machine: Machine, period_s: Fraction, values: Values) -> Units:
+    """Return the periods and times of one variant in whole units; they are none of the rows."""
+    late = {
+        path: float(values.replaced[path][0]) for path in values.replaced if path.endswith(TIMES)
+    }
+    return units_of(machine, period_s, SAMPLE_S, late)
+
+
 def orders_of(
-    commands: SwitchSchedule, machine: Machine, options: SwitchOptions, values: Values
+    commands: SwitchSchedule,
+    machine: Machine,
+    options: SwitchOptions,
+    values: Values,
+    units: Units | None = None,
 ) -> Orders:
-    """Return what the PLC does, and the numbers of one variant, as arrays for the compiled code."""
+    """Return what the PLC does, and the numbers of one variant, as arrays for the compiled code.
+
+    ``units`` are those of ``times_of``, where they are known already.
+    """
 
     def number(path: str, own: float) -> float:
         return float(values.replaced[path][0]) if path in values.replaced else own
@@ -183,8 +198,7 @@ def orders_of(
         above.append(contact.beyond != "below")
     given = options.inputs or {}
     period_s = commands.clock.period_s
-    late = {k: number(k, 0.0) for k in values.replaced if k.endswith(TIMES)}
-    units = units_of(machine, period_s, SAMPLE_S, late)
+    units = units or times_of(machine, period_s, values)
 
     def whole(numbers: list[int] | list[bool]) -> IntArray:
         return np.array(numbers, dtype=np.int64).reshape(len(numbers))

@@ -22,6 +22,7 @@ from threadline.twin.switching import (
     orders_of,
     stall_of,
     switching_channels,
+    times_of,
     told_block,
 )
 from threadline.twin.switching_run import (
@@ -84,6 +85,7 @@ class SwitchingSession:
     def __init__(self, machine: Machine, *, break_s: float | None = None) -> None:
         self._machine, self._options = machine, SwitchOptions(break_s=break_s)
         self._values = Values.of(machine)
+        self._units = times_of(machine, machine.command_clock.period_s, self._values)
         names = tuple(machine.cylinders)
         cylinders = cylinders_of(machine, names, self._values, float(SAMPLE_S))
         self._bank, self._motion = cylinders.bank(0), cylinders.at_rest(0)
@@ -260,7 +262,7 @@ class SwitchingSession:
             machine_sha256=self._machine.sha256,
             events=tuple(self._waits),
         )
-        orders = orders_of(known, self._machine, self._options, self._values)
+        orders = orders_of(known, self._machine, self._options, self._values, self._units)
         return orders._replace(
             wait_tick=np.append(orders.wait_tick, self._reach),
             wait_contact=np.append(orders.wait_contact, len(self._machine.contacts)),
