@@ -7,9 +7,13 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
+
+from tests.live.kill_bench import child
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STARTS = """
@@ -30,20 +34,48 @@ main(sys.argv[2:])  # a script without a guard: the machine's process does not r
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_stops_on_the_path_and_keeps_the_run(
-    number: signal.Signals, tmp_path: Path
-) -> None:
-    script = tmp_path / "starts.py"
+def as_a_program(number: int, words: list[str], folder: Path) -> tuple[int, str]:
+    """Return the exit status of the command in an interpreter of its own, and what it wrote."""
+    script = folder / "starts.py"
     script.write_text(STARTS, "utf-8")
     done = subprocess.run(
-        [sys.executable, script, str(int(number)), "run", EXAMPLES / "x-180.prg", "-m",
-         "lathe-winder", "--interpolation", "linear", "--nominal", "--speed", "0", "--json",
-         "--store", tmp_path / "runs"],
+        [sys.executable, script, str(number), *words],
         capture_output=True, text=True, check=False, env=dict(os.environ), timeout=300,
     )  # fmt: skip
-    assert done.returncode == 1, done.stderr
-    content = json.loads(done.stdout)
+    return done.returncode, done.stdout
+
+
+def as_a_fork(number: int, words: list[str], folder: Path) -> tuple[int, str]:
+    """Return the same of the command in a fork of this process, which has imported everything."""
+    out = folder / "out"
+
+    def command_only() -> None:
+        with out.open("w", encoding="utf-8") as written, redirect_stdout(written):
+            sys.argv[1:] = [str(number), *words]
+            try:
+                exec(STARTS, {})  # the words of this file
+            except SystemExit as ended:
+                written.flush()
+                os._exit(int(str(ended.code)))
+
+    pid = child(command_only)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), out.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("number", "command"), [(signal.SIGINT, as_a_program), (signal.SIGTERM, as_a_fork)]
+)
+@pytest.mark.usefixtures("forked_machine")
+def test_a_signal_stops_on_the_path_and_keeps_the_run(
+    number: signal.Signals,
+    command: Callable[[int, list[str], Path], tuple[int, str]],
+    tmp_path: Path,
+) -> None:
+    words = ["run", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--interpolation", "linear",
+             "--nominal", "--speed", "0", "--json", "--store", str(tmp_path / "runs")]  # fmt: skip
+    status, out = command(int(number), words, tmp_path)
+    assert status == 1, out
+    content = json.loads(out)
     assert (content["ended"], content["passed"]) == ("stopped", False)
     assert "stopped by the operator" in content["incomplete"]
     states = [
