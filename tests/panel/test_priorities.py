@@ -39,6 +39,7 @@ def test_accuracy_is_the_normal_feed(folder: Path) -> None:
     assert plan.duration_s == pytest.approx(2 * 60.0 / (10.0 / 55.358 / 0.005), rel=0.02)
 
 
+@pytest.mark.usefixtures("coarse_search")
 def test_speed_is_in_spec_and_optimum_keeps_a_fifth_of_every_limit(folder: Path) -> None:
     spec, durations_s = load_spec(None, winder()), []
     for priority, asked in (("speed", spec), ("optimum", spec.with_margin(0.2))):
