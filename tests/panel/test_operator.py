@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -27,7 +29,7 @@ from tests.panel.bench import (
 )
 from threadline.live.states import Cause, State
 from threadline.live.wire import Connection, Message
-from threadline.panel import kept_runs
+from threadline.panel import calculating, kept_runs
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 from threadline.store.run_store import opened
@@ -339,9 +341,15 @@ def test_a_calculation_in_a_process_of_its_own(project: Path) -> None:
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     assert lines[-1]["figures"] == found
     assert lines[-1]["figures"]["points"] == 2
-    told["program"] = "none.prg"
-    done = subprocess.run(
-        [sys.executable, "-c", "from threadline.panel.calculating import main; main()"],
-        input=json.dumps(told), capture_output=True, text=True, check=True, timeout=300,
-    )  # fmt: skip
-    assert "cannot read job file" in json.loads(done.stdout.splitlines()[-1])["error"]
+
+
+def test_a_calculation_that_cannot_be_made_says_why(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words, _ = proven(project)
+    told = {**words, "folder": str(project), "machine": "lathe-winder", "par": None, "spec": None}
+    asked = io.StringIO(json.dumps({**told, "program": "none.prg"}))
+    monkeypatch.setattr(sys, "stdin", asked)
+    monkeypatch.setattr(os, "nice", lambda _: 0)  # this process goes on with other tests
+    calculating.main()
+    assert "cannot read job file" in json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
