@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.live.bench import winder
-from tests.panel.bench import LOCAL, served
+from tests.panel.bench import LOCAL, KnownGuide, served
 from threadline.report.guide import guide_of
 
 
-def test_the_guide_is_that_of_the_machine_file(tmp_path: Path) -> None:
+def test_the_guide_is_that_of_the_machine_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(KnownGuide, "made", {})
     folder = tmp_path / "project"
     folder.mkdir()
     with served(folder, token="t" * 16) as client:
