@@ -20,6 +20,15 @@ if TYPE_CHECKING:
 SPEED = 0.5
 """Half of real time: the page has 500 ms to renew a jog, on however busy a computer."""
 
+UNSEEN = (
+    "WebUIOmniboxPopup", "WebUIOmniboxAimPopup",
+    "AimEnabled", "DestroyProfileOnBrowserClose", "HttpsUpgrades", "LensOverlay", "MediaRouter",
+    "NetworkTimeServiceQuerying", "OptimizationHints", "PaintHolding", "PreconnectToSearch",
+)  # fmt: skip
+"""What a browser is not to begin: two menus of its own, which nobody opens, take as much of the
+processor with each window as the page takes to open. And what Playwright tells it by the same word.
+"""
+
 
 @pytest.fixture(scope="module")
 def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
@@ -32,7 +41,8 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
     from tests.panel.browsing import CHROMIUM
 
     space = getattr(request.module, "SPACE", False)
-    arguments = ["--no-sandbox", "--enable-unsafe-swiftshader" if space else "--disable-3d-apis"]
+    arguments = ["--no-sandbox", f"--disable-features={','.join(UNSEEN)}"]
+    arguments += ["--enable-unsafe-swiftshader" if space else "--disable-3d-apis"]
     with sync_playwright() as playwright:
         found = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
         yield found
