@@ -16,6 +16,8 @@ export class Curves {
   private commanded: (number | null)[] = [];
   private measured: (number | null)[] = [];
   private then: (number | null)[] = []; // what was planned for what the run did at each of the times
+  private dirty = true;
+  private ran = false; // as it was drawn last
   private behind = 0; // s by which the run is later than its plan: it was held, or began elsewhere
   private planned: [number[], number[]] = [[], []];
   private readonly position: uPlot;
@@ -37,13 +39,14 @@ export class Curves {
     this.planned = figures?.planned[axis] ? [figures.times_s, figures.planned[axis].map((at) => at * scale)] : [[], []];
   }
 
-  clear(): void { this.times = []; this.commanded = []; this.measured = []; this.then = []; this.behind = 0; }
+  clear(): void { this.dirty = true; this.times = []; this.commanded = []; this.measured = []; this.then = []; this.behind = 0; }
 
   add(state: State, axis: string, scale: number): void {
     const at = state.axes[axis];
     const last = this.times[this.times.length - 1];
     if (!at || last === state.time_s) return;
     if (last !== undefined && state.time_s < last) this.clear(); // a new motion: its time begins at 0
+    this.dirty = true;
     this.times.push(state.time_s);
     this.commanded.push(at.commanded === null ? null : at.commanded * scale);
     const actual = at.measured ?? at.load; // what has no encoder is shown by its load
@@ -66,6 +69,9 @@ export class Curves {
   }
 
   draw(running: boolean): void {
+    if (!this.dirty && running === this.ran) return;
+    this.dirty = false;
+    this.ran = running;
     const last = this.times.length - 1, now = this.times[last] ?? 0, behind = this.behind;
     const from = Math.max(0, now - SHOWN_S), until = Math.max(now + 5, from + SHOWN_S);
     const show = running || last < 0;

@@ -13,6 +13,7 @@ type Way = { axis: string; sign: number };
 
 export class Hands {
   private readonly keys = new Map<string, Way>();
+  private told = ""; // the signals that are shown
   private held = ""; // the key that moves an axis
   private pressed: HTMLButtonElement | null = null; // the button that moves an axis, or did last
 
@@ -133,6 +134,9 @@ export class Hands {
       const [scale, unit] = unitOf(this.session, name), where = at.measured ?? at.load ?? at.commanded;
       by(`at-${name}`).textContent = where === null ? "–" : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`;
     }
-    by("signals").replaceChildren(...Object.entries(state.signals).map(([name, on]) => { const found = made("span", `${name} ${on}`); found.className = on ? "on" : ""; return found; }));
+    const signals = Object.entries(state.signals), told = JSON.stringify(signals);
+    if (told === this.told) return; // what stays the same is not laid out again, twenty times a second
+    this.told = told;
+    by("signals").replaceChildren(...signals.map(([name, on]) => { const found = made("span", `${name} ${on}`); found.className = on ? "on" : ""; return found; }));
   }
 }

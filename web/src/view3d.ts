@@ -24,6 +24,7 @@ export class View3d {
   private size = 0.1; // m
   private playing: number | null = null; // when it began, ms of the page
   private dirty = true;
+  private shown = ""; // where all was put last
 
   constructor(private readonly place: HTMLElement, private readonly moves: () => boolean) {
     this.renderer = new three.WebGLRenderer({ antialias: true });
@@ -50,6 +51,7 @@ export class View3d {
     this.figures = figures;
     this.mandrel = mandrel;
     this.playing = null;
+    this.shown = "";
     this.product.clear();
     this.done.geometry.dispose();
     this.done.geometry = new three.BufferGeometry();
@@ -135,6 +137,9 @@ export class View3d {
 
   /** Turn the product and put the head; of the path, the first points are done. */
   private put(at: At, points: number): void {
+    const shown = JSON.stringify([at, points]);
+    if (shown === this.shown) return; // at rest nothing is drawn again
+    this.shown = shown;
     if (this.mandrel) {
       const along = at[this.mandrel.along] ?? 0;
       this.product.rotation.x = at[this.mandrel.axis] ?? 0;
