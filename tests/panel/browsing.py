@@ -1,7 +1,11 @@
-"""The page in a browser, as an operator uses it; screenshots go to ``reports/panel``."""
+"""The page in a browser, as an operator uses it.
+
+With ``THREADLINE_PICTURES`` set to something, pictures of it go to ``reports/panel``.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -24,6 +28,7 @@ from playwright.sync_api import TimeoutError as WaitedTooLong  # noqa: E402
 
 expect.set_options(timeout=60_000)  # a busy computer is slow, and what never comes is a failure
 SHOTS = Path(__file__).parents[2] / "reports" / "panel"
+PICTURES = bool(os.environ.get("THREADLINE_PICTURES"))
 SIZE = {"width": 1280, "height": 800}
 SHOWN_X = "Number.parseFloat(document.getElementById('at-X').textContent)"
 TABLET = {"width": 820, "height": 1180}
@@ -38,7 +43,9 @@ def opened(browser: Browser, plant: Plant, machine: str = "lathe-winder") -> Pag
 
 
 def shot(page: Page, name: str) -> None:
-    """Take pictures of a desk and of a tablet."""
+    """Take pictures of a desk and of a tablet, where somebody wants to look at them."""
+    if not PICTURES:
+        return
     SHOTS.mkdir(parents=True, exist_ok=True)
     for size, ending in ((TABLET, "-tablet"), (SIZE, "")):
         page.set_viewport_size(size)

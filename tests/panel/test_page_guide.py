@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.panel.browsing import SHOTS, Browser, expect, opened, part, shot
+from tests.panel.browsing import PICTURES, SHOTS, Browser, expect, opened, part, shot
 from tests.panel.test_panel_killed import Plant
 
 
@@ -23,5 +23,6 @@ def test_the_guide_is_shown_and_printed_alone(browser: Browser, plant: Plant) ->
     expect(page.get_by_role("button", name="STOP")).to_be_hidden()
     expect(page.get_by_role("button", name="Print")).to_be_hidden()
     expect(page.locator("#guide-tables")).to_be_visible()
-    page.screenshot(path=SHOTS / "18-guide-on-paper.png", full_page=True)
+    if PICTURES:
+        page.screenshot(path=SHOTS / "18-guide-on-paper.png", full_page=True)
     page.close()

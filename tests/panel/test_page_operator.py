@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tests.panel.browsing import (
+    PICTURES,
     SHOTS,
     SIZE,
     Browser,
@@ -69,6 +70,8 @@ def panel(folder: Path, *chosen: str) -> Iterator[str]:
 
 def seen_by_others(page: Page, name: str) -> None:
     """Take pictures of the page as those see it who tell fewer colours apart."""
+    if not PICTURES:
+        return
     session = page.context.new_cdp_session(page)
     for kind in ("deuteranopia", "protanopia", "tritanopia", "achromatopsia", "none"):
         session.send("Emulation.setEmulatedVisionDeficiency", {"type": kind})
