@@ -17,7 +17,7 @@ from threadline.arrays import FloatArray, IntArray
 
 DEGREE = 5
 _LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
-_LEAST_LEAD_SHARE = 1e-4
+_LEAST_LEAD_SHARE = 1e-5
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
 _OF_QUARTIC = 5  # coefficients of a piece; such paths have twice as many pieces at a corner
 DENSE = 5000

@@ -19,6 +19,7 @@ from threadline.trajectory.pieces import factors, slope
 BoolArray: TypeAlias = NDArray[np.bool_]
 
 _TURNED = 1e-8  # of a line: by how much it may turn at its joint
+_AT_JERK = 0.87  # of the root of speed by jerk: a lead-in so long has room for twice the jerk
 _AT_SPEED = 0.1  # of the time until the axes have their speed: a lead-in lasts so long at it
 
 
@@ -195,5 +196,9 @@ def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
     if least_s == 0.0:
         return 1.0  # the path turns back there, and its parameter says nothing of the speed
     speed = np.abs(rate) / least_s
-    rise_s = np.maximum(2.0 * np.sqrt(speed / limits.jerk), speed / limits.acceleration)
-    return _AT_SPEED * float(rise_s.max()) / least_s
+    by_jerk_s = np.sqrt(speed / limits.jerk)
+    rise_s = np.maximum(2.0 * by_jerk_s, speed / limits.acceleration)
+    lead_s = _AT_SPEED * float(rise_s.max())
+    # What bounds the rate of a lead-in bounds the jerk at its start, by 1.5 of speed / lead_s^2.
+    jerky_s = float(by_jerk_s.max())
+    return (min(lead_s, _AT_JERK * jerky_s) if jerky_s > 0.0 else lead_s) / least_s
