@@ -165,7 +165,8 @@ def test_an_outlier_is_shown_and_kept(tmp_path: Path) -> None:
 def test_the_rebound_flattens_without_end() -> None:
     """Twenty passes take a third of the noise away; thousands take the cam away.
 
-    Rows 5 degrees apart: what is left after many passes nears a single cubic, by least squares.
+    Rows 10 degrees apart: what is left after many passes nears a single cubic, by least squares.
+    With rows twice as near it takes sixteen times as many.
     """
     alpha = np.arange(7.5, 128.0, 5.0)
     true = true_distances(alpha)
@@ -181,7 +182,8 @@ def test_the_rebound_flattens_without_end() -> None:
     assert np.mean(after) / np.mean(before) == pytest.approx(0.031 / 0.050, rel=0.2)
     raw, faired = np.mean(seconds, axis=0)
     assert faired < 0.85 * raw
-    flat = rebound(alpha, true, np.inf, most_passes=4000)
+    alpha, true = alpha[::2], true[::2]
+    flat = rebound(alpha, true, np.inf, most_passes=250)
     cubic = np.polynomial.Polynomial.fit(alpha, flat.values, 3)
     assert np.abs(cubic(alpha) - flat.values).max() < 0.02 * np.ptp(flat.values)
     assert rms(flat.values - true) > 4 * NOISE
