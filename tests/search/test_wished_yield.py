@@ -11,6 +11,7 @@ import pytest
 from tests.search.test_design import CORNER, PLACE, SMALL, two_parameters
 
 from threadline import pipeline
+from threadline.arrays import FloatArray, IntArray
 from threadline.cli.level import trials_of
 from threadline.cli.main import main
 from threadline.errors import OptionError
@@ -22,6 +23,7 @@ from threadline.pipeline import open_job, plan_job, prove_plan, yielding
 from threadline.plan import Plan
 from threadline.search.cheapest_set import cheapest_set
 from threadline.search.design import design
+from threadline.search.design_evaluate import Evaluator, Tried
 from threadline.search.design_result import Found
 from threadline.search.machine_yield import MachineYield
 from threadline.signals import tick_table
@@ -31,6 +33,8 @@ from threadline.verdict.binomial import clopper_pearson
 from threadline.verdict.types import Level
 
 JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
+NO_REGION = replace(SMALL, side=0)
+"""That search without the picture of what lies about its answer."""
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +149,28 @@ def test_the_set_is_told_where_the_yield_is_too_low(
     assert ended.value.code == 0 and "cheapest" not in content
 
 
+@pytest.fixture
+def judged_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Judge a candidate of a redesign once, where a second search comes to it in the same runs.
+
+    With a yield and without one the candidates are the same: what differs is which are proved.
+    """
+    known: dict[object, Tried] = {}
+    judge = Evaluator.tried
+
+    def tried(
+        self: Evaluator, points: FloatArray, level: IntArray, *, beyond: float = 1.0
+    ) -> Tried:
+        runs = id(self.space.machine), self.others.repeats, self.others.corners, beyond
+        key = *runs, points.tobytes(), level.tobytes()
+        if key not in known:
+            known[key] = judge(self, points, level, beyond=beyond)
+        return known[key]
+
+    monkeypatch.setattr(Evaluator, "tried", tried)
+
+
+@pytest.mark.usefixtures("judged_once")
 def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     """The one that is in spec in 20 runs keeps no yield: drawn by hand, one in nine passes."""
     stitcher = load_machine("stitcher")
@@ -154,16 +180,17 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     # Each dead time is a kernel of its own: those of a thousand machines are minutes.
     kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay"))
     machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=kept)
-    plain = design(file, machine, spec, Options(), effort=SMALL).found
+    plain = design(file, machine, spec, Options(), effort=NO_REGION).found
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
     assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.15
-    wished = design(file, machine, spec, Options(), trials=yielding(0.15), effort=SMALL)
+    wished = design(file, machine, spec, Options(), trials=yielding(0.15), effort=NO_REGION)
     assert "rejects" in wished.refused
     assert wished.found is not None
     assert wished.found.candidate.cost > plain.candidate.cost
 
 
+@pytest.mark.usefixtures("judged_once")
 def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
     """At 50 stitch/s settings alone keep the machine as typed in spec, but not those drawn.
 
@@ -187,10 +214,10 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
         plan = plan_job(read_job(file, found.machine), found.machine, Options())
         return MachineYield(plan, found.spec).drawn(200, 7).interval
 
-    plain = design(file, machine, spec, Options(), effort=SMALL).found
+    plain = design(file, machine, spec, Options(), effort=NO_REGION).found
     assert plain is not None and plain.candidate.cost == 0.0
     assert drawn_by_hand(plain)[1] < 0.7
-    wished = design(file, machine, spec, Options(), trials=yielding(0.8), effort=SMALL).found
+    wished = design(file, machine, spec, Options(), trials=yielding(0.8), effort=NO_REGION).found
     assert wished is not None and wished.verdict.passed
     assert wished.verdict.result("rejects").measured <= 0.2
     assert wished.candidate.cost > 0.1
