@@ -99,6 +99,7 @@ def left_with(words: list[str]) -> int:
     return left.value.code
 
 
+@pytest.mark.usefixtures("coarse_search")
 def test_what_fastest_finds_is_typed_into_the_program(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
