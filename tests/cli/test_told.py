@@ -226,7 +226,7 @@ def test_a_run_without_a_terminal_says_how_far_it_is(
     """No bar is drawn there. What is said comes from the run itself, in blocks of it."""
     monkeypatch.setattr(told, "_EVERY_S", 0.002)
     monkeypatch.setattr(watched, "_LONG_S", 0.0)
-    code, _, err = stopped(capsys, *PROVE, "--feed", "0.2 mm/s")
+    code, _, err = stopped(capsys, *PROVE, "--nominal", "--feed", "0.2 mm/s")
     assert code == 0
     assert re.search(r": simulating and judging, \d+ % done, about [\d.]+ s more\n", err)
 
