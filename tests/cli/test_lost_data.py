@@ -90,10 +90,12 @@ def test_a_folder_in_the_way_of_a_report_is_told_before_the_work(
     assert bytes_of(folder) == before
 
 
-def test_standard_output_is_written_to_and_not_replaced(folder: Path) -> None:
+def test_standard_output_is_written_to_and_not_replaced(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The table alone, the hash goes to standard error; into a pipe and into a file."""
     start = [sys.executable, "-m", "threadline", *COMPILE.split()]
-    subprocess.run([*start, "table.csv"], check=True, capture_output=True, timeout=300)
+    assert run(f"{COMPILE} table.csv", capsys)[0] == 0
     wanted = (folder / "table.csv").read_bytes()
     piped = subprocess.run([*start, "/dev/stdout"], check=True, capture_output=True, timeout=300)
     assert piped.stdout == wanted
