@@ -44,6 +44,8 @@ unit = "in"
 points = [[0, 0], [1, 0], [1, 1]]
 """
 SMALL = Effort(sample_log2=5, settings_log2=4, proposals=24, rounds=6, trade_rounds=1, side=3)
+NO_REGION = replace(SMALL, side=0)
+"""That search without the picture of what lies about its answer."""
 ENOUGH = Effort(sample_log2=6, settings_log2=4, proposals=48, rounds=12, trade_rounds=1, side=3)
 
 
@@ -240,7 +242,8 @@ def test_corners_cost_more(
 ) -> None:
     """What must hold at +-10 % mass and +-20 % stiffness as well cannot be cheaper."""
     robust = design(
-        corner, two_parameters(stitcher, (1.0, 30.0)), spec, Options(), corners=True, effort=SMALL
+        corner, two_parameters(stitcher, (1.0, 30.0)), spec, Options(), corners=True,
+        effort=NO_REGION,
     )  # fmt: skip
     assert robust.found is not None
     assert result.found is not None
@@ -286,7 +289,7 @@ def test_where_settings_are_enough_the_margin_decides(
     """
     slow = tmp_path / "slow.seam.toml"
     slow.write_text(CORNER.replace("75 stitch/s", "30 stitch/s"))
-    result = design(slow, two_parameters(stitcher), spec, Options(), effort=SMALL)
+    result = design(slow, two_parameters(stitcher), spec, Options(), effort=NO_REGION)
     assert result.found is not None
     assert result.found.candidate.cost == 0.0
     assert result.found.candidate.ratio <= 1.1 * result.as_built.ratio

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.search.test_design import CORNER, PLACE, SMALL, two_parameters
+from tests.search.test_design import CORNER, NO_REGION, PLACE, two_parameters
 
 from threadline import pipeline
 from threadline.arrays import FloatArray, IntArray
@@ -33,8 +33,6 @@ from threadline.verdict.binomial import clopper_pearson
 from threadline.verdict.types import Level
 
 JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
-NO_REGION = replace(SMALL, side=0)
-"""That search without the picture of what lies about its answer."""
 
 
 @pytest.fixture(scope="module")
