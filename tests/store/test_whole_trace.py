@@ -32,7 +32,7 @@ def test_all_runs_of_a_job_are_judged_as_one(name: str, tmp_path: Path) -> None:
     Axes start from rest at the joint, so that they follow otherwise there: 20 % of a limit.
     """
     plan = planned(name)
-    first, (_, rest) = broken_off(name)[0], rest_of(name)
+    first, rest = broken_off(name)[0], rest_of(name)[1]
     in_folder(tmp_path / "first", first)
     trace = in_folder(tmp_path / "second", rest, "first")
     assert joined_with(trace) == ("first",)
