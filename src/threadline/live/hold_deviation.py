@@ -28,7 +28,7 @@ def hold_deviation_m(plan: Plan) -> float:
 
     Rotary axes are taken at their radius. It is 0 where the commands are the path itself.
     """
-    from scipy.spatial import KDTree
+    from scipy.spatial import KDTree  # slow to import, and asked for where a run may be held
 
     motion = plan.motion
     if motion.timed is None:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import PlanError
 from threadline.planning_so_far import PLANNING
 from threadline.trajectory.optimal.followers import AFTER, BEFORE, Follower, Past, tangents
-from threadline.trajectory.optimal.in_time import in_time
+from threadline.trajectory.optimal.in_time import in_time, slowed
 from threadline.trajectory.optimal.motion_limits import Limits
 from threadline.trajectory.optimal.path_elements import Elements
 from threadline.trajectory.optimal.polished import polished
@@ -91,17 +89,11 @@ def _whose(coarse: Elements, fine: Elements) -> IntArray:
 
 def _slower(block: TrajectoryBlock, follower: Follower, past: Past) -> TrajectoryBlock:
     """Return the motion slowed evenly until its loads follow."""
-    begin = float(block.start_s[0])
     for _ in range(_LONGEST):
         share = float(follower.strays(past, block).share.max())
         if share <= 1.0:
             return block
-        slower = min(_LONGER * share**0.5, _MOST_LONGER)
-        block = replace(
-            block,
-            start_s=begin + slower * (block.start_s - begin),
-            duration_s=slower * block.duration_s,
-        )
+        block = slowed(block, min(_LONGER * share**0.5, _MOST_LONGER))
     raise PlanError(
         f"the loads stray {share * follower.tolerance_m * 1e3:.3g} mm from the path however slowly "
         f"they are moved; {follower.tolerance_m * 1e3:.3g} mm are allowed",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -198,3 +199,13 @@ def _bernstein(power: FloatArray) -> FloatArray:
             matrix[i, k] = share
             share *= (i - k) / (degree - k) if degree > k else 0.0
     return np.asarray(np.einsum("ik,nka->nia", matrix, power))
+
+
+def slowed(block: TrajectoryBlock, by: float) -> TrajectoryBlock:
+    """Return a motion that begins when ``block`` does and takes ``by`` times as long, evenly."""
+    begin_s = float(block.start_s[0])
+    return replace(
+        block,
+        start_s=begin_s + by * (block.start_s - begin_s),
+        duration_s=by * block.duration_s,
+    )

@@ -17,7 +17,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.trajectory.optimal import barrier
 from threadline.trajectory.optimal.followers import Follower, Past
-from threadline.trajectory.optimal.in_time import in_time
+from threadline.trajectory.optimal.in_time import in_time, slowed
 from threadline.trajectory.optimal.motion_limits import Limits
 from threadline.trajectory.optimal.solve import Problem, bernstein
 from threadline.trajectory.optimal.stray_rows import Rows, stray_rows
@@ -88,16 +88,10 @@ def _kept(
 
     The rows are of where the motion was, so that most rounds end with some of a hundredth too much.
     """
-    begin = float(block.start_s[0])
     for _ in range(_SLOWED_ROUNDS):
         if share <= 1.0 or share > _LITTLE:
             break
-        slower = _SLOWER * share**_BY_SHARE
-        block = replace(
-            block,
-            start_s=begin + slower * (block.start_s - begin),
-            duration_s=slower * block.duration_s,
-        )
+        block = slowed(block, _SLOWER * share**_BY_SHARE)
         share = float(follower.strays(past, block).share.max())
     return block if share <= 1.0 else None
 
