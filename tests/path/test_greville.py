@@ -11,7 +11,7 @@ from scipy.interpolate import BSpline
 from threadline.machine import load_machine
 from threadline.path import plan_path
 from threadline.path.auto import auto_pieces, points_added
-from threadline.path.greville import CUT, cut_of, quartic_spans
+from threadline.path.greville import CUT, cut_of, quartic_spacing, quartic_spans
 from threadline.path.polygon import QUARTIC, control_polygon, turns
 from threadline.path.runs import Vertices
 from threadline.path.types import ProgrammedPath, VertexBlock
@@ -214,6 +214,50 @@ def test_a_dense_curve_has_no_added_points_and_one_piece_for_each_leg():
     turn = np.linspace(0.0, 2.0 * np.pi, 721)
     c = pieces(0.1 * np.stack([np.sin(turn), 1.0 - np.cos(turn)], axis=1), 1e-4)
     assert len(c) == 720 and c[:, 2:].any(axis=(1, 2)).all()
+
+
+def like_legs(random, count=14):
+    """A polygon of legs that are like each other, with turns of a decade to either side."""
+    turned = np.cumsum(10.0 ** random.uniform(-1.3, -0.3, count) * random.choice([-1, 1, 1], count))
+    way = random.uniform(0.7, 1.3, (count, 1)) * np.stack([np.cos(turned), np.sin(turned)], 1)
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)])
+
+
+def test_a_vertex_alone_has_one_knot_on_one_leg_where_that_is_enough():
+    """It is cut by more than with two, and by no more than is allowed, whatever the blocks."""
+    turned = np.cumsum([0.0, 0.1, 0.1, 0.1, 0.4, 0.1, 0.1, 0.1])
+    way = np.stack([np.cos(turned), np.sin(turned)], 1)
+    points = np.concatenate([np.zeros((1, 2)), np.cumsum(way, axis=0)])
+    c = pieces(points, 0.115)
+    assert len(c) == len(way) + 1
+    places = (np.linspace(0.0, 1.0, 201)[:, None] ** np.arange(5) @ c).reshape(-1, 2)
+    assert np.linalg.norm(places - points[4], axis=1).min() > 0.4 / 6.0
+    assert len(pieces(points, 0.06)) == len(way) + 2  # one is not enough
+    for block in (1, 2, 3, 5):
+        np.testing.assert_array_equal(pieces(points, 0.115, block=block), c)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_vertex_with_one_knot_is_cut_by_more_than_the_tolerance(seed):
+    """By dense samples of 50 polygons; some of them have such vertices."""
+    single = 0
+    for number in range(50):
+        random = np.random.default_rng([seed, number, 77])
+        points = like_legs(random)
+        cut_m = 10.0 ** random.uniform(-1.7, -0.7)
+        c = pieces(points, cut_m)
+        places = (U[:, None] ** np.arange(5) @ c).reshape(-1, 2)
+        start, way = points[:-1], np.diff(points, axis=0)
+        along = ((places[:, None] - start) * way).sum(axis=2) / (way**2).sum(axis=1)
+        near = start + np.clip(along, 0.0, 1.0)[..., None] * way
+        strayed = np.linalg.norm(places[:, None] - near, axis=2).min(axis=1).max()
+        assert strayed <= cut_m * (1.0 + 1e-9)
+        length, turn = turns(points, np.ones(2))
+        spacing, none = np.empty((2, len(points))), np.zeros(len(points))
+        quartic_spacing(length, turn, cut_m, none, 0, len(length), spacing)
+        single += int(((spacing[0] == 0.0) != (spacing[1] == 0.0)).sum())
+        np.testing.assert_array_equal(c, pieces(points, cut_m, block=1 + number % 5))
+    assert single > 5
 
 
 def test_points_are_counted_for_either_degree():

@@ -17,7 +17,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.machine.mandrel import LocalRadii
-from threadline.path.greville import AHEAD, CUT
+from threadline.path.greville import AHEAD, CUT, REACH
 from threadline.path.polygon import (
     CUBIC,
     EVEN_CUT,
@@ -85,7 +85,7 @@ class _Run:
     @property
     def _carried(self) -> int:
         """Number of points on either side of a span on which its shape depends."""
-        return 2 if self.degree == CUBIC else AHEAD
+        return 2 if self.degree == CUBIC else REACH
 
     def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
         """Add vertices, and yield the pieces that no later vertex can change."""

@@ -26,8 +26,10 @@ import numpy as np
 
 from threadline.compiled import njit
 
-AHEAD = 3
+REACH = 3
 """Legs on either side of a vertex on which it depends how far it is cut."""
+AHEAD = REACH + 1
+"""Vertices on either side of a leg on which its knots depend."""
 CUT = 7.0 / 24.0
 """With two knots no farther than l and 2 l on either side, a vertex is cut by at most |dt| l times
 this, if the next vertex is beyond them, or is the second of them: with the first midway, and no
@@ -103,32 +105,69 @@ def cut_of(length_m, turn, v):
 
 @njit(error_model="numpy")
 def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
-    """Write how far apart the two knots on either side of each vertex may stand, 0 for any.
+    """Write how far apart the knots beside each vertex may stand, 0 for any.
 
     Parameters
     ----------
     length_m, turn, beside_m
-        (n - 1,), (n,), (n,): of vertices, among them three on either side of those that are
+        (n - 1,), (n,), (n,): of vertices, among them ``AHEAD`` on either side of those that are
         written, unless the run begins or ends with them.
     cut_m
         Largest distance at the tool of the spline from the polygon, less what the program is
         beside the leg into a vertex (``beside_m``).
     first, stop
         Vertices ``first`` to ``stop`` are written.
+    spacing
+        (2, n), m: on the leg into the vertex, and on the next.
     """
     count = len(turn)
-    for v in range(first, stop + 1):
-        spacing[v] = 0.0
+    beside = np.zeros(count)
+    for v in range(max(first - 1, 0), min(stop + 2, count)):
+        spacing[0, v] = 0.0
         if turn[v] == 0.0 or v == 0 or v == count - 1:
             continue
-        beside = 0.0
         for k in range(max(v - 2, 0), min(v + 4, count)):
-            beside = max(beside, beside_m[k])
-        if cut_of(length_m, turn, v) > cut_m - beside:
-            spacing[v] = (cut_m - max(beside_m[v], beside_m[v + 1])) / (CUT * turn[v])
+            beside[v] = max(beside[v], beside_m[k])
+        if cut_of(length_m, turn, v) > cut_m - beside[v]:
+            spacing[0, v] = (cut_m - max(beside_m[v], beside_m[v + 1])) / (CUT * turn[v])
             least = min(length_m[v - 1], length_m[v])
             if max(length_m[v - 1], length_m[v]) <= _LIKE * least:
-                spacing[v] = min(spacing[v], least)  # one knot on either leg, midway
+                spacing[0, v] = min(spacing[0, v], least)  # one knot on either leg, midway
+    for v in range(first, stop + 1):
+        spacing[1, v] = spacing[0, v]
+    for v in range(first, stop + 1):
+        if spacing[1, v] > 0.0 and spacing[0, v - 1] == 0.0 and spacing[0, v + 1] == 0.0:
+            after = length_m[v] >= length_m[v - 1]
+            if _one_is_enough(length_m, turn, v, after, spacing[1, v], cut_m - beside[v]):
+                spacing[0 if after else 1, v] = 0.0
+
+
+@njit(error_model="numpy")
+def _one_is_enough(length_m, turn, v, after, spacing, cut_m):
+    """Return whether a vertex needs a knot on its longer leg alone, and has it midway there.
+
+    Such a leg ``knots_between`` divides midway unless it is too long for one knot, or the leg
+    beyond it is; one at the end of a run it does not.
+    """
+    legs = len(length_m)
+    own, beyond = (v, v + 1) if after else (v - 1, v - 2)
+    if not 0 <= beyond < legs or length_m[beyond] > _NEXT * length_m[own]:
+        return False
+    if length_m[own] > 2.0 * spacing:
+        return False
+    begin, end = max(v - 3, 0), min(v + 3, legs)
+    length, turned = np.empty(end - begin + 1), np.zeros(end - begin + 2)
+    n = 0
+    for c in range(begin, end):
+        turned[n] = turn[c]
+        length[n] = length_m[c]
+        if c == own:
+            length[n] *= 0.5
+            n += 1
+            length[n] = length[n - 1]
+        n += 1
+    turned[n] = turn[end]
+    return cut_of(length, turned, v - begin + (0 if after else 1)) <= cut_m
 
 
 @njit(error_model="numpy")

@@ -159,7 +159,7 @@ def control_polygon(
     Parameters
     ----------
     vertices
-        n vertices of one run, among them one on either side of the chords, three for a quartic,
+        n vertices of one run, among them one on either side of the chords, four for a quartic,
         unless the run ends there.
     length_m, turn
         (n - 1,) lengths and (n,) turns of ``turns``.
@@ -168,9 +168,10 @@ def control_polygon(
     begins, ends
         Whether the run begins with the first vertex, and ends with the last.
     """
-    spacing = np.empty(len(turn))
+    spacing = np.empty((2, len(turn)))  # on the leg into each vertex, and on the next
     if degree == CUBIC:
-        corner_spacing(length_m, turn, cut_m, vertices.beside_m, spacing)
+        corner_spacing(length_m, turn, cut_m, vertices.beside_m, spacing[0])
+        spacing[1] = spacing[0]
     else:
         quartic_spacing(length_m, turn, cut_m, vertices.beside_m, first, stop, spacing)
     columns = _points(
@@ -200,7 +201,7 @@ def _points(
     share = np.empty(MOST_POINTS)
     count = 0
     for c in range(first, stop):
-        if not quartic and spacing[c] == 0.0 and spacing[c + 1] == 0.0:
+        if not quartic and spacing[1, c] == 0.0 and spacing[0, c + 1] == 0.0:
             count += 1  # most are: told without a call
         else:
             count += _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share)
@@ -211,7 +212,7 @@ def _points(
     n = 0
     for c in range(first, stop):
         before, between = 0.0, 0
-        if quartic or spacing[c] > 0.0 or spacing[c + 1] > 0.0:
+        if quartic or spacing[1, c] > 0.0 or spacing[0, c + 1] > 0.0:
             between = _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share) - 1
         for k in range(between):
             at = share[k]
@@ -234,7 +235,7 @@ def _points(
 @njit(error_model="numpy")
 def _on_chord(length, turn, spacing, c, quartic, begins, ends, share):
     """Write the places (0 to 1) of the points on a chord, its end the last; count them."""
-    near, far = spacing[c] / length[c], spacing[c + 1] / length[c]
+    near, far = spacing[1, c] / length[c], spacing[0, c + 1] / length[c]
     if quartic:
         opens, closes = begins and c == 0, ends and c == len(length) - 1
         other = c + 1 if near > 0.0 else c - 1
