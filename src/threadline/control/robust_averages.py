@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +39,7 @@ STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
 that every machine has where it has its speed, and largest share with which a load moves while
 another axis has its speed: 1 % and 95 % are asked of seams, and a tenth across adds 0.5 %."""
 _SPARE = 0.012  # of the wanted speed: so much more is there where it costs little
-_FIRST_ROWS = 512  # every so many instants are in the first program
+_FIRST_ROWS = 2048  # every so many instants are in the first program; the next ones find theirs
 _MOST_ROUNDS = 100
 _CLOSE = 1e-6  # of the step: no instant is violated by more
 _RISES = 1e-9  # of the cost
@@ -64,6 +65,8 @@ _LARGEST = 10.0  # weight; those that are found are below 0.3
 _DEAREST = 1.0 + _DRIVEN + _LATE_COSTS * _SPARE + _EXCESS_COSTS * _MARGIN
 """Cost above which a program is given up: the error is all of the speed, or the margin is left. The
 weights have next to no part in it."""
+_QUICK: Any = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
+"""How simplex is asked: a program is small and dense, and looking at it first takes longer."""
 _KEPT = 0.5 * _CLOSE  # a solution that leaves a row of its own program by more is none
 
 
@@ -298,7 +301,8 @@ def _solved(
     from scipy.optimize import linprog
 
     for method in ("highs-ds", "highs-ipm"):
-        found = linprog(cost, rows, limits, sums, [1.0, 0.0], bounds, method=method)
+        how = _QUICK if method == "highs-ds" else None
+        found = linprog(cost, rows, limits, sums, [1.0, 0.0], bounds, method=method, options=how)
         if found.x is not None and found.status == 0:
             unknowns: FloatArray = np.asarray(found.x)
             off = max(float((rows @ unknowns - limits).max()), abs(float(sums[0] @ unknowns) - 1.0))
