@@ -17,7 +17,7 @@ from threadline.signals import ChannelKind, Stream
 from threadline.verdict import Criterion, Status, judge
 from threadline.verdict.blocks import setting_of
 from threadline.verdict.samples import Block
-from threadline.verdict.stitches import StitchFollower
+from threadline.verdict.sewn import StitchFollower
 
 from .builders import TICK_S, plan_through, record, spec_of
 
@@ -254,6 +254,27 @@ def block_of(time_s: FloatArray, actual: FloatArray) -> Block:
     """Return a block that tells where the tool was, and nothing else."""
     names = {field.name for field in fields(Block)} - {"first", "time_s", "actual"}
     return Block(first=0, time_s=time_s, actual=actual, **dict.fromkeys(names))
+
+
+def test_figures_that_nobody_asks_for_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is asked for is the same to the bit, and the others are not worked out."""
+    plan, every_s = seam(), 1e-4
+    still = np.zeros((2, 2))
+    recording = record(("X", "Y"), {ChannelKind.LOAD: still}, np.zeros(2))
+    time_s = every_s * np.arange(450)
+    actual = np.stack([SPEED_M_S * time_s, 1e-5 * np.sin(900.0 * time_s)], axis=1)[:, None, :]
+    setting, block = setting_of(plan, recording), block_of(time_s, actual)
+    (whole,) = StitchFollower(setting, 0.0).feed(block)
+    (placed,) = StitchFollower(setting, 0.0, figures=("placement",)).feed(block)
+    (swift,) = StitchFollower(setting, 0.0, figures=("speed",)).feed(block)
+    monkeypatch.setattr(StitchFollower, "_speeds", None)
+    monkeypatch.setattr(StitchFollower, "_placed", None)
+    (plain,) = StitchFollower(setting, 0.0, figures=("length",)).feed(block)
+    np.testing.assert_array_equal(plain.length_error, whole.length_error)
+    np.testing.assert_array_equal(placed.placement_m, whole.placement_m)
+    np.testing.assert_array_equal(swift.speed_error, whole.speed_error)
+    assert np.abs(whole.speed_error).max() > 0.0 < np.abs(whole.placement_m).max()
+    assert len(plain.placement_m) == len(plain.speed_error) == 0
 
 
 def test_stitches_of_a_million_ticks_are_followed_in_bounded_memory() -> None:

@@ -15,8 +15,8 @@ from threadline.verdict.rendering import (
     verdict_json,
     verdict_rows,
 )
+from threadline.verdict.sewn import SewnStitches, sewn_stitches
 from threadline.verdict.spec import load_spec
-from threadline.verdict.stitches import SewnStitches, sewn_stitches
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
 
 __all__ = [

@@ -14,7 +14,7 @@ from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting, enough_of, lanes
-from threadline.verdict.stitches import PART_OF_STITCH
+from threadline.verdict.sewn import PART_OF_STITCH
 
 OPTIONS = {"over": Option(unit="s", default=0.002)}
 _HIGH, _STILL = 0.95, 0.01  # of the set speed

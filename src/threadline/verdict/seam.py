@@ -13,7 +13,8 @@ from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure
 from threadline.verdict.needle import has_stitches
 from threadline.verdict.samples import Block, Setting
-from threadline.verdict.stitches import SewnStitches, StitchFollower, too_short
+from threadline.verdict.sewn import SewnStitches, StitchFollower
+from threadline.verdict.stitches import too_short
 
 _PARTS = 16  # of the drawn stretch of a stitch: a bow of 0.25 mm between two places is 1 um
 _NEAR = 4  # stitches about its own that a place may lie on: the lag that is free
@@ -34,7 +35,7 @@ class _Seam:
         self._axes = [setting.axes.index(a) for a in job.axes]
         self._radius_m = setting.radius_m[self._axes]
         known = bool(self._lines) and has_stitches(job)
-        self._follower = StitchFollower(setting, delay_s) if known else None
+        self._follower = StitchFollower(setting, delay_s, figures=()) if known else None
         self._held: _Sewn | None = None
         self._judged = 0  # of the stitches that are held
         self._runs = setting.runs

@@ -1,0 +1,299 @@
+"""What became of every stitch: its length, place and time, and the head's speed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from threadline.arrays import FloatArray, IntArray
+from threadline.plan import Plan
+from threadline.signals import ChannelKind, Recording
+from threadline.trajectory.at_times import TrajectoryReader
+from threadline.verdict.blocks import find_first, judged_blocks, setting_of
+from threadline.verdict.nearest import nearest_chords
+from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+from threadline.verdict.samples import Block, Setting, lanes
+from threadline.verdict.sewn_clock import SewnClock
+
+_ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
+_BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
+_PARTS = 256  # of the time over which a speed is taken: finer samples say nothing more
+_FINE_S = 0.002  # or of so much, for a mean is taken over the part of a stitch at most
+_TO_SPEED = 2  # stitches that are exempt about a rest
+_SLOWEST = 1e-3  # of the highest speed of a needle that follows
+Figure = Literal["length", "placement", "speed", "time"]
+_ALL: tuple[Figure, ...] = ("length", "placement", "speed", "time")
+PART_OF_STITCH = 0.25
+"""Of a stitch, over which its speed is taken at most: a mean over all of it hides each swing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SewnStitches:
+    """Stitches and where the tool was.
+
+    Parameters
+    ----------
+    stitches
+        n of them.
+    down_s
+        (n,) when the needle went down, its delay included.
+    actual, begun
+        (n, axes, runs) where the tool was then, and at the needle-down before; lengths at the tool.
+    length_error
+        (n, runs) distance moved since the needle-down before, over the wanted one, less 1.
+    placement_m
+        (n, runs) distance of ``actual`` from the seam: the nearest point of the stitches about it.
+    speed_error
+        (n, runs) relative error of the head's speed against the stitch's wanted length over its
+        planned time, or times the needle's planned speed where that follows the head: speeds are
+        means over ``over_s``, or ``PART_OF_STITCH`` of the stitch where that is less; the error is
+        the largest in the stitch, with its sign; not a number in a hold and two stitches behind it.
+    speed_s
+        (n, runs) the instant at the end of that mean.
+
+    Of ``placement_m``, and of both of the speed, there are none where nobody asked for them.
+    """
+
+    stitches: Stitches
+    down_s: FloatArray
+    actual: FloatArray
+    begun: FloatArray
+    length_error: FloatArray
+    placement_m: FloatArray
+    speed_error: FloatArray
+    speed_s: FloatArray
+
+
+class StitchFollower:
+    """Takes the tool's position and gives back the stitches that were sewn meanwhile.
+
+    The position is taken as straight between samples: at an acceleration a it is off by at most
+    a T^2 / 8 in a sample interval T. Stitches are given back as soon as they are complete, so that
+    no more samples are kept than those of a stitch and of a block.
+
+    Parameters
+    ----------
+    setting
+        Plan and recording.
+    delay_s
+        How long after the command the needle goes down: the head's lag, to which the needle is
+        set. A head that itself follows the motion has none, and the needle goes down when due.
+    over_s
+        Over which the head's speed is taken at most.
+    figures
+        What is asked for; placement and speed take most of the time, and are left out otherwise.
+    """
+
+    def __init__(
+        self,
+        setting: Setting,
+        delay_s: float,
+        over_s: float = 0.002,
+        figures: Collection[Figure] = _ALL,
+    ) -> None:
+        self._source = planned_stitches(setting.plan)
+        self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
+        self._geared = TrajectoryReader(setting.plan.motion.of_needle)
+        self._radius_m = setting.radius_m
+        self._delay_s = delay_s if setting.plan.motion.of_loads is None else 0.0
+        self._over_s, self._figures = over_s, figures
+        self._clock, self._begun_s = SewnClock(), np.full(_TO_SPEED, -np.inf)
+        self._pending: list[Stitches] = []
+        self._ended = False
+        self._time_s: FloatArray = np.empty(0)
+        self._points: FloatArray = np.empty((0, len(self._columns), setting.runs))
+        self._seam: FloatArray | None = None  # needle points before the pending ones
+
+    @property
+    def unsewn(self) -> Stitches | None:
+        """What begins with the first stitch that no sample came to, if there is one."""
+        self._pull(1)
+        return self._pending[0] if self._pending else None
+
+    def feed(self, block: Block) -> list[SewnStitches]:
+        """Return the stitches, in runs, that are complete with the samples of a block."""
+        time_s, actual = block.time_s, block.actual
+        assert actual is not None
+        kept = self._kept(time_s)
+        self._clock.take(block, kept)
+        points = lanes(actual[kept])[:, self._columns] * self._radius_m[self._columns, None]
+        self._time_s = np.concatenate([self._time_s, time_s[kept]])
+        self._points = np.concatenate([self._points, points])
+        sewn = []
+        while True:
+            self._pull(1 + _AHEAD)  # the seam ahead of the last stitch
+            if not self._pending:
+                break
+            run = self._pending[0]
+            down_s = self._clock.when(run.down_s) + self._delay_s
+            due = int(np.searchsorted(down_s, time_s[-1], side="right"))
+            if not due:
+                break
+            self._pending[:1] = [run.rows(slice(due, None))] if due < len(run) else []
+            sewn.append(self._finish(run.rows(slice(due))))
+        keep_s = time_s[-1]
+        if self._pending:
+            keep_s = self._clock.when(self._pending[0].from_s[:1])[0] + self._delay_s
+        keep_s -= self._over_s
+        first = max(int(np.searchsorted(self._time_s, keep_s, side="right")) - 2, 0)
+        self._time_s, self._points = self._time_s[first:], self._points[first:]
+        self._clock.drop(keep_s - self._delay_s, float(self._begun_s[0]) - self._over_s)
+        return sewn
+
+    def _kept(self, time_s: FloatArray) -> IntArray:
+        """Return the rows of a block that are looked at: all of them, but where ticks are tiny.
+
+        A stitch may last a million ticks of a nanosecond: a fine part of what the speed is taken
+        over tells as much.
+        """
+        rows = np.arange(len(time_s))
+        lasts_s = float(time_s[-1] - time_s[0])
+        apart_s = min(self._over_s, _FINE_S) / _PARTS
+        every = int(apart_s * (len(rows) - 1) / lasts_s) if lasts_s > 0.0 else 1
+        return rows if every < 2 else np.unique(np.append(rows[::every], rows[-1]))
+
+    def _pull(self, runs: int) -> None:
+        while len(self._pending) < runs and not self._ended:
+            run = next(self._source, None)
+            if run is None:
+                self._ended = True
+            else:
+                self._pending.append(run)
+
+    def _at(self, time_s: FloatArray) -> FloatArray:
+        """Return (m, axes, runs) where the tool was, straight between samples."""
+        last = len(self._time_s) - 1
+        after = np.clip(np.searchsorted(self._time_s, time_s, side="right"), 1, max(last, 1))
+        before, after = np.minimum(after - 1, last), np.minimum(after, last)
+        from_s = self._time_s[before]
+        long_s = np.where(after > before, self._time_s[after] - from_s, 1.0)
+        part = np.clip((time_s - from_s) / long_s, 0.0, 1.0)[:, None, None]
+        start = self._points[before]
+        return np.asarray(start + part * (self._points[after] - start))
+
+    def _finish(self, run: Stitches) -> SewnStitches:
+        down_s = self._clock.when(run.down_s) + self._delay_s
+        actual = self._at(down_s)
+        begin_s = self._clock.when(run.from_s) + self._delay_s
+        begun = self._at(begin_s)
+        moved = np.sqrt(((actual - begun) ** 2).sum(axis=1))
+        placement = speed_error = speed_s = np.empty((0, actual.shape[2]))
+        if "placement" in self._figures:
+            placement = self._placed(run, actual)
+        if "speed" in self._figures:
+            speed_error, speed_s = self._speeds(run)
+        self._begun_s = np.concatenate([self._begun_s, begin_s])[-_TO_SPEED:]
+        return SewnStitches(
+            stitches=run,
+            down_s=down_s,
+            actual=actual,
+            begun=begun,
+            length_error=moved / run.target_m[:, None] - 1.0,
+            placement_m=placement,
+            speed_error=speed_error,
+            speed_s=speed_s,
+        )
+
+    def _placed(self, run: Stitches, actual: FloatArray) -> FloatArray:
+        """Return (n, runs) distances of needle-downs from the seam about them."""
+        behind = run.from_point[:1] if self._seam is None else self._seam
+        coming = [pending.point for pending in self._pending[:_AHEAD]] or [run.point[-1:]]
+        ahead = np.concatenate(coming)[:_AHEAD]
+        seam = np.concatenate([behind, run.point, ahead])
+        self._seam = seam[: len(behind) + len(run)][-_BEHIND:]
+        return _to_seam(actual, seam, len(behind))
+
+    def _speeds(self, run: Stitches) -> tuple[FloatArray, FloatArray]:
+        """Return (n, runs) the largest relative error of the speed in each stitch, and when it was.
+
+        Instants are the samples within the stitch, less the time of a mean at its begin, and its
+        end.
+        """
+        begin_s, end_s = (self._clock.when(s) + self._delay_s for s in (run.from_s, run.down_s))
+        at_s = np.unique(np.concatenate([self._time_s, end_s]))
+        stitch = np.searchsorted(end_s, at_s, side="left")
+        stitch = np.minimum(stitch, len(run) - 1)
+        lasts_s = run.down_s - run.from_s
+        part_s = np.minimum(self._over_s, PART_OF_STITCH * lasts_s)
+        over_s = np.where(lasts_s > 0.0, part_s, self._over_s)[stitch]
+        within = (at_s >= begin_s[stitch] + over_s) & (at_s <= end_s[stitch])
+        within |= at_s == end_s[stitch]
+        at_s, stitch, over_s = at_s[within], stitch[within], over_s[within]
+        way = self._at(at_s) - self._at(at_s - over_s)
+        # Far slower than the grid of the timing a stitch may be given no time: it is sewn at none.
+        with np.errstate(divide="ignore"):
+            wanted = (run.target_m / lasts_s)[stitch]
+            if run.follows.any():
+                own = run.follows[stitch]
+                way_m = np.linalg.norm(run.point - run.from_point, axis=1)
+                share = (run.target_m / way_m)[stitch[own]]
+                due_s = self._clock.due(at_s[own] - self._delay_s)
+                geared = share * self._geared_m_s(due_s, over_s[own])
+                # Beside a rest, where stitches are exempt, no speed is next to nothing.
+                least = _SLOWEST * (run.target_m * run.fastest_hz)[stitch[own]]
+                wanted[own] = np.maximum(geared, least)
+            wanted = wanted[:, None]
+        error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / wanted - 1.0
+        starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
+        sizes = np.abs(error)
+        # Of each stitch the first sample with its largest size.
+        worst = np.repeat(
+            np.maximum.reduceat(sizes, starts), np.diff(starts, append=len(stitch)), axis=0
+        )
+        rows = np.arange(len(stitch))[:, None]
+        first = np.minimum.reduceat(np.where(sizes == worst, rows, len(stitch)), starts)
+        first = np.minimum(first, len(stitch) - 1)
+        worst_error = np.take_along_axis(error, first, axis=0)
+        # Behind a hold the head comes to its speed as behind a rest: within so many stitches.
+        since_s = np.concatenate([self._begun_s, begin_s])
+        worst_error[self._clock.slowed(since_s[: len(run)] - self._over_s, end_s)] = np.nan
+        return worst_error, at_s[first]
+
+    def _geared_m_s(self, time_s: FloatArray, over_s: FloatArray) -> FloatArray:
+        """Return (m,) mean speeds of the head as planned over ``over_s`` up to rising instants."""
+        if not len(time_s):
+            return np.zeros(0)
+        begin_s = time_s - over_s
+        both, back = np.unique(np.concatenate([begin_s, time_s]), return_inverse=True)
+        at_m = self._geared.ladder(both, 1)[back, 0][:, self._columns]
+        self._geared.drop(float(begin_s[-1]) - self._over_s)
+        way_m = (at_m[len(begin_s) :] - at_m[: len(begin_s)]) * self._radius_m[self._columns]
+        return np.asarray(np.linalg.norm(way_m, axis=1) / over_s)
+
+
+def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[SewnStitches]:
+    """Yield the stitches of a recording in runs; nothing where the job has none.
+
+    Parameters
+    ----------
+    plan, recording
+        What was intended, and what happened; without a tool or load channel nothing is known.
+    delay_s
+        As for ``StitchFollower``.
+    """
+    axes = plan.motion.programmed.axes
+    known = all(find_first(recording, _ACTUAL, axis) is not None for axis in axes)
+    if not known or not has_stitches(plan.job):
+        return
+    follower = StitchFollower(setting_of(plan, recording), delay_s)
+    for block in judged_blocks(recording, axes, 0, None):
+        if block.actual is not None:
+            yield from follower.feed(block)
+
+
+def _to_seam(points: FloatArray, seam: FloatArray, offset: int) -> FloatArray:
+    """Return (n, runs) distances of point i to the chords of ``seam`` about ``seam[offset + i]``.
+
+    ``points`` are (n, axes, runs).
+    """
+    # Chord c ends at vertex c of the seam.
+    own = np.arange(len(points)) + offset
+    most = max(len(seam) - 1, 1)
+    begin = np.clip(own - _BEHIND + 1, 1, most)
+    end = np.clip(own + _AHEAD, 1, most)
+    vertices = seam if len(seam) > 1 else np.repeat(seam, 2, axis=0)
+    squared, _ = nearest_chords(np.ascontiguousarray(points), begin, end, vertices)
+    return np.sqrt(squared)
