@@ -7,12 +7,11 @@ import math
 from threadline.errors import OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
+from threadline.option_defaults import NO_CONTOUR
 from threadline.option_words import (
-    NO_CONTOUR,
     feed_words,
     parse_contour_m,
     parse_feed,
-    parse_number,
     parse_robust,
     parse_share,
     parse_tolerance_m,
@@ -20,6 +19,7 @@ from threadline.option_words import (
 )
 from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
+from threadline.typed_number import parse_number
 
 PROGRAMMED = "programmed"
 """Feed of a plan that keeps the feeds of its job."""

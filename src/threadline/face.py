@@ -18,11 +18,9 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine import load_machine as load_machine_file
 from threadline.machine.par import read_parameters
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.option_words import parse_ends, parse_feed, parse_margin
 from threadline.options import (
-    DEFAULT_INTERPOLATION,
-    DEFAULT_LIMITS,
-    DEFAULT_TOLERANCE,
     Options,
     options_of,
     robust_plan,

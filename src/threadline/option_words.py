@@ -7,10 +7,11 @@ import re
 
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode
+from threadline.option_defaults import NO_CONTOUR
+from threadline.typed_number import parse_number
 from threadline.units import parse_quantity, same_dimension, split_quantity
 
 LEAST_CONTOUR_M = 1e-6
-NO_CONTOUR = "none"
 FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 """Units of the feeds that are not speeds of the fastest axis."""
 F_UNIT = "mm/min"
@@ -18,33 +19,6 @@ F_UNIT = "mm/min"
 _F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
 LEAST_SHARE = 1e-3
 """Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
-
-
-def parse_number(subject: str, text: str, unit: str, example: str) -> float:
-    """Return what an option says, in ``unit``.
-
-    Parameters
-    ----------
-    subject
-        The option, as an error names it.
-    text
-        A number with a unit, as it was written.
-    unit
-        The SI unit wanted; ``""`` for a plain number.
-    example
-        How such an option is written.
-
-    Raises
-    ------
-    OptionError
-        If it is not a quantity of that kind.
-    """
-    try:
-        return parse_quantity(text, unit)
-    except UnitError as error:
-        raise OptionError(
-            f"{subject} {text!r}: {error.message}", remedy=f'Write it like "{example}".'
-        ) from error
 
 
 def parse_feed(text: str) -> Feed:

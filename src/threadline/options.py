@@ -9,6 +9,14 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
 from threadline.machine.radii import written_out
+from threadline.option_defaults import (
+    DEFAULT_CONTOUR_M,
+    DEFAULT_INTERPOLATION,
+    DEFAULT_LIMITS,
+    DEFAULT_TOLERANCE_M,
+    FEED_FORWARD,
+    OPTIMAL_FEED_FORWARD,
+)
 from threadline.option_words import (
     parse_contour_m,
     parse_feed,
@@ -17,22 +25,10 @@ from threadline.option_words import (
     parse_tolerance_m,
     parse_width_s,
 )
-from threadline.path.interpolations import BY_LAW, CHORDS, DEFAULT_TOLERANCE_M, OPTIMAL
+from threadline.path.interpolations import BY_LAW, CHORDS, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
 
-DEFAULT_INTERPOLATION = "auto"
-DEFAULT_LIMITS = "100 %"
-DEFAULT_CONTOUR_M = 3e-4
-"""Default of ``--contour``, m: how far the control loops may take the load off the path of
-``optimal``. With the tolerance of the path this is 0.4 mm of the +-0.5 mm that the winder and the
-stitcher have to keep. The rest is for what the plan does not contain: encoder counts, levels of the
-DAC, friction, and the spread from run to run."""
-DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
-FEED_FORWARD = "40 ms"
-"""Default time over which feed-forward smooths the motion."""
-OPTIMAL_FEED_FORWARD = "10 ms"
-"""Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
 OF_AXES = (
     "interpolation", "feed", "dialect", "feed-mode", "radius", "offset", "tolerance", "limits"
 )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from threadline.machine.vary import ends_of
 from threadline.options import Options
 from threadline.plan import Plan
 from threadline.planning_so_far import PLANNING
+from threadline.progress_call import Progress
 from threadline.signals import Commands, Recording
 from threadline.signals.files.common import Written
 from threadline.targets.write import Target
@@ -40,7 +40,6 @@ __all__ = [
     "NOMINAL",
     "REPEATED",
     "TOLERANCES",
-    "Progress",
     "Proof",
     "Trials",
     "check_loops",
@@ -103,10 +102,6 @@ TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
 def yielding(share: float) -> Trials:
     """Return the trials that ask for a yield, as a share."""
     return Trials(repeats=REPEATED_RUNS, machines=1000, wished=share)
-
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction that is done."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

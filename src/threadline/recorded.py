@@ -12,7 +12,7 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
-from threadline.options import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
 from threadline.pipeline import open_job, plan_job, with_shaping
 from threadline.plan import Plan
 from threadline.signals import Recording

@@ -169,6 +169,39 @@ def test_a_proof_begins_without_what_few_commands_need() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+PLANNING = {"threadline.pipeline", "threadline.jobs", "threadline.path", "threadline.trajectory"}
+SIMULATING = {"threadline.twin", "threadline.verdict", "threadline.targets", "threadline.report"}
+SERVING = {"threadline.panel", "threadline.store", "threadline.live", "threadline.search"}
+SERVING |= {"fastapi", "uvicorn", "sqlalchemy", "mcap", "matplotlib", "jinja2"}
+OF_ARRAYS = {"scipy.linalg", "scipy.special", "scipy.optimize", "numba"}
+
+
+@pytest.mark.parametrize(
+    ("given", "unused"),
+    [
+        (["law", "--help"], {"threadline.machine", "threadline.shaping", "pint", "rich", "scipy"}),
+        (["law", "cubic", "--json"], {"threadline.machine", "threadline.shaping", "pint", "rich"}),
+        (["machines", "--json"], {"threadline.plant", "threadline.shaping", "threadline.laws"}),
+        (["size", "--help"], {"threadline.machine", "threadline.shaping", "rich"}),
+    ],
+    ids=["law --help", "law cubic", "machines", "size --help"],
+)
+def test_a_command_that_plans_nothing_loads_nothing_that_does(
+    given: list[str], unused: set[str]
+) -> None:
+    """The whole pipeline takes two seconds to load, numba and linear algebra one of them."""
+    unused = unused | PLANNING | SIMULATING | SERVING | OF_ARRAYS
+    done = run(
+        "import sys\n"
+        "from threadline.cli.main import main\n"
+        f"try:\n    main({given!r})\n"
+        "except SystemExit as ended:\n    assert not ended.code\n"
+        f"heavy = sorted({unused!r} & set(sys.modules))\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)\n"
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_no_garbage_is_looked_for_among_what_is_imported() -> None:
     """Neither while a command is imported nor afterwards; what it makes itself is collected."""
     done = run(

@@ -14,7 +14,7 @@ from threadline.cli.found import resolution_words
 from threadline.errors import LimitError
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import Progress
+from threadline.progress_call import Progress
 from threadline.search import fastest_job, gentle
 from threadline.search.fastest import RANGE, Fastest, Interval, find_fastest
 from threadline.search.shares import Shares

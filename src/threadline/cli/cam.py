@@ -18,8 +18,8 @@ from threadline.laws import write_law
 from threadline.laws.cam import MeasuredCam, Triangle, read_cam
 from threadline.laws.cam_study import CamStudy, Faired, Fairing, study_cam
 from threadline.laws.fairing import MOST_PASSES
-from threadline.option_words import parse_number
 from threadline.report.document import Table
+from threadline.typed_number import parse_number
 from threadline.writing import together
 
 _FEW = 20  # rows that are printed whole

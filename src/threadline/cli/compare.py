@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.chosen import machine_from, options_of
 from threadline.cli.found import AXES_ALONE, command_line, limit_words
 from threadline.cli.level import NominalOption, TolerancesOption, trials_of
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    DEFAULT_TOLERANCE_TEXT,
     ContourOption,
     DialectOption,
     FeedModeOption,
@@ -26,8 +26,6 @@ from threadline.cli.shared_options import (
     ReportOption,
     SpecOption,
     ToleranceOption,
-    machine_from,
-    options_of,
 )
 from threadline.cli.told import warning
 from threadline.cli.warn import warn
@@ -35,8 +33,8 @@ from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.machine.radii import with_radii
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
 from threadline.option_words import parse_feed
-from threadline.options import DEFAULT_INTERPOLATION
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
@@ -88,7 +86,7 @@ def compare(
     dialect: DialectOption = None,
     feed_mode: FeedModeOption = None,
     radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
     contour: ContourOption = None,
     par: ParOption = None,
     fastest: Annotated[bool, typer.Option(help="Also find the fastest of each.")] = True,

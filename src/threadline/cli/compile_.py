@@ -8,12 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.chosen import machine_from, options_of
 from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    DEFAULT_INTERPOLATION_TEXT,
-    DEFAULT_LIMITS_TEXT,
-    DEFAULT_TOLERANCE_TEXT,
     ContourOption,
     DialectOption,
     FeedForwardOption,
@@ -31,8 +29,6 @@ from threadline.cli.shared_options import (
     SmoothingOption,
     ToleranceOption,
     keep_inputs,
-    machine_from,
-    options_of,
     ratio,
 )
 from threadline.cli.told import note
@@ -40,6 +36,7 @@ from threadline.cli.warn import warn
 from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.pipeline import open_job, plan_job, target_of, write
 from threadline.signals.files.common import Written
 from threadline.targets.schedule_options import UNSHAPED_WORD
@@ -57,15 +54,15 @@ def compile_(
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
     law: LawOption = None,
     feed: FeedOption = None,
     dialect: DialectOption = None,
     feed_mode: FeedModeOption = None,
     radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
     contour: ContourOption = None,
-    limits: LimitsOption = DEFAULT_LIMITS_TEXT,
+    limits: LimitsOption = DEFAULT_LIMITS,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
     robust: RobustOption = None,

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.chosen import options_of
 from threadline.cli.found import command_line, typed
 from threadline.cli.level import (
     NominalOption,
@@ -20,9 +21,6 @@ from threadline.cli.level import (
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    DEFAULT_INTERPOLATION_TEXT,
-    DEFAULT_TOLERANCE_TEXT,
-    FEED_FORWARD,
     ContourOption,
     FeedForwardOption,
     FeedOption,
@@ -36,11 +34,11 @@ from threadline.cli.shared_options import (
     SpecOption,
     ToleranceOption,
     keep_inputs,
-    options_of,
 )
 from threadline.errors import OptionError
 from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
 from threadline.machine import load_machine
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
 from threadline.option_words import parse_width_s
 from threadline.pipeline import with_shaping
 from threadline.report.design import (
@@ -64,8 +62,8 @@ def design(
     job: JobArgument,
     machine: MachineOption,
     spec: SpecOption = None,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
     contour: ContourOption = None,
     feed: FeedOption = None,
     shaper: ShaperOption = None,
@@ -157,8 +155,8 @@ def design(
             written = write_design(result, result.found, output)
         page = None if report is None else write_design_report(result, report)
     words = {
-        "--interpolation": None if interpolation == DEFAULT_INTERPOLATION_TEXT else interpolation,
-        "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
+        "--interpolation": None if interpolation == DEFAULT_INTERPOLATION else interpolation,
+        "--tolerance": None if tolerance == DEFAULT_TOLERANCE else tolerance,
         "--contour": contour,
         "--feed": feed,
         "--shaper": shaper,

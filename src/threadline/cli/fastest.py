@@ -9,6 +9,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from threadline.cli.chosen import machine_from, options_of
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_by_feed import fastest_by_feed
 from threadline.cli.fastest_cycle import fastest_moves
@@ -17,8 +18,6 @@ from threadline.cli.fastest_seam import fastest_seam
 from threadline.cli.fastest_shaft import fastest_design
 from threadline.cli.level import NominalOption, TolerancesOption, YieldOption, trials_of
 from threadline.cli.shared_options import (
-    DEFAULT_INTERPOLATION_TEXT,
-    DEFAULT_TOLERANCE_TEXT,
     ActualOption,
     ContourOption,
     DialectOption,
@@ -34,18 +33,18 @@ from threadline.cli.shared_options import (
     SmoothingOption,
     SpecOption,
     ToleranceOption,
-    machine_from,
-    options_of,
     report_folder,
 )
 from threadline.errors import OptionError
 from threadline.jobs.operations import Pace
 from threadline.machine.radii import with_radii
-from threadline.option_words import parse_margin, parse_number
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
+from threadline.option_words import parse_margin
 from threadline.options import robust_plan
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import open_job
 from threadline.search.until import Until
+from threadline.typed_number import parse_number
 from threadline.verdict import load_spec
 
 
@@ -53,12 +52,12 @@ def fastest(
     job: JobArgument,
     machine: MachineOption,
     spec: SpecOption = None,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
     law: LawOption = None,
     dialect: DialectOption = None,
     feed_mode: FeedModeOption = None,
     radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
     contour: ContourOption = None,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
@@ -182,7 +181,7 @@ def fastest(
             "--dialect": dialect,
             "--feed-mode": feed_mode,
             "--radius": radius,
-            "--tolerance": None if tolerance == DEFAULT_TOLERANCE_TEXT else tolerance,
+            "--tolerance": None if tolerance == DEFAULT_TOLERANCE else tolerance,
             "--feed-forward": "" if feed_forward else None,
             "--smoothing": smoothing,
             "--contour": contour,

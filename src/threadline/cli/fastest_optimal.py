@@ -19,7 +19,8 @@ from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.option_words import NO_CONTOUR, share_words
+from threadline.option_defaults import NO_CONTOUR
+from threadline.option_words import share_words
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import plan_job, with_shaping
 from threadline.report.strips import binding_lines, binding_of

@@ -7,11 +7,11 @@ from typing import Any
 
 from threadline.cli.output import print_table, say
 from threadline.errors import OptionError
-from threadline.option_words import parse_number
 from threadline.report.document import Printed
 from threadline.search.cycle import cycle_s
 from threadline.search.cycle_beside import BesideRow
 from threadline.search.cycle_robust import RobustCycle
+from threadline.typed_number import parse_number
 from threadline.verdict import closing, criteria_json, verdict_rows
 
 

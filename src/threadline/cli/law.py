@@ -8,13 +8,12 @@ from typing import Annotated
 import typer
 
 from threadline.cli.law_characteristics import law_json, law_row
-from threadline.cli.law_mode import study
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import JsonOption, ReportOption, ratio
 from threadline.errors import OptionError
-from threadline.laws import LAWS, write_law
-from threadline.shaping.law_named import law_named
+from threadline.laws import LAWS, Law, write_law
+from threadline.laws import law as law_of_catalogue
 from threadline.writing import together
 
 
@@ -81,12 +80,14 @@ def law(
     --limit "6.33 m/s^2" --residual "0.05 mm" --band 0.1
     """
     check_outputs(file=out, folder=report)
-    laws = list(LAWS.values()) if name is None else [law_named(name)]
+    laws = list(LAWS.values()) if name is None else [_called(name)]
     of_a_mode = {
         "--move": move, "--time": time, "--residual": residual, "--limit": limit, "--jerk": jerk,
         "--band": band,
     }  # fmt: skip
     if mode is not None:
+        from threadline.cli.law_mode import study
+
         study(
             laws, mode=mode, damping=damping, move=move, time=time, mass=mass, residual=residual,
             limit=limit, jerk=jerk, band=band, out=out, report=report, json=json,
@@ -115,6 +116,15 @@ def law(
         )
         if written is not None:
             say(f"Report: {written}")
+
+
+def _called(name: str) -> Law:
+    """Return the law of a name; shapers, which take a second to load, where one is in the name."""
+    if "*" not in name:
+        return law_of_catalogue(name)
+    from threadline.shaping.law_named import law_named
+
+    return law_named(name)
 
 
 def register(app: typer.Typer) -> None:

@@ -13,7 +13,6 @@ from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.told import warning
 from threadline.errors import OptionError
 from threadline.laws import LAWS, Law, write_law
-from threadline.option_words import parse_number
 from threadline.report.document import Table
 from threadline.shaping import (
     Demand,
@@ -30,6 +29,7 @@ from threadline.shaping import (
     usual_jerk_m_s3,
 )
 from threadline.shaping.types import MAX_DAMPING_RATIO
+from threadline.typed_number import parse_number
 from threadline.writing import together
 
 COPIED = "modified-sine"

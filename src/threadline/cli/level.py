@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from threadline.errors import OptionError
-from threadline.option_words import parse_ends, parse_number
+from threadline.option_words import parse_ends
 from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, yielding
+from threadline.typed_number import parse_number
 
 NominalOption = Annotated[
     bool,

@@ -14,7 +14,7 @@ from threadline.cli.told import note
 from threadline.live.desk import Desk
 from threadline.live.links import Running
 from threadline.live.states import Cause, State
-from threadline.pipeline import Progress
+from threadline.progress_call import Progress
 
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 """Any other key stops."""

@@ -1,27 +1,21 @@
-"""Output of the commands: tables for people, one JSON object for programs."""
+"""Output of the commands: tables for people, one JSON object for programs.
+
+What needs rich is in ``on_terminal``, loaded where something is drawn: an object needs none of it.
+"""
 
 from __future__ import annotations
 
 import json
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-from rich.text import Text
-
 from threadline.cli.told import STARTING, STDOUT, at_work
 from threadline.escaping import plain
-from threadline.pipeline import Progress as ProgressCall
+from threadline.progress_call import Progress as ProgressCall
 
-_SHOW_AFTER_S = 1.0
-_WRAPPED = 40  # characters: a narrower column breaks a note too often
 _FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its own
 
 
@@ -59,37 +53,14 @@ def say_lines(text: str) -> None:
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table; all columns but the first and a last one called note are aligned right."""
-    console = Console() if sys.stdout.isatty() else Console(width=_FILE_WIDTH)
-    title, header = plain(title), [plain(cell) for cell in header]
-    rows = [[plain(cell) for cell in row] for row in rows]
-    notes: list[tuple[str, str]] = []
-    if header[-1] == "note" and not _fits(header, rows, console.width):
-        named = 2 if len(header) > 1 and header[1] == "axis" else 1
-        notes = [(" ".join(row[:named]).strip(), row[-1]) for row in rows if row[-1]]
-        header, rows = header[:-1], [row[:-1] for row in rows]
-    # Text, not str: rich would take "[/b]" for its own markup, and ":x:" for a picture.
-    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    for index, name in enumerate(header):
-        text = index == 0 or name == "note"
-        table.add_column(
-            Text(name),
-            justify="left" if text else "right",
-            no_wrap=name != "note",
-            overflow="fold",
-        )
-    for row in rows:
-        table.add_row(*map(Text, row))
+    from threadline.cli.on_terminal import laid_out
+
+    width = None if sys.stdout.isatty() else _FILE_WIDTH
+    console, table, notes = laid_out(title, header, rows, width)
     with _to_stdout():
         console.print(table)
         for subject, said in notes:
             console.print(f"  {subject}: {said}", markup=False, highlight=False, soft_wrap=True)
-
-
-def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> bool:
-    """Return whether the last column has room for its longest text, or for ``_WRAPPED``."""
-    lines = [header, *rows]
-    others = sum(max(len(line[k]) for line in lines) + 2 for k in range(len(header) - 1))
-    return width - others - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
 
 
 @contextmanager
@@ -101,37 +72,7 @@ def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
     if not wanted or not sys.stderr.isatty():
         yield partial(at_work, shown=False)
         return
-    bar = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
-    task = bar.add_task("starting", total=1.0)
-    shown, over, lock = threading.Event(), threading.Event(), threading.Lock()
+    from threadline.cli.on_terminal import bar_on_terminal
 
-    def show() -> None:
-        with lock:
-            if not over.is_set():
-                STARTING.over()
-                bar.start()
-                shown.set()
-
-    def update(what: str, fraction: float) -> None:
-        at_work(what, fraction, shown=shown.is_set())
-        bar.update(task, description=what, completed=fraction)
-
-    # A single step may take minutes: the bar does not wait for the next one to be told.
-    timer = threading.Timer(_SHOW_AFTER_S, show)
-    timer.daemon = True
-    timer.start()
-    try:
+    with bar_on_terminal() as update:
         yield update
-    finally:
-        timer.cancel()
-        with lock:
-            over.set()
-            if shown.is_set():
-                bar.stop()

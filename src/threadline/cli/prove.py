@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli.chosen import machine_from, options_of
 from threadline.cli.level import (
     EndsOption,
     NominalOption,
@@ -18,9 +19,6 @@ from threadline.cli.level import (
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    DEFAULT_INTERPOLATION_TEXT,
-    DEFAULT_LIMITS_TEXT,
-    DEFAULT_TOLERANCE_TEXT,
     ActualOption,
     ContourOption,
     DialectOption,
@@ -43,13 +41,12 @@ from threadline.cli.shared_options import (
     SpecOption,
     ToleranceOption,
     keep_inputs,
-    machine_from,
-    options_of,
 )
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
 from threadline.kinds.watched import WRITING, Share
 from threadline.machine import Machine
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.pipeline import Proof, with_shaping
 from threadline.pipeline import prove as prove_job
 from threadline.proof_file import write_proof
@@ -70,15 +67,15 @@ def prove(
     job: JobArgument,
     machine: MachineOption,
     spec: SpecOption = None,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
     law: LawOption = None,
     feed: FeedOption = None,
     dialect: DialectOption = None,
     feed_mode: FeedModeOption = None,
     radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
     contour: ContourOption = None,
-    limits: LimitsOption = DEFAULT_LIMITS_TEXT,
+    limits: LimitsOption = DEFAULT_LIMITS,
     shaper: ShaperOption = None,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,

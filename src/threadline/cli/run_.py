@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from threadline.arrays import finite
+from threadline.cli.chosen import machine_from, options_of
 from threadline.cli.continued import (
     AtOption,
     ConfirmedOption,
@@ -26,9 +27,6 @@ from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import plot_every
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import (
-    DEFAULT_INTERPOLATION_TEXT,
-    DEFAULT_LIMITS_TEXT,
-    DEFAULT_TOLERANCE_TEXT,
     ContourOption,
     DialectOption,
     FeedForwardOption,
@@ -49,8 +47,6 @@ from threadline.cli.shared_options import (
     SpecOption,
     ToleranceOption,
     keep_inputs,
-    machine_from,
-    options_of,
 )
 from threadline.cli.told import note
 from threadline.cli.warn import tell
@@ -68,6 +64,7 @@ from threadline.live.supervised import (
     check_runnable,
 )
 from threadline.live.ways import way_of
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.plan import Plan
 from threadline.proof_file import read_proof, write_proof
@@ -139,15 +136,15 @@ def run(
     pass_stops: Annotated[
         bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
     ] = False,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
     law: LawOption = None,
     feed: FeedOption = None,
     dialect: DialectOption = None,
     feed_mode: FeedModeOption = None,
     radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
     contour: ContourOption = None,
-    limits: LimitsOption = DEFAULT_LIMITS_TEXT,
+    limits: LimitsOption = DEFAULT_LIMITS,
     shaper: ShaperOption = None,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,

@@ -28,7 +28,6 @@ from threadline.cli.shaper_text import (
 from threadline.cli.shared_options import JsonOption, ReportOption, ratio
 from threadline.cli.told import warning
 from threadline.errors import OptionError
-from threadline.option_words import parse_number
 from threadline.report.document import Table
 from threadline.report.shaper import write_shaper
 from threadline.shaping import (
@@ -45,6 +44,7 @@ from threadline.shaping import (
     vibration_of,
 )
 from threadline.shaping.onoff.study import MoveStudy, study_move
+from threadline.typed_number import parse_number
 from threadline.units import without_noise
 
 _STILL = 0.01  # of one full step: 1 %

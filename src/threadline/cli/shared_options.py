@@ -1,4 +1,7 @@
-"""Options that several commands share, with one name and one help text each."""
+"""Options that several commands share, with one name and one help text each.
+
+What reads a machine and options is ``chosen``: these texts need none of that.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,13 @@ from typing import Annotated
 
 import typer
 
-from threadline import options as planning
 from threadline.errors import OptionError
-from threadline.machine import Machine, load_machine
-from threadline.machine.par import read_parameters
-from threadline.option_words import NO_CONTOUR, parse_number
-
-FEED_FORWARD = planning.FEED_FORWARD
+from threadline.option_defaults import (
+    DEFAULT_CONTOUR_M,
+    FEED_FORWARD,
+    NO_CONTOUR,
+    OPTIMAL_FEED_FORWARD,
+)
 
 
 def ratio(option: str) -> Callable[[str | float], float]:
@@ -24,7 +27,12 @@ def ratio(option: str) -> Callable[[str | float], float]:
     """
 
     def read(text: str | float) -> float:
-        return parse_number(option, text, "", "20 %") if isinstance(text, str) else text
+        if not isinstance(text, str):
+            return text
+        # Units take a third of a second to load, and help has none to read.
+        from threadline.typed_number import parse_number
+
+        return parse_number(option, text, "", "20 %")
 
     read.__name__ = "ratio"  # what --help calls such a value
     return read
@@ -103,7 +111,7 @@ ContourOption = Annotated[
     str | None,
     typer.Option(
         help=f"Of optimal: how far the loops may leave the path; default "
-        f'"{planning.DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With '
+        f'"{DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With '
         "--feed-forward: how far the loads may leave their motion where its table begins and ends."
     ),
 ]
@@ -158,7 +166,7 @@ SmoothingOption = Annotated[
     str | None,
     typer.Option(
         help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}", of '
-        f'optimal "{planning.OPTIMAL_FEED_FORWARD}".'
+        f'optimal "{OPTIMAL_FEED_FORWARD}".'
     ),
 ]
 RobustOption = Annotated[
@@ -175,15 +183,6 @@ ActualOption = Annotated[
         help="Machine that runs what was planned for --machine: a file or a library name."
     ),
 ]
-DEFAULT_INTERPOLATION_TEXT = planning.DEFAULT_INTERPOLATION
-DEFAULT_LIMITS_TEXT = planning.DEFAULT_LIMITS
-DEFAULT_TOLERANCE_TEXT = planning.DEFAULT_TOLERANCE
-
-
-def machine_from(reference: str, par: Path | None) -> Machine:
-    """Return the machine that the options name."""
-    machine = load_machine(reference)
-    return machine if par is None else read_parameters(par, machine)
 
 
 def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
@@ -203,6 +202,3 @@ def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
                 f"{str(output)!r} is the input {str(source)!r} and would be written over",
                 remedy="Give another file to write.",
             )
-
-
-options_of = planning.options_of

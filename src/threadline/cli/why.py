@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.cli.output import print_table
-from threadline.pipeline import Progress
+from threadline.progress_call import Progress
 from threadline.search.cheapest_set import MACHINES
 from threadline.search.influence import Influence, influence, judgements
 from threadline.search.machine_yield import Done, MachineYield, shares_of

@@ -13,14 +13,12 @@ import typer
 from threadline import __version__
 from threadline.arrays import finite
 from threadline.cli.cheapest import set_content, show_set, yield_words
+from threadline.cli.chosen import machine_from, options_of
 from threadline.cli.found import command_line
 from threadline.cli.level import parse_yield
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    DEFAULT_INTERPOLATION_TEXT,
-    DEFAULT_LIMITS_TEXT,
-    DEFAULT_TOLERANCE_TEXT,
     FeedForwardOption,
     FeedOption,
     InterpolationOption,
@@ -36,13 +34,12 @@ from threadline.cli.shared_options import (
     SpecOption,
     ToleranceOption,
     keep_inputs,
-    machine_from,
-    options_of,
 )
 from threadline.cli.warn import tell, warn
 from threadline.cli.why import Why, counted, show_why, why_content, why_of
 from threadline.errors import OptionError
 from threadline.machine.variants import not_drawn
+from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.plan import Plan
 from threadline.proof_file import spec_sha256
@@ -70,11 +67,11 @@ def yield_(
         int, typer.Option(min=1, max=10_000_000, help="How many machines are drawn.")
     ] = 10_000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the drawn machines.")] = 1,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION_TEXT,
+    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
     law: LawOption = None,
     feed: FeedOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE_TEXT,
-    limits: LimitsOption = DEFAULT_LIMITS_TEXT,
+    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
+    limits: LimitsOption = DEFAULT_LIMITS,
     feed_forward: FeedForwardOption = False,
     smoothing: SmoothingOption = None,
     robust: RobustOption = None,
@@ -165,11 +162,11 @@ def yield_(
             "-m": machine,
             "--actual": worst,
             "-s": spec,
-            "--interpolation": _unless(DEFAULT_INTERPOLATION_TEXT, interpolation),
+            "--interpolation": _unless(DEFAULT_INTERPOLATION, interpolation),
             "--law": law,
             "--feed": feed,
-            "--tolerance": _unless(DEFAULT_TOLERANCE_TEXT, tolerance),
-            "--limits": _unless(DEFAULT_LIMITS_TEXT, limits),
+            "--tolerance": _unless(DEFAULT_TOLERANCE, tolerance),
+            "--limits": _unless(DEFAULT_LIMITS, limits),
             "--feed-forward": "" if feed_forward else None,
             "--smoothing": smoothing,
             "--robust": robust,

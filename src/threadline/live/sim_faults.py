@@ -11,7 +11,7 @@ from threadline.arrays import FloatArray
 from threadline.errors import OptionError
 from threadline.foreign_messages import nearest
 from threadline.machine import Machine
-from threadline.option_words import parse_number
+from threadline.typed_number import parse_number
 
 OF_AXES = ("stuck-encoder", "encoder-jump", "unheeded-reversal")
 OF_GRIDS = ("light-grid",)

@@ -11,6 +11,7 @@ from threadline.errors import OptionError
 from threadline.foreign_messages import nearest
 from threadline.machine import Machine
 from threadline.machine.within_path import within_path
+from threadline.option_defaults import DEFAULT_TOLERANCE_M
 from threadline.path import bspline, straight
 from threadline.path.auto import auto_pieces
 from threadline.path.blends import blended_pieces
@@ -22,7 +23,6 @@ from threadline.path.turning_back import resting_at_reversals
 from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
 from threadline.signals import KeptStream, Stream
 
-DEFAULT_TOLERANCE_M = 1e-4
 PARABOLA_SHARE = 0.9
 _NEAR_SHARE = 0.01  # share of the tolerance: ``optimal`` leaves out vertices nearer to the last
 _ROUNDING = 1e-9

@@ -22,7 +22,8 @@ from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.option_words import LEAST_CONTOUR_M
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
+from threadline.pipeline import NOMINAL, Trials, plan_job, try_plan
+from threadline.progress_call import Progress
 from threadline.search.edges import Interval
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s

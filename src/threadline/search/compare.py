@@ -11,13 +11,13 @@ from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import (
     NOMINAL,
-    Progress,
     Proof,
     Trials,
     check_machine,
     plan_job,
     prove_plan,
 )
+from threadline.progress_call import Progress
 from threadline.search.gentle import fastest_job
 from threadline.search.rungs import FastestJob
 from threadline.verdict import Spec

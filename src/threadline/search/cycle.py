@@ -15,7 +15,8 @@ from threadline.errors import PlanError, RecordingError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, try_plan
+from threadline.pipeline import NOMINAL, Proof, Trials, plan_job, try_plan
+from threadline.progress_call import Progress
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import overlapped, with_choices

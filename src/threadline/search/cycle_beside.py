@@ -8,7 +8,8 @@ from threadline.errors import PlanError, RecordingError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Progress, plan_job, prove_plan
+from threadline.pipeline import NOMINAL, plan_job, prove_plan
+from threadline.progress_call import Progress
 from threadline.search.cycle import FastestCycle, cycle_s
 from threadline.search.cycle_band import MEASURE, BandRun, band_machines, over_band
 from threadline.search.cycle_robust import RobustCycle

@@ -20,9 +20,10 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import mode_off
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Progress, Proof, Trials, plan_job, try_plan
+from threadline.pipeline import NOMINAL, Proof, Trials, plan_job, try_plan
 from threadline.plan import Plan
 from threadline.plant.pneumatic import flow_mode, step_ringing
+from threadline.progress_call import Progress
 from threadline.search.cycle_band import MEASURE, BandRun, band_machines, over_band
 from threadline.search.move_list import levels_of_operations, overlapped, with_choices
 from threadline.search.until import Until

@@ -20,13 +20,13 @@ from threadline.machine.numbers import number_at, with_numbers
 from threadline.options import Options
 from threadline.pipeline import (
     REPEATED,
-    Progress,
     Trials,
     plan_job,
     simulate,
     try_plan,
 )
 from threadline.plan import Plan
+from threadline.progress_call import Progress
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
 from threadline.search.design_region import region_of
 from threadline.search.design_result import Candidate, DesignResult, Found

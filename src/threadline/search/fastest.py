@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import OptionError
-from threadline.pipeline import Progress
+from threadline.progress_call import Progress
 from threadline.search.edges import (
     INSIDE,
     Interval,

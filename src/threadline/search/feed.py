@@ -14,8 +14,9 @@ from threadline.jobs.gcode.f_words import RULES, as_f_words
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
+from threadline.pipeline import NOMINAL, Trials, plan_job, try_plan
 from threadline.plan import Following
+from threadline.progress_call import Progress
 from threadline.search.distinct import moves_in
 from threadline.search.edges import used
 from threadline.search.fastest import (

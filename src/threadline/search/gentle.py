@@ -17,7 +17,8 @@ from threadline.machine import Machine
 from threadline.option_words import LEAST_SHARE
 from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
-from threadline.pipeline import NOMINAL, Progress, Trials, check_loops, plan_job, try_plan
+from threadline.pipeline import NOMINAL, Trials, check_loops, plan_job, try_plan
+from threadline.progress_call import Progress
 from threadline.search.allowance import fastest_allowed
 from threadline.search.distinct import distinct_parts, moves_in
 from threadline.search.edges import Interval

@@ -12,7 +12,7 @@ from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.vary import off_tolerance
 from threadline.options import Options
-from threadline.pipeline import Progress
+from threadline.progress_call import Progress
 from threadline.search.cycle import fastest_cycle
 from threadline.search.edges import Interval
 from threadline.search.fastest import Fastest

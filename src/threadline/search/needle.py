@@ -9,7 +9,8 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Progress, Trials, plan_job, try_plan
+from threadline.pipeline import NOMINAL, Trials, plan_job, try_plan
+from threadline.progress_call import Progress
 from threadline.search.fastest import (
     EDGE_RELATIVE,
     NEAR_POINTS,

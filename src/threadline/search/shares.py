@@ -8,7 +8,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field
 
 from threadline.errors import LimitError
-from threadline.pipeline import Progress
+from threadline.progress_call import Progress
 from threadline.search.fastest import Fastest
 from threadline.search.rungs import Rung
 from threadline.search.until import HaltError, Until

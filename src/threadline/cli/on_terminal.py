@@ -1,0 +1,101 @@
+"""What is drawn on a terminal, and tables wherever they go: all that needs rich."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from threadline.cli.told import STARTING, at_work
+from threadline.escaping import plain
+from threadline.progress_call import Progress as ProgressCall
+
+_SHOW_AFTER_S = 1.0
+_WRAPPED = 40  # characters: a narrower column breaks a note too often
+
+
+def laid_out(
+    title: str, header: Sequence[str], rows: Sequence[Sequence[str]], width: int | None
+) -> tuple[Console, Table, list[tuple[str, str]]]:
+    """Return a table, the console that shows it, and notes that stand below it with their subjects.
+
+    Parameters
+    ----------
+    title, header, rows
+        Texts; all columns but the first and a last one called note are aligned right.
+    width
+        Of the console, in characters; None is that of the terminal.
+    """
+    console = Console() if width is None else Console(width=width)
+    title, header = plain(title), [plain(cell) for cell in header]
+    rows = [[plain(cell) for cell in row] for row in rows]
+    notes: list[tuple[str, str]] = []
+    if header[-1] == "note" and not _fits(header, rows, console.width):
+        named = 2 if len(header) > 1 and header[1] == "axis" else 1
+        notes = [(" ".join(row[:named]).strip(), row[-1]) for row in rows if row[-1]]
+        header, rows = header[:-1], [row[:-1] for row in rows]
+    # Text, not str: rich would take "[/b]" for its own markup, and ":x:" for a picture.
+    table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    for index, name in enumerate(header):
+        text = index == 0 or name == "note"
+        table.add_column(
+            Text(name),
+            justify="left" if text else "right",
+            no_wrap=name != "note",
+            overflow="fold",
+        )
+    for row in rows:
+        table.add_row(*map(Text, row))
+    return console, table, notes
+
+
+def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> bool:
+    """Return whether the last column has room for its longest text, or for ``_WRAPPED``."""
+    lines = [header, *rows]
+    others = sum(max(len(line[k]) for line in lines) + 2 for k in range(len(header) - 1))
+    return width - others - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
+
+
+@contextmanager
+def bar_on_terminal() -> Iterator[ProgressCall]:
+    """Yield a progress call that draws a bar on standard error once a second has passed."""
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f}%"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    task = bar.add_task("starting", total=1.0)
+    shown, over, lock = threading.Event(), threading.Event(), threading.Lock()
+
+    def show() -> None:
+        with lock:
+            if not over.is_set():
+                STARTING.over()
+                bar.start()
+                shown.set()
+
+    def update(what: str, fraction: float) -> None:
+        at_work(what, fraction, shown=shown.is_set())
+        bar.update(task, description=what, completed=fraction)
+
+    # A single step may take minutes: the bar does not wait for the next one to be told.
+    timer = threading.Timer(_SHOW_AFTER_S, show)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield update
+    finally:
+        timer.cancel()
+        with lock:
+            over.set()
+            if shown.is_set():
+                bar.stop()
