@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 from threadline.arrays import FloatArray
 from threadline.errors import OptionError, Place
 from threadline.laws.cam import MeasuredCam
-from threadline.laws.fairing import MOST_PASSES, Rebound, Smoothed, Smoother, differences, rebound
+from threadline.laws.fairing import (
+    MOST_PASSES,
+    Rebound,
+    Smoothed,
+    Smoother,
+    differences,
+    one_pass,
+    rebound,
+)
 from threadline.laws.law import Law
 from threadline.laws.law_table import law_through
 from threadline.laws.measured_rise import Rise, noise_of, refuse_no_rise, rise_of
@@ -170,16 +178,16 @@ def study_cam(
     methods: dict[Fairing, Callable[[FloatArray], FloatArray]] = {Fairing.NONE: lambda y: y}
     if even:
         methods[Fairing.DIFFERENCES] = lambda y: differences(y, noise)
-    # The rebound is linear: one pass of the identity is its matrix.
-    once = _pass_matrix(alpha)
-    many = np.linalg.matrix_power(once, bounced.passes)
+    # The rebound is linear, and its slopes at the ends are 0.
+    many = np.linalg.matrix_power(one_pass(alpha, np.eye(len(alpha))), bounced.passes)
     methods[Fairing.REBOUND] = lambda y: many @ y
     random = np.random.default_rng(_SEED)
     true = cam.distance_of(smooth.values)
     drawn = [true + noise * random.standard_normal(len(h)) for _ in range(draws)]
     table = []
     for each, method in methods.items():
-        spread = np.array([_spline_peaks(t, cam.follower_of(method(y)), inside) for y in drawn])
+        followers = np.array([cam.follower_of(method(y)) for y in drawn])
+        spread = _spline_peaks(t, followers.T, inside).T
         table.append(_faired(each, cam, method(h), t, inside, spread))
     spread = np.array([smoother.peaks(smoother.solve(cam.follower_of(y), weight)) for y in drawn])
     law = law_of_velocity("cam", smooth.knots, smooth.coefficients, 3)
@@ -231,45 +239,41 @@ def _outliers(
     return tuple(sorted(found)), scaled
 
 
-def _pass_matrix(x: FloatArray) -> FloatArray:
-    """Return the (n, n) matrix by which one pass of ``rebound`` fairs n values.
-
-    Its slope is held at 0 at both ends.
-    """
-    one = np.eye(len(x))
-    # Infinite noise: nothing but the number of passes ends the rebound.
-    columns = [rebound(x, column, np.inf, most_passes=1).values for column in one]
-    return np.array(columns).T
-
-
 def _normalised(
     t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times and rises, from 0 to 1, of the rows ``inside``; ends without a row are added."""
+    """Return times and rises, from 0 to 1, of the rows ``inside``; ends without a row are added.
+
+    ``follower`` is (n,), or (n, draws) for the rises of many draws.
+    """
     first, last = follower[inside][0], follower[inside][-1]
     before, after = follower[t < 0.0], follower[t > 1.0]
-    low = float(before.mean()) if len(before) else float(first)
-    high = float(after.mean()) if len(after) else float(last)
+    low = before.mean(axis=0) if len(before) else first
+    high = after.mean(axis=0) if len(after) else last
     u, s = t[inside], (follower[inside] - low) / (high - low)
+    end = np.zeros_like(s[:1])
     if u[0] > 1e-9:
-        u, s = np.append(0.0, u), np.append(0.0, s)
+        u, s = np.append(0.0, u), np.concatenate((end, s))
     if u[-1] < 1.0 - 1e-9:
-        u, s = np.append(u, 1.0), np.append(s, 1.0)
+        u, s = np.append(u, 1.0), np.concatenate((s, end + 1.0))
     u, s = u.copy(), s.copy()
     u[0], u[-1], s[0], s[-1] = 0.0, 1.0, 0.0, 1.0
     return u, s
 
 
 def _spline_peaks(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
-    """Return Cv, Ca and Cj of the clamped cubic spline through rows; Cv is that of samples."""
+    """Return Cv, Ca and Cj of the clamped cubic spline through rows; Cv is that of samples.
+
+    They are (3,) for a follower (n,), and (3, draws) for (n, draws).
+    """
     from scipy.interpolate import CubicSpline
 
     u, s = _normalised(t, follower, inside)
     spline = CubicSpline(u, s, bc_type="clamped")
     looks = (u[:-1, None] + np.diff(u)[:, None] * np.arange(_LOOKS) / _LOOKS).ravel()
     knots = spline(u, 2)
-    jerks = np.diff(knots) / np.diff(u)
-    return np.array([np.abs(spline(looks, 1)).max(), np.abs(knots).max(), np.abs(jerks).max()])
+    jerks = (np.diff(knots, axis=0).T / np.diff(u)).T
+    return np.array([np.abs(each).max(axis=0) for each in (spline(looks, 1), knots, jerks)])
 
 
 def _through(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]) -> Law:

@@ -8,7 +8,9 @@ the default.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from math import sqrt
 from typing import Any
 
@@ -59,6 +61,21 @@ class Rebound:
     stopped_by: str
 
 
+def one_pass(
+    x: FloatArray, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Return ``values`` (n,) or (n, columns) at the places ``x`` (n,) after a pass of ``rebound``.
+
+    With slopes of 0 at the ends a pass is linear: that of the identity is its (n, n) matrix.
+    """
+    from scipy.interpolate import CubicSpline
+
+    ends: Any = tuple((1, np.full(values.shape[1:], slope)) for slope in slopes)
+    between = np.concatenate((x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]))
+    there = CubicSpline(x, values, bc_type=ends)(between)
+    return np.asarray(CubicSpline(between, there, bc_type=ends)(x))
+
+
 def rebound(
     x: FloatArray,
     y: FloatArray,
@@ -89,15 +106,12 @@ def rebound(
     most_passes
         Largest number of passes.
     """
-    from scipy.interpolate import CubicSpline
-
-    ends: Any = ((1, slopes[0]), (1, slopes[1]))
-    between = np.concatenate((x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]))
+    # Linear in the values, and there may be thousands of passes: one spline serves them all.
+    matrix, offset = one_pass(x, np.eye(len(x))), one_pass(x, np.zeros_like(y), slopes)
     values, last, moved, why = y, 0.0, 0.0, "passes"
     done = 0
     while done < most_passes:
-        there = CubicSpline(x, values, bc_type=ends)(between)
-        back = CubicSpline(between, there, bc_type=ends)(x)
+        back = matrix @ values + offset
         change = float(np.abs(back - values).max())
         farther = float(np.sqrt(np.mean((back - y) ** 2)))
         if epsilon is None and farther > noise:
@@ -141,6 +155,28 @@ class Smoothed:
     scaled: FloatArray
 
 
+@cache
+def _basis(
+    intervals: int,
+) -> tuple[FloatArray, Callable[[FloatArray], FloatArray], FloatArray, list[FloatArray]]:
+    """Return what all smoothing splines of so many knot intervals share.
+
+    Their knots; the antiderivatives of the ``count`` B-splines of the velocity; the jerks of these,
+    weighted such that the sum of their squares is the integral; and the B-splines and their first
+    two derivatives, from 20 samples an interval. The last two have a column for each B-spline.
+    """
+    from scipy.interpolate import BSpline
+
+    inner = np.linspace(0.0, 1.0, intervals + 1)
+    knots = np.concatenate((np.zeros(_DEGREE), inner, np.ones(_DEGREE)))
+    basis = BSpline(knots, np.eye(intervals + _DEGREE), _DEGREE)
+    # The integral of the squared jerk, exact: the jerk is linear between knots.
+    at = inner[:-1, None] + np.array([0.5 - sqrt(1 / 12), 0.5 + sqrt(1 / 12)]) / intervals
+    jerk = basis.derivative(2)(at.ravel()) / sqrt(2.0 * intervals)
+    looks = np.linspace(0.0, 1.0, 20 * intervals + 1)
+    return knots, basis.antiderivative(), jerk, [basis.derivative(d)(looks) for d in range(3)]
+
+
 class Smoother:
     """The smoothing spline through rows at times ``t``: monotone, from rest to rest.
 
@@ -161,29 +197,22 @@ class Smoother:
     def __init__(
         self, t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool] = (True, True)
     ) -> None:
-        from scipy.interpolate import BSpline
-
         inside = int(((t > 0.0) & (t < 1.0)).sum())
         intervals = int(np.clip(inside, *_INTERVALS))
         self.t, self.noise = np.clip(t, 0.0, 1.0), noise
-        inner = np.linspace(0.0, 1.0, intervals + 1)
-        self.knots = np.concatenate((np.zeros(_DEGREE), inner, np.ones(_DEGREE)))
+        self.knots, basis, jerk, looks = _basis(intervals)
         count = intervals + _DEGREE
         # The first and the last coefficient are the velocities of the ends, the next to them add
         # the accelerations.
         self.free = np.arange(1 + gentle[0], count - 1 - gentle[1])
-        basis = BSpline(self.knots, np.eye(count), _DEGREE)
-        risen = basis.antiderivative()(self.t)[:, self.free]
+        risen = basis(self.t)[:, self.free]
         self.count = count
         self.rows = np.hstack((np.ones((len(t), 1)), risen)) / noise[:, None]
-        # The integral of the squared jerk, exact: the jerk is linear between knots.
-        at = inner[:-1, None] + np.array([0.5 - sqrt(1 / 12), 0.5 + sqrt(1 / 12)]) / intervals
-        jerk = basis.derivative(2)(at.ravel())[:, self.free] / sqrt(2.0 * intervals)
+        jerk = jerk[:, self.free]
         # Divided by the noise, so that the weight has no unit.
         self.penalty = np.hstack((np.zeros((len(jerk), 1)), jerk)) / float(np.median(noise))
         self.total = (self.knots[_DEGREE + 1 :] - self.knots[:count])[self.free] / (_DEGREE + 1.0)
-        looks = np.linspace(0.0, 1.0, 20 * intervals + 1)
-        self.looks = [basis.derivative(d)(looks)[:, self.free] for d in range(3)]
+        self.looks = [look[:, self.free] for look in looks]
 
     def solve(self, y: FloatArray, weight: float) -> FloatArray:
         """Return the base and the free coefficients for (n,) positions and a weight of the jerk."""
