@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.made import read_once
 
 from threadline.errors import MachineError
 from threadline.machine import Machine
@@ -58,7 +59,7 @@ def check_against(
     """Assert that load and frame are the reference's at every tick; return its states."""
     given = there_and_back()
     states = run(reference, given, law, quantised=quantised)
-    recording = simulate(table(machine, {axis: given}), machine, quantised=quantised)
+    recording = read_once(simulate(table(machine, {axis: given}), machine, quantised=quantised))
     tolerance = COUNT_M if quantised else 1e-7
     _, load = recording.samples(f"{axis}.load")
     head = states[:, 3] if reference.m else RATIO * states[:, 0]
@@ -211,7 +212,7 @@ def test_eccentric_gear_is_checked(table, tmp_path):
 def test_on_cloth_that_the_frame_holds_the_head_is_judged_relative_to_it(table) -> None:
     """The same motion: what is judged on Y is the head less the frame, on X what it was."""
     ground, frame = (
-        simulate(table(machine, {"X": there_and_back(), "Y": there_and_back()}), machine)
+        read_once(simulate(table(machine, {"X": there_and_back(), "Y": there_and_back()}), machine))
         for machine in (load_machine("stitcher"), load_machine("stitcher+cloth-on-frame"))
     )
     head, moved = ground.samples("Y.load")[1], ground.samples("Y.frame")[1]
