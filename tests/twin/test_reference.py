@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.made import read_once
 
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
@@ -32,9 +33,12 @@ def check(machine: Machine, rows, table, quantised: bool, phases=None) -> None:
     expected, _ = reference_run(machine, rows, quantised=quantised, phases=phases, settle=SETTLE)
     given = np.array([phases.get(axis, 0.5) for axis in machine.axes])
     settle_s = (SETTLE - 0.5) * float(machine.tick_clock.period_s)
-    recording = simulate(
-        table(machine, rows), machine, quantised=quantised, encoder_phase=given, settle_s=settle_s
-    )
+    recording = read_once(
+        simulate(
+            table(machine, rows), machine, quantised=quantised, encoder_phase=given,
+            settle_s=settle_s,
+        )
+    )  # fmt: skip
     for channel in recording.channels:
         if channel.name not in expected:
             assert channel.name.endswith(("commanded", "current_peak", "operation"))
