@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -191,7 +192,7 @@ class StepPlay(Locked):
             longer than its window, ends after the whole, or does not follow the stitch before it.
         """
         expected, free = 0, 0
-        spans = np.array([*(int(t.intervals.sum()) for t in self.library), 0], dtype=np.int64)
+        spans = _spans(self.library)
         for block in self.blocks:
             if block.first_stitch != expected or block.table.shape[1] != len(self.axes):
                 raise ValueError(
@@ -268,3 +269,11 @@ class StepPlay(Locked):
 def _step_play(*values: Any) -> StepPlay:
     names = [field.name for field in fields(StepPlay)]
     return StepPlay(**dict(zip(names, values, strict=True)))
+
+
+@lru_cache(maxsize=1)
+def _spans(tables: tuple[StepTable, ...]) -> IntArray:
+    """Return the (k + 1,) counts that each table lasts, and 0 for none: the same in every run."""
+    spans = np.array([*(int(table.intervals.sum()) for table in tables), 0], dtype=np.int64)
+    spans.setflags(write=False)
+    return spans

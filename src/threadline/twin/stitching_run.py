@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
-from threadline.signals import StepPlay, StitchBlock
+from threadline.signals import StepPlay, StepTable, StitchBlock
 from threadline.twin.stitching_machine import Driven
 
 
@@ -30,11 +31,16 @@ class Library:
     @classmethod
     def of(cls, commands: StepPlay) -> Library:
         """Return the tables of ``commands``."""
-        lengths = [len(table) for table in commands.library]
-        return cls(
-            times=np.concatenate([table.times for table in commands.library]),
-            begins=np.concatenate(([0], np.cumsum(lengths))).astype(np.int64),
-        )
+        return _joined(commands.library)
+
+
+@lru_cache(maxsize=1)
+def _joined(tables: tuple[StepTable, ...]) -> Library:
+    """Return the tables one behind the other; a proof plays the same ones in all of its runs."""
+    return Library(
+        times=np.concatenate([table.times for table in tables]),
+        begins=np.concatenate(([0], np.cumsum([len(table) for table in tables]))).astype(np.int64),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
