@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import gc
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
@@ -16,6 +13,7 @@ from typer.main import get_command
 
 from threadline.cli.interrupt import leaving_on_interrupt
 from threadline.errors import OptionError
+from threadline.importing import collecting_no_garbage
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,21 +56,6 @@ COMMANDS = {
 }
 
 
-@contextmanager
-def _collecting_no_garbage() -> Iterator[None]:
-    """Import without looking for garbage, and never look for it among what is imported.
-
-    Imports make a hundred thousand objects that stay until the program ends. To look through them
-    for garbage again and again takes a tenth of the time of an import.
-    """
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.freeze()
-        gc.enable()
-
-
 class LazyGroup(TyperGroup):
     """A group of commands, each imported when it is called."""
 
@@ -86,7 +69,7 @@ class LazyGroup(TyperGroup):
         if entry is None:
             return None
         if cmd_name not in self.commands:
-            with leaving_on_interrupt(), _collecting_no_garbage():
+            with leaving_on_interrupt(), collecting_no_garbage():
                 module = import_module(f"threadline.cli.{entry.module}")
             app = typer.Typer(add_completion=False, rich_markup_mode=None)
             module.register(app)

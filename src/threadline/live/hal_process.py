@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 
 from threadline.arrays import IntArray
 from threadline.errors import LinkFaultError
+from threadline.importing import words_of
 from threadline.live.hal_rows import HalRows
 from threadline.live.hal_session import HalSession
 from threadline.live.machine_process import be_told, process_link
@@ -22,7 +23,7 @@ from threadline.machine import Machine
 
 _LOOK_S = 0.005
 """Time from one look at HAL's samples to the next, s."""
-_CHILD = "from threadline.live.hal_process import be_hal; be_hal()"
+_CHILD = words_of("threadline.live.hal_process", "be_hal")
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from math import ceil
 
 from threadline.arrays import IntArray
+from threadline.importing import words_of
 from threadline.live.machine_process import be_told, process_link
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_machine import LATE, SimMachine
@@ -29,7 +30,7 @@ LEAST_SPEED = 1e-3
 """Least speed: at a lower one the machine's reports come later than the executor waits."""
 _WAKE_S = 0.005
 """Shortest period of reports in s; several shorter ticks are played at a time."""
-_CHILD = "from threadline.live.sim_process import be_machine; be_machine()"
+_CHILD = words_of("threadline.live.sim_process", "be_machine")
 
 
 def group_ticks(machine: Machine, speed: float) -> int:

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from threadline.errors import CommandError
+from threadline.importing import words_of
 from threadline.machine import Machine
 from threadline.panel.protocol import Calculate, Figures, Proven
 
-_CHILD = "from threadline.panel.calculating import main; main()"
+_CHILD = words_of("threadline.panel.calculating", "main")
 _MOST_LINE = 32 << 20
 
 

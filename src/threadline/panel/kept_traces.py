@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from threadline.errors import StoreError
+from threadline.importing import words_of
 from threadline.store.run_store import TRACE, opened
 
-_CHILD = "from threadline.panel.thinned_traces import main; main()"
+_CHILD = words_of("threadline.panel.thinned_traces", "main")
 _TOLD = ("run", "started", "job", "ended", "text", "passed")
 _MOST_RUNS = 200
 _one_at_a_time = asyncio.Semaphore(1)

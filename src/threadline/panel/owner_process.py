@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from threadline.errors import ThreadlineError
+from threadline.importing import words_of
 from threadline.live.desk import Desk
 from threadline.live.link_operated import at_link, operated
 from threadline.live.wire import Connection, Message
@@ -20,7 +21,7 @@ from threadline.machine import Machine
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 
-_CHILD = "from threadline.panel.owner_process import be_owner; be_owner()"
+_CHILD = words_of("threadline.panel.owner_process", "be_owner")
 SEND_S = 2.0
 """Time in s after which a message that cannot be sent means that the other side is gone."""
 

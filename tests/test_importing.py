@@ -1,0 +1,32 @@
+"""Imports that look for no garbage."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+from threadline.importing import words_of
+
+_SEEN = """
+import gc
+begun = []
+gc.callbacks.append(lambda phase, info: begun.append(phase))
+{words}
+assert gc.isenabled() and gc.get_freeze_count() > 50_000
+print(begun.count("start"))
+"""
+
+
+def test_a_process_begins_without_looking_for_garbage() -> None:
+    """Of the hundred thousand objects of an import, none is looked through, then or later.
+
+    Where they are, it is looked for garbage some hundred times.
+    """
+    words = words_of("threadline.pipeline", "__name__.upper")
+    found = subprocess.run(
+        [sys.executable, "-c", _SEEN.format(words=words)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert int(found.stdout) < 10
