@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from types import ModuleType
+
+import pytest
 
 from threadline.importing import words_of
+from threadline.live import hal_process, sim_process
+from threadline.panel import calculation, kept_traces, owner_process
 
 _SEEN = """
 import gc
@@ -30,3 +35,10 @@ def test_a_process_begins_without_looking_for_garbage() -> None:
         check=True,
     )
     assert int(found.stdout) < 10
+
+
+@pytest.mark.parametrize(
+    "starts", [hal_process, sim_process, calculation, kept_traces, owner_process]
+)
+def test_the_processes_of_runs_and_of_the_panel_begin_so(starts: ModuleType) -> None:
+    assert starts._CHILD.startswith("from threadline.importing import imported; ")

@@ -20,11 +20,7 @@ from threadline.machine import load_machine as load_machine_file
 from threadline.machine.par import read_parameters
 from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.option_words import parse_ends, parse_feed, parse_margin
-from threadline.options import (
-    Options,
-    options_of,
-    robust_plan,
-)
+from threadline.options import Options, options_of, robust_plan
 from threadline.trajectory import retime
 from threadline.verdict import Spec, load_spec
 

@@ -9,10 +9,7 @@ import typer
 
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.prove import show_steps
-from threadline.cli.shared_options import (
-    JsonOption,
-    SpecOption,
-)
+from threadline.cli.shared_options import JsonOption, SpecOption
 from threadline.option_defaults import FEED_FORWARD
 from threadline.recorded import judge_files
 from threadline.verdict import closing, verdict_json, verdict_rows

@@ -14,11 +14,7 @@ from threadline.cli.chosen import machine_from
 from threadline.cli.interrupt import TerminatedError
 from threadline.cli.output import say
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
-from threadline.cli.shared_options import (
-    MachineOption,
-    ParOption,
-    SpecOption,
-)
+from threadline.cli.shared_options import MachineOption, ParOption, SpecOption
 from threadline.cli.told import at_work, note
 from threadline.errors import OptionError
 from threadline.live.host_names import bare, in_url, is_host

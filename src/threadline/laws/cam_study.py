@@ -18,7 +18,7 @@ from threadline.laws.fairing import (
     Smoothed,
     Smoother,
     differences,
-    one_pass,
+    pass_matrix,
     rebound,
 )
 from threadline.laws.law import Law
@@ -179,7 +179,7 @@ def study_cam(
     if even:
         methods[Fairing.DIFFERENCES] = lambda y: differences(y, noise)
     # The rebound is linear, and its slopes at the ends are 0.
-    many = np.linalg.matrix_power(one_pass(alpha, np.eye(len(alpha))), bounced.passes)
+    many = np.linalg.matrix_power(pass_matrix(alpha), bounced.passes)
     methods[Fairing.REBOUND] = lambda y: many @ y
     random = np.random.default_rng(_SEED)
     true = cam.distance_of(smooth.values)

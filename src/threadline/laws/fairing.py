@@ -20,6 +20,7 @@ from threadline.arrays import FloatArray
 
 MOST_PASSES = 50
 _INTERVALS = (16, 48)  # least and most knot intervals of the smoothing spline
+_AT_A_TIME = 256  # columns of the matrix of a pass
 _DEGREE = 3  # of the velocity's spline
 _STIFFEST, _LOOSEST, _STEP = 0.0, -16.0, 0.2
 
@@ -64,16 +65,25 @@ class Rebound:
 def one_pass(
     x: FloatArray, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)
 ) -> FloatArray:
-    """Return ``values`` (n,) or (n, columns) at the places ``x`` (n,) after a pass of ``rebound``.
-
-    With slopes of 0 at the ends a pass is linear: that of the identity is its (n, n) matrix.
-    """
+    """Return (n,) or (n, columns) ``values`` at (n,) places ``x`` after a pass of ``rebound``."""
     from scipy.interpolate import CubicSpline
 
     ends: Any = tuple((1, np.full(values.shape[1:], slope)) for slope in slopes)
     between = np.concatenate((x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]))
     there = CubicSpline(x, values, bc_type=ends)(between)
     return np.asarray(CubicSpline(between, there, bc_type=ends)(x))
+
+
+def pass_matrix(x: FloatArray) -> FloatArray:
+    """Return the (n, n) matrix of ``one_pass`` with slopes of 0 at the ends, which is linear.
+
+    Some columns are worked out at a time: a spline through one has four times its memory.
+    """
+    parts = (
+        one_pass(x, np.eye(len(x), min(_AT_A_TIME, len(x) - first), -first))
+        for first in range(0, len(x), _AT_A_TIME)
+    )
+    return np.concatenate(list(parts), axis=1)
 
 
 def rebound(
@@ -107,7 +117,7 @@ def rebound(
         Largest number of passes.
     """
     # Linear in the values, and there may be thousands of passes: one spline serves them all.
-    matrix, offset = one_pass(x, np.eye(len(x))), one_pass(x, np.zeros_like(y), slopes)
+    matrix, offset = pass_matrix(x), one_pass(x, np.zeros_like(y), slopes)
     values, last, moved, why = y, 0.0, 0.0, "passes"
     done = 0
     while done < most_passes:

@@ -151,9 +151,10 @@ def _one_is_enough(length_m, turn, v, after, spacing, cut_m):
     """
     legs = len(length_m)
     own, beyond = (v, v + 1) if after else (v - 1, v - 2)
-    if not 0 <= beyond < legs or length_m[beyond] > _NEXT * length_m[own]:
+    if not 0 <= beyond < legs:
         return False
-    if length_m[own] > 2.0 * spacing:
+    # By the same quotients as there, so that both say the same of what is just at a limit.
+    if length_m[beyond] / length_m[own] > _NEXT or 2.0 * (spacing / length_m[own]) < 1.0:
         return False
     begin, end = max(v - 3, 0), min(v + 3, legs)
     length, turned = np.empty(end - begin + 1), np.zeros(end - begin + 2)

@@ -3,8 +3,8 @@
 Where the program turns so little that the spline cuts a vertex by less than the tolerance, the
 vertices alone are its points. Elsewhere points are added on the chords on either side of the
 vertex, the nearer to it the smaller the tolerance: one on each for a cubic, whose control points
-they are, two for a quartic, whose knots they are. All lengths are measured at the tool, with rotary
-axes at their radius.
+they are, up to two for a quartic, whose knots they are. All lengths are measured at the tool, with
+rotary axes at their radius.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
