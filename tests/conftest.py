@@ -49,20 +49,27 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int,
     return cores + max(2, cores // 4)
 
 
+def _waits(item: pytest.Item) -> bool:
+    """Say whether a test waits for machines that move in real time."""
+    return item.nodeid.startswith("tests/live/") or item.get_closest_marker("waits") is not None
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Let two workers begin with the tests that wait, for live machines and for browsers.
 
     The others compute meanwhile. Each worker is given as many tests as the others, in this order,
     and takes from the end of another's when it has no more: last in one queue, those that wait
-    would leave the cores idle.
+    would leave the cores idle. LinuxCNC is one on a computer: its tests are in one queue, or one
+    worker would wait for the other.
     """
     share = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    live = [item for item in items if item.nodeid.startswith("tests/live/")]
-    panel = [item for item in items if item.nodeid.startswith("tests/panel/")]
-    rest = [item for item in items if not item.nodeid.startswith(("tests/live/", "tests/panel/"))]
-    beside = max(share - len(live), 0)
-    items[:] = [*live, *rest[:beside], *panel, *rest[beside:]]
+    waiting = [item for item in items if _waits(item)]
+    others = [item for item in items if not _waits(item)]
+    panel = [item for item in others if item.nodeid.startswith("tests/panel/")]
+    rest = [item for item in others if not item.nodeid.startswith("tests/panel/")]
+    beside = max(share - len(waiting), 0)
+    items[:] = [*waiting, *rest[:beside], *panel, *rest[beside:]]
 
 
 def pytest_collection_finish() -> None:

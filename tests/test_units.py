@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from threadline import units, usual_units
 from threadline.errors import InputError, UnitError
 from threadline.units import (
     parse_exact_time_s,
@@ -53,6 +54,38 @@ def test_factors_agree_with_pint(unit: str, target: str) -> None:
     plain = target.replace("V*s/rad", "V*s")
     expected = PINT.Quantity(1.0, PINT.parse_units(pints)).to(plain)
     assert unit_factor(unit, target) == pytest.approx(expected.magnitude, rel=1e-12)
+
+
+def test_usual_factors_are_those_of_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the bit, and refused where the registry refuses; no two kinds have one dimension."""
+    monkeypatch.setattr(units, "usual_factor", lambda *_: None)
+    asked = unit_factor.__wrapped__
+    kinds = {kind: set(of_kind) for kind, of_kind in usual_units._OF_KIND.items()}
+    assert len(usual_units._USUAL) > 60
+    for unit, (own, _) in usual_units._USUAL.items():
+        for target in kinds:
+            found = usual_units.usual_factor(unit, target)
+            if own == target:
+                assert found == asked(unit, target), (unit, target)
+            else:
+                assert found == 0.0
+                with pytest.raises(
+                    UnitError, match=r"is not a unit of the kind|is a unit; a number"
+                ):
+                    asked(unit, target)
+
+
+def test_a_usual_unit_of_another_kind_is_refused_as_by_the_registry(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for unit, target in (("deg", "m"), ("mm", ""), ("%", "m")):
+        with pytest.raises(UnitError) as told:
+            unit_factor(unit, target)
+        monkeypatch.setattr(units, "usual_factor", lambda *_: None)
+        with pytest.raises(UnitError) as registrys:
+            unit_factor.__wrapped__(unit, target)
+        monkeypatch.undo()
+        assert str(told.value) == str(registrys.value)
 
 
 @pytest.mark.parametrize(

@@ -13,11 +13,13 @@ from collections.abc import Iterator
 from fractions import Fraction
 from functools import cache
 from itertools import islice, product
-from typing import Any
-
-import pint
+from typing import TYPE_CHECKING, Any
 
 from threadline.errors import UnitError
+from threadline.usual_units import usual_factor
+
+if TYPE_CHECKING:
+    import pint
 
 _DEFINITIONS = """
 nano- = 1e-9 = n-
@@ -97,6 +99,8 @@ doubles of the size of a machine leave is below 1e-12."""
 
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
+    import pint  # slow to import, and asked for by unusual units alone
+
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None)
     registry.load_definitions(_DEFINITIONS.strip().splitlines())
     return registry
@@ -181,6 +185,11 @@ def unit_factor(unit: str, target: str) -> float:
     UnitError
         If a unit is unknown or the dimensions differ.
     """
+    usual = usual_factor(unit, target)
+    if usual is not None:
+        if not usual:
+            raise _of_another_kind(unit, target)
+        return usual
     registry = _registry()
     try:
         normal = _normalise(unit)
@@ -195,12 +204,7 @@ def unit_factor(unit: str, target: str) -> float:
         raise UnitError(f"unknown unit {unit!r}", remedy=hint) from error
     wanted = registry.parse_units(_normalise(target))
     if source.dimensionality != wanted.dimensionality:
-        raise UnitError(
-            f"{unit!r} is not a unit of the kind of {target!r}"
-            if target
-            else f"{unit!r} is a unit; a number or a percentage is wanted",
-            remedy=f"Use a unit like {target!r}." if target else 'Write it like "20 %".',
-        )
+        raise _of_another_kind(unit, target)
     try:
         factor = float(registry.Quantity(1.0, source).to(wanted).magnitude)
     except ArithmeticError as error:
@@ -208,6 +212,15 @@ def unit_factor(unit: str, target: str) -> float:
     if not (math.isfinite(factor) and factor > 0):
         raise UnitError(f"{unit!r} in {target!r} is beyond any number")
     return factor
+
+
+def _of_another_kind(unit: str, target: str) -> UnitError:
+    return UnitError(
+        f"{unit!r} is not a unit of the kind of {target!r}"
+        if target
+        else f"{unit!r} is a unit; a number or a percentage is wanted",
+        remedy=f"Use a unit like {target!r}." if target else 'Write it like "20 %".',
+    )
 
 
 def _normalise(unit: str) -> str:

@@ -155,6 +155,21 @@ def test_the_module_runs_as_the_command_does() -> None:
     assert json.loads(made.stdout)["name"] == "cubic"
 
 
+def test_the_machines_of_the_library_are_read_without_a_registry_of_units() -> None:
+    """To load it takes a quarter of a second of each process of the program."""
+    done = run(
+        "import sys\n"
+        "from threadline.machine.load import library_names, load_machine\n"
+        "from threadline.option_words import parse_feed\n"
+        "from threadline.verdict import load_spec\n"
+        "for name in library_names():\n"
+        "    load_spec(None, load_machine(name))\n"
+        "parse_feed('20 mm/s')\n"
+        "sys.exit('imported pint' if 'pint' in sys.modules else 0)\n"
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_proof_begins_without_what_few_commands_need() -> None:
     """Of scipy only its linear algebra: special functions and filters took a third of the start."""
     done = run(
@@ -164,6 +179,29 @@ def test_a_proof_begins_without_what_few_commands_need() -> None:
         "heavy |= {'scipy.signal', 'scipy.interpolate', 'matplotlib', 'sqlalchemy', 'mcap'}\n"
         "heavy |= {'jinja2', 'threadline.search', 'threadline.store', 'threadline.live'}\n"
         "heavy &= set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)\n"
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+OF_STUDIES = {"matplotlib", "scipy.stats", "scipy.optimize", "scipy.interpolate"}
+
+
+@pytest.mark.parametrize(
+    ("module", "unused"),
+    [
+        ("cli.fastest", OF_STUDIES),
+        ("cli.yield_", OF_STUDIES),
+        ("live.sim_process", OF_STUDIES | {"pint", "threadline.jobs", "threadline.verdict"}),
+        ("panel.thinned_traces", OF_STUDIES | {"pint", "numba", "scipy.linalg"}),
+    ],
+)
+def test_a_module_loads_no_library_that_it_seldom_uses(module: str, unused: set[str]) -> None:
+    """Pictures and statistics take a second to load; a trace that is read is compiled by nobody."""
+    done = run(
+        "import sys\n"
+        f"import threadline.{module}\n"
+        f"heavy = sorted({unused!r} & set(sys.modules))\n"
         "sys.exit(f'imported {heavy}' if heavy else 0)\n"
     )
     assert (done.returncode, done.stderr) == (0, "")

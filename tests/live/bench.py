@@ -14,7 +14,7 @@ from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Kept
 from threadline.live.sim_faults import SimFault
-from threadline.live.ways import way_of
+from threadline.live.simulated import simulated_of
 from threadline.live.wire import Message, decoded
 from threadline.machine import Machine, load_machine
 from threadline.signals import Event, Stream, TickBlock, TickTable
@@ -39,7 +39,7 @@ class Wire:
         self.sent: list[Message] = []
         self.before_play: Callable[[], None] = lambda: None
         counts = np.zeros(len(machine.axes), dtype=np.int64) if start is None else start
-        self.machine = way_of(machine).simulated(machine, counts, self._told, fault)
+        self.machine = simulated_of(machine)(machine, counts, self._told, fault)
         self.machine.greet()
 
     def _told(self, message: Message) -> None:

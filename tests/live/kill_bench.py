@@ -13,7 +13,7 @@ import socket
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.kept import Kept
 from threadline.live.sim_machine import SimMachine
+from threadline.live.simulated import simulated_of
 from threadline.live.ways import way_of
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
@@ -86,11 +87,10 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
 
     The position is that after the last sample, in the units of the machine's commands.
     """
-    way = way_of(which.machine)
     told: dict[str, list[np.ndarray]] = {}
     seen: dict[str, Any] = {"heard": 0}
 
-    class Boxed(way.simulated):  # type: ignore[misc, name-defined]
+    class Boxed(simulated_of(which.machine)):  # type: ignore[misc, name-defined]
         def take(self, message: Message) -> None:
             seen["heard"] = self.tick
             super().take(message)
@@ -103,8 +103,7 @@ def machine_with_black_box(end: socket.socket, which: Case, box: Path) -> None:
             super()._report(first, parts, late_by)
 
     boxed: type[SimMachine] = Boxed
-    other = replace(way, simulated=boxed)
-    sim_process.way_of = lambda _: other  # type: ignore[assignment]
+    sim_process.simulated_of = lambda _: boxed
     sim_process.serve(end, which.machine, which.start, 0.0)
     np.savez(
         box, heard=seen["heard"], standing=seen["standing"], position=seen["position"],

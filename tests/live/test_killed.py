@@ -12,7 +12,6 @@ import signal
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ from threadline.live.executor import Executor
 from threadline.live.kept import Kept
 from threadline.live.sim_rows import SimRows
 from threadline.live.states import State
-from threadline.live.ways import way_of
 from threadline.live.wire import Connection, Message
 from threadline.signals import Ended
 
@@ -73,8 +71,7 @@ class Watched(SimRows):
 
 def machine_with_black_box(end: socket.socket, box: Path) -> None:
     Watched.box = {"a": [], "x": [], "load": [], "heard": [0.0], "held": [0.0]}
-    way = replace(way_of(winder()), simulated=Watched)
-    sim_process.way_of = lambda _: way  # type: ignore[assignment]
+    sim_process.simulated_of = lambda _: Watched
     sim_process.serve(end, winder(), np.zeros(3, np.int64), SPEED)
     box.write_text(json.dumps(Watched.box), "utf-8")
 

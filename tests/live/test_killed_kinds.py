@@ -26,8 +26,8 @@ from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import runs_out
 from threadline.live.kept import Kept
 from threadline.live.sim_process import group_ticks
+from threadline.live.simulated import simulated_of
 from threadline.live.states import State
-from threadline.live.ways import way_of
 from threadline.signals import Ended, played, tick_table
 from threadline.twin.stitching import simulate_stitching
 
@@ -46,7 +46,7 @@ def warm() -> None:
     """Build the twins here, so that every fork has them."""
     for name in ("steppers", "cylinders", "step-tables"):
         which = case(name)
-        way_of(which.machine).simulated(which.machine, which.start, lambda _: None).play(10)
+        simulated_of(which.machine)(which.machine, which.start, lambda _: None).play(10)
 
 
 def left_alone(name: str, heard: int) -> int:

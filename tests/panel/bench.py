@@ -24,7 +24,7 @@ from threadline.live.desk import Desk
 from threadline.live.link_operated import RowsOperated, at_link
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import _in_step, group_ticks
-from threadline.live.ways import way_of
+from threadline.live.simulated import simulated_of as simulated_type
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 from threadline.panel.admission import Admission
@@ -104,7 +104,7 @@ class KnownGuide(MachineGuide):
 
 
 def simulated_of(machine: Machine, tell: Callable[[Message], None]) -> SimMachine:
-    return way_of(machine).simulated(machine, np.zeros(len(machine.axes), np.int64), tell)
+    return simulated_type(machine)(machine, np.zeros(len(machine.axes), np.int64), tell)
 
 
 def machine_thread(

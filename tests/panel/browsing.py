@@ -17,7 +17,9 @@ import pytest
 from tests.panel.test_panel_killed import Plant
 from threadline.panel.server import PAGE
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser")
+"""The first that there is: the one without windows takes three quarters of the others' time."""
+CHROMIUM = next(filter(None, map(shutil.which, BROWSERS)), None)
 if CHROMIUM is None:
     pytest.skip("there is no chromium", allow_module_level=True)
 if not (PAGE / "index.html").exists():

@@ -302,6 +302,7 @@ def test_a_controller_that_does_not_answer_is_said(project: Path) -> None:
         assert anna.state["allowed"] == ["reconnect"]
 
 
+@pytest.mark.waits
 @awake
 def test_hal_is_homed_jogged_run_held_and_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -133,6 +133,7 @@ def test_plane_programs_take_the_time_that_linuxcnc_takes(
     assert found == pytest.approx(COUNTED_S[name, words], rel=1e-3)
 
 
+@pytest.mark.waits
 @pytest.mark.linuxcnc
 def test_linuxcnc_itself_takes_that_time_on_x_and_y(tmp_path: Path, plane: Machine) -> None:
     """The bar is 1 %; P alone joins moves, too."""

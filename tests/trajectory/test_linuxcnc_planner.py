@@ -143,6 +143,7 @@ def test_programs_take_the_time_that_linuxcnc_takes(
     assert found == pytest.approx(MEASURED_S[name, words], rel=2.5e-3)
 
 
+@pytest.mark.waits
 @pytest.mark.linuxcnc
 def test_linuxcnc_itself_takes_that_time(tmp_path: Path, machine: Machine) -> None:
     """The bar is 1 %; what is in the way of less is whole cycles."""

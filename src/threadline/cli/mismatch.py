@@ -14,7 +14,6 @@ from threadline.errors import OptionError
 from threadline.pipeline import prove_plan
 from threadline.plan import Plan
 from threadline.report import write_report
-from threadline.report.mismatch import write_mismatch
 from threadline.search.mismatch import Mismatch, Searched
 from threadline.search.studied import studied
 
@@ -41,6 +40,8 @@ def drawn_of(
     """Return the picture of a search over tolerances; None where nothing is drawn."""
     if asked.report is None or not asked.mismatch:
         return None
+    from threadline.report.mismatch import write_mismatch  # slow to import: it draws
+
     return write_mismatch(cells, f"{title}\n(nominal: one run each)", searched, asked.report)
 
 

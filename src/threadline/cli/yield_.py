@@ -43,7 +43,6 @@ from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DE
 from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.plan import Plan
 from threadline.proof_file import spec_sha256
-from threadline.report.machine_yield import limited_rows, quantile, write_yield
 from threadline.search.cheapest_set import MACHINES, cheapest_set
 from threadline.search.machine_yield import (
     MachineYield,
@@ -51,6 +50,7 @@ from threadline.search.machine_yield import (
     Yield,
     worst_toml,
 )
+from threadline.search.yield_rows import limited_rows, quantile
 from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, Spec, load_spec, percent_used
 from threadline.verdict.binomial import CONFIDENCE, clopper_pearson
@@ -154,7 +154,7 @@ def yield_(
             if worst is not None:
                 worst.write_text(worst_toml(chosen, bad, chosen.reference), encoding="utf-8")
             if report is not None:
-                drawn = write_yield(found, title, report)
+                drawn = _drawn(found, title, report)
     again = command_line(
         "prove",
         job,
@@ -209,6 +209,13 @@ def _check_files(
         raise OptionError(
             f"--worst and --resume are the same file {str(worst)!r}", remedy="Name two files."
         )
+
+
+def _drawn(found: Yield, title: str, folder: Path) -> Path:
+    """Draw a yield into a folder; return the path of the picture."""
+    from threadline.report.machine_yield import write_yield  # slow to import: it draws
+
+    return write_yield(found, title, folder)
 
 
 def _unless(default: str, text: str) -> str | None:

@@ -19,7 +19,7 @@ from threadline.importing import words_of
 from threadline.live.machine_process import be_told, process_link
 from threadline.live.sim_faults import SimFault
 from threadline.live.sim_machine import LATE, SimMachine
-from threadline.live.ways import way_of
+from threadline.live.simulated import simulated_of
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 
@@ -78,7 +78,7 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     connection = Connection(end)
-    simulated = way_of(machine).simulated(machine, start, connection.send, fault)
+    simulated = simulated_of(machine)(machine, start, connection.send, fault)
     simulated.rehearse()
     simulated.greet()
     period_s = float(machine.command_clock.period_s)

@@ -16,10 +16,6 @@ from threadline.live.guards import Guards
 from threadline.live.hold_deviation import hold_deviation_m
 from threadline.live.scan_guards import ScanGuards
 from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
-from threadline.live.sim_machine import SimMachine
-from threadline.live.sim_rows import SimRows
-from threadline.live.sim_scans import SimScans
-from threadline.live.sim_turns import SimTurns
 from threadline.live.turn_guards import TurnGuards
 from threadline.live.turns_ahead import TurnsAhead
 from threadline.live.wire import Message
@@ -141,8 +137,6 @@ class Way:
         Returns the position at which commands begin, in their units.
     ahead
         Makes what is sent ahead to the machine.
-    simulated
-        The simulated machine at the far end of the link.
     guards
         Makes the guards of a run.
     halts
@@ -162,7 +156,6 @@ class Way:
 
     start: Callable[[Commands], IntArray]
     ahead: MakeAhead
-    simulated: type[SimMachine]
     guards: Callable[[Machine], Watch]
     halts: Callable[[Commands], Iterable[Event]]
     hold_deviation_m: Callable[[Plan], float]
@@ -176,7 +169,6 @@ _WAYS: dict[type[Commands], Way] = {
     TickTable: Way(
         start=lambda commands: tick_table(commands).start_counts,
         ahead=Ahead,
-        simulated=SimRows,
         guards=Guards,
         halts=halts_of_rows,
         hold_deviation_m=hold_deviation_m,
@@ -188,7 +180,6 @@ _WAYS: dict[type[Commands], Way] = {
     SwitchSchedule: Way(
         start=lambda _: np.zeros(0, dtype=np.int64),
         ahead=ScansAhead,
-        simulated=SimScans,
         guards=ScanGuards,
         halts=waits_of_schedule,
         hold_deviation_m=lambda _: float("inf"),
@@ -197,7 +188,6 @@ _WAYS: dict[type[Commands], Way] = {
     StepPlay: Way(
         start=lambda commands: played(commands).start_steps,
         ahead=TurnsAhead,
-        simulated=SimTurns,
         guards=lambda _: TurnGuards(),
         halts=lambda _: (),
         hold_deviation_m=lambda _: 0.0,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from threadline.arrays import FloatArray
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, figure_style
 from threadline.search.machine_yield import Yield
-from threadline.verdict import CriterionRow
+from threadline.search.yield_rows import limited_rows
 from threadline.writing import staging_folder
 
 _MOST = 8
@@ -38,33 +38,6 @@ def draw_yield(found: Yield, title: str) -> Figure:
             panel.set_axis_off()
         figure.suptitle(title, x=0.02, ha="left", fontsize=10)
     return figure
-
-
-def limited_rows(found: Yield) -> list[CriterionRow]:
-    """Return the criteria with a limit that depend on the machine, not on the plan alone.
-
-    One that is required and was not measured is among them.
-    """
-    return [
-        row
-        for row in found.found.rows
-        if row.limit is not None and not row.of_plan
-        and ((row.values > 0.0).any() or row.missed.any())
-    ]  # fmt: skip
-
-
-def quantile(row: CriterionRow, share: float) -> float:
-    """Return what ``share`` of the machines that were measured come to at most; NaN if none was.
-
-    A machine whose motion grows without bound comes to infinity.
-    """
-    known = row.values[~np.isnan(row.values)]
-    if not len(known):
-        return float("nan")
-    if np.isfinite(known).all():
-        return float(np.quantile(known, share))
-    # Between a number and infinity nothing can be interpolated.
-    return float(np.quantile(known, share, method="inverted_cdf"))
 
 
 def _up_to(values: FloatArray) -> tuple[FloatArray, FloatArray]:

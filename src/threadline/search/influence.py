@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from scipy.stats import DegenerateDataWarning, bootstrap, sobol_indices, truncnorm, uniform
 
 from threadline.arrays import FloatArray
 from threadline.machine.variants import FARTHEST
@@ -56,6 +55,8 @@ def influence(
     samples
         A power of 2; ``judgements`` tells how many results are asked for.
     """
+    from scipy.stats import DegenerateDataWarning, bootstrap, sobol_indices, truncnorm, uniform
+
     cut = truncnorm(-FARTHEST, FARTHEST, scale=1.0 / _PER_PART)
     alike = uniform(-1.0, 2.0)
     dists: list[Any] = [cut if one else alike for one in normal]
