@@ -93,10 +93,7 @@ def test_the_frame_rests_between_two_turns(k: int, tmp_path: Path) -> None:
     box = kill_executor(which, some_ticks("step-tables")[k], tmp_path / "box.npz")
     assert box["standing"]
     told = np.stack([box[f"{name}.commanded"] for name in which.machine.axes], axis=1)
-    whole = kept_whole()
-    still = ~np.diff(whole, axis=0).any(axis=1)
-    rested = np.convolve(still, np.ones(RESTS_MS), "valid") == RESTS_MS
-    rests = {tuple(np.round(whole[at], 9)) for at in np.flatnonzero(rested)}
+    whole, rests = kept_whole(), rests_of_whole()
     # Where it stands after the last sample: the last step of a turn can be due at that instant.
     stands = box["position"] / played(which.commands).steps_per_unit + told[0]
     assert tuple(np.round(stands, 9)) in rests
@@ -115,6 +112,16 @@ def kept_whole() -> np.ndarray:
     which = case("step-tables")
     recording = simulate_stitching(played(which.commands), which.machine)
     return np.stack([recording.samples(f"{name}.commanded")[1] for name in "XY"], axis=1)
+
+
+@cache
+def rests_of_whole() -> set[tuple[float, ...]]:
+    """Positions at which the frame rests for ``RESTS_MS`` and longer."""
+    whole = kept_whole()
+    still = ~np.diff(whole, axis=0).any(axis=1)
+    rested = np.convolve(still, np.ones(RESTS_MS), "valid") == RESTS_MS
+    places = np.unique(np.round(whole[np.flatnonzero(rested)], 9), axis=0)
+    return set(map(tuple, places.tolist()))
 
 
 @pytest.mark.parametrize("k", range(10))

@@ -393,6 +393,9 @@ def _lanes(piece: Piece, variants: int, peak: bool, quantised: bool) -> tuple[in
     """Return how many variants in a block, what fits the fastest memory, and in a vector."""
     if variants < _WIDTH:
         return 1, 1
-    rows = Layout(piece.shape(1, 1, peak=peak, quantised=quantised)).rows
-    fitting = (lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES)
-    return next(fitting, _WIDTH), _WIDTH
+    known = piece.lanes.get((peak, quantised))
+    if known is None:
+        rows = Layout(piece.shape(1, 1, peak=peak, quantised=quantised)).rows
+        fitting = (lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES)
+        known = piece.lanes[peak, quantised] = next(fitting, _WIDTH), _WIDTH
+    return known

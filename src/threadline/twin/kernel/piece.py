@@ -82,6 +82,8 @@ class Piece:
     begun
         These tables and the workspace of a run that begins, by the lanes, the width, what is asked
         for, and which encoders stand alike in all variants.
+    lanes
+        Variants in a block and in a vector, by what is asked for.
     """
 
     equations: PiecewiseLinear
@@ -97,6 +99,7 @@ class Piece:
     begun: dict[tuple[int, int, bool, bool, tuple[bool, ...]], tuple[ModeTables, FloatArray]] = (
         field(default_factory=dict)
     )
+    lanes: dict[tuple[bool, bool], tuple[int, int]] = field(default_factory=dict)
 
     @property
     def sample(self) -> SampleLayout:
