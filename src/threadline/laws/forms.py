@@ -33,11 +33,16 @@ class Form(Protocol):
 
 def less_sine(x: FloatArray) -> FloatArray:
     """Return ``x - sin x`` without cancellation near 0."""
-    square = x * x
-    series = np.ones_like(square)
-    for factor in reversed(_SERIES):
-        series = 1.0 - factor * square * series
-    return np.where(square < 1.0, x * square / 6.0 * series, x - np.sin(x))
+    found = np.asarray(x - np.sin(x))
+    near = x * x < 1.0
+    if near.any():
+        small = x[near]
+        square = small * small
+        series = np.ones_like(square)
+        for factor in reversed(_SERIES):
+            series = 1.0 - factor * square * series
+        found[near] = small * square / 6.0 * series
+    return found
 
 
 def less_cosine(x: FloatArray) -> FloatArray:

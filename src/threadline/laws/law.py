@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -151,12 +152,20 @@ def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatAr
 
     Each stretch between two edges is divided into ``panels`` of ``points`` nodes.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(points)
+    nodes, weights = _of_one(points)
     parts = np.arange(panels) / panels
     begins = (edges[:-1, None] + np.diff(edges)[:, None] * parts).ravel()
     half = 0.5 * np.diff(np.append(begins, edges[-1]))
     t: FloatArray = ((begins + half)[:, None] + half[:, None] * nodes).ravel()
     return t, (half[:, None] * weights).ravel()
+
+
+@cache
+def _of_one(points: int) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights from -1 to 1, eigenvalues of a matrix: to find them takes time."""
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    nodes.flags.writeable = weights.flags.writeable = False
+    return nodes, weights
 
 
 def check_stretches(name: str, ends: Iterable[float]) -> None:
