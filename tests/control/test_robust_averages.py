@@ -17,9 +17,9 @@ from threadline.control.robust_averages import (
     ChangeOfSpeed,
     RobustWeights,
     StepOfSpeed,
-    frequencies_rad_s,
     robust_weights,
 )
+from threadline.control.step_answers import frequencies_rad_s
 from threadline.errors import PlanError
 from threadline.machine import load_machine
 from threadline.machine.vary import corners

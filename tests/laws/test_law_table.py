@@ -61,3 +61,14 @@ def test_what_is_no_law_is_refused(text: str, said: str, tmp_path: Path) -> None
         read_law(file)
     with pytest.raises(OptionError, match="cannot read"):
         read_law(tmp_path / "none.csv")
+
+
+def test_a_table_is_read_anew_where_it_has_changed(tmp_path: Path) -> None:
+    """A search asks for its law at every speed; what was found of the law is of use again."""
+    file = tmp_path / "own.csv"
+    write_law(law("cycloidal"), file)
+    first = read_law(file)
+    assert read_law(file) is first
+    write_law(law("3-4-5"), file)
+    at = np.array([0.3])
+    assert read_law(file)(at) == pytest.approx(law("3-4-5")(at), abs=1e-9)

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.control.corner_machines import CornerResponse
+from threadline.control.step_answers import Answers, answer_steps
 from threadline.errors import PlanError
 
 STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
@@ -160,13 +161,6 @@ class _Band:
     slacks: tuple[int, ...] = (_EXCESS,)
 
 
-def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
-    """Return the frequencies of ``count`` samples; 0 is replaced by next to nothing."""
-    omega = 2.0 * np.pi * np.fft.rfftfreq(count, period_s)
-    omega[0] = 1e-3 * omega[1]
-    return np.asarray(omega)
-
-
 def robust_weights(
     axis: StepOfSpeed,
     changes: Sequence[ChangeOfSpeed],
@@ -178,6 +172,7 @@ def robust_weights(
     samples: int,
     near: RobustWeights | None = None,
     dearest: float = np.inf,
+    kept: Answers | None = None,
 ) -> RobustWeights | None:
     """Return the weights of which all machines leave the least error; None where there are none.
 
@@ -199,24 +194,28 @@ def robust_weights(
         bind them, and fewer programs are solved. The result is the same.
     dearest
         Cost from which on weights are of no use, so that none are returned.
+    kept
+        Answers of machines from calls with the same ``count``, ``step_s``, ``degree``, ``grid_s``
+        and ``samples``; this call's are put there.
 
     Raises
     ------
     PlanError
         If a program has no answer, or too many are needed.
     """
-    omega = frequencies_rad_s(grid_s, samples)
-    spline = np.sinc(omega * step_s / (2.0 * np.pi)) ** (degree + 1)
     shift_s: FloatArray = np.asarray((np.arange(count) - 0.5 * (count - 1)) * step_s)
     middle = samples // 2
     t: FloatArray = np.asarray((np.arange(samples) - middle) * grid_s)
-    turn = np.exp(-1j * omega[:, None] * (shift_s + middle * grid_s))
-    shape = spline[:, None] * turn
+    answers = {} if kept is None else kept
+    answer_steps(
+        answers, axis.machines, shift_s,
+        step_s=step_s, degree=degree, grid_s=grid_s, samples=samples,
+    )  # fmt: skip
     bands = [
         band
         for change in changes
         for index, one in enumerate(axis.machines)
-        for band in _bands(axis, one, index == 0, t, change, shape)
+        for band in _bands(axis, one, index == 0, t, change, answers[one])
     ]
     return _least(bands, np.asarray(shift_s / step_s), near, min(dearest, _DEAREST))
 
@@ -339,14 +338,10 @@ def _bands(
     planned: bool,
     t: FloatArray,
     change: ChangeOfSpeed,
-    shape: NDArray[np.complex128],
+    answer: tuple[FloatArray, FloatArray | None],
 ) -> list[_Band]:
-    """Return what is asked of one machine."""
-
-    def steps(answer: NDArray[np.complex128]) -> FloatArray:
-        return np.asarray(np.cumsum(np.fft.irfft(answer[:, None] * shape, len(t), axis=0), axis=0))
-
-    S = steps(one.load)
+    """Return what is asked of one machine, with its answer to steps of speed."""
+    S, current = answer
     if change.stop:
         # Backwards in time a stop is a start. The weights have the sum 1.
         last = len(t) - 1  # its opposite would be one further
@@ -379,16 +374,17 @@ def _bands(
     # While another axis has its even speed, what this one adds across makes the load faster.
     across = S[t <= -(change.aside_s + change.within_s)]
     bands.append(_Band(across, *_within(ACROSS, len(across))))
-    way = np.cumsum(S, axis=0)[t <= -change.aside_s] * ((t[1] - t[0]) * axis.speed / axis.room)
+    way = np.cumsum(S[t <= -change.aside_s], axis=0) * ((t[1] - t[0]) * axis.speed / axis.room)
     bands.append(_Band(way, *_within(1.0, len(way))))
-    if one.current_s_a_m is not None and np.isfinite(axis.current_limit_a) and axis.speed > 0.0:
+    limited = np.isfinite(axis.current_limit_a) and axis.speed > 0.0
+    if one.current_s_a_m is not None and current is not None and limited:
         # In parts of the limit, so that all rows are of one size.
-        share = steps(one.current_s_a_m) * (axis.speed / axis.current_limit_a)
         near = np.abs(t) <= _LOOKED * change.within_s
+        share = current[near] * (axis.speed / axis.current_limit_a)
         # A stop takes away what the motion needed, which is at the limit's side already.
         cruise = float(one.current_s_a_m[0].real) * axis.speed if change.stop else 0.0
         level = np.full(int(near.sum()), cruise / axis.current_limit_a)
-        bands.append(_Band(share[near], level, level, (_SHARE, _EXCESS)))
+        bands.append(_Band(share, level, level, (_SHARE, _EXCESS)))
     return bands
 
 

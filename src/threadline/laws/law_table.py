@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -53,8 +54,17 @@ def read_law(file: Path) -> Law:
     OptionError
         With the line, if the table cannot be read, its times do not rise, or the law goes back.
     """
+    return _law_of(read_text(file, _MOST_BYTES, OptionError, "table of a motion law"), file)
+
+
+@lru_cache(maxsize=4)
+def _law_of(text: str, file: Path) -> Law:
+    """Return the law of a table's text: one law for one text, which a search asks for many times.
+
+    What is found of a law, its pieces among it, is kept by the law.
+    """
     where = Place(str(file))
-    table, lines = _read(file)
+    table, lines = _read(text, file)
     t, s = table["t"], table["s"]
     falls = np.flatnonzero(np.diff(t) <= 0.0)
     if len(falls):
@@ -123,8 +133,7 @@ def _pieces(u: FloatArray, s: FloatArray, v: FloatArray, a: FloatArray) -> Piece
     return Pieces(u[:-1].copy(), powers)
 
 
-def _read(file: Path) -> tuple[dict[str, FloatArray], list[int]]:
-    text = read_text(file, _MOST_BYTES, OptionError, "table of a motion law")
+def _read(text: str, file: Path) -> tuple[dict[str, FloatArray], list[int]]:
     header: list[str] = []
     rows: list[list[float]] = []
     lines: list[int] = []

@@ -242,10 +242,11 @@ class _Search:
         turn = complex(self._turns[move.axis][0])
         longest = move.levels.ticks[-1] + int(_LONGEST_PERIODS * 2.0 * np.pi / np.angle(turn))
         found: list[FlowCommand] = []
-        bound = None
+        bound = least = None
         for share in _SHARES:
             wanted = self._flow_move(index, share)
-            least = least_scans(wanted, longest)
+            # What rings less is no shorter: no fewer scans than the share before has to be tried.
+            least = least_scans(wanted, longest, 1 if least is None else least)
             bound = least if bound is None else bound
             if least is None:
                 break

@@ -17,9 +17,9 @@ from threadline.control.robust_averages import (
     ChangeOfSpeed,
     RobustWeights,
     StepOfSpeed,
-    frequencies_rad_s,
     robust_weights,
 )
+from threadline.control.step_answers import Answers, frequencies_rad_s
 from threadline.errors import PlanError
 from threadline.jobs.operations import FeedMode, Job, Move
 from threadline.machine import Machine
@@ -187,6 +187,7 @@ class _Program:
         self._names = names
         self._change_s, self._grid_s, self._samples = change_s, grid_s, samples
         self._near: RobustWeights | None = None
+        self._answers: Answers = {}
 
     def speed_or_length(
         self, ways: _Ways, turn_s: float | None
@@ -282,6 +283,7 @@ class _Program:
                     near=self._near,
                     # Where one is enough only what is cheaper can be taken in its place.
                     dearest=cheaper if enough else np.inf,
+                    kept=self._answers,
                 )
                 if weights is None:
                     continue

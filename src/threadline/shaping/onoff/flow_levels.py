@@ -81,8 +81,8 @@ class FlowCommand:
         return self.ticks[-1]
 
 
-def least_scans(move: FlowMove, most_scans: int) -> int | None:
-    """Return the fewest scans of any command with levels free in [0, 1].
+def least_scans(move: FlowMove, most_scans: int, known_scans: int = 1) -> int | None:
+    """Return the fewest scans, from ``known_scans`` on, of any command with levels free in [0, 1].
 
     It is a lower bound for all valves: the circle of what may ring is replaced by a polygon around
     it, and the band by some of its frequencies. None where not even ``most_scans`` suffice.
@@ -91,7 +91,8 @@ def least_scans(move: FlowMove, most_scans: int) -> int | None:
 
     around = np.exp(2j * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS)
     seen, longer = move._seen(), move.valves.longer
-    for scans in range(max(math.ceil(move.on_scans - longer - _SHORT), 1), most_scans + 1):
+    least = max(math.ceil(move.on_scans - longer - _SHORT), known_scans)
+    for scans in range(least, most_scans + 1):
         # The flow lasts that much longer than the command, and need not begin with a scan.
         cells = scans if longer == 0.0 else math.ceil(_FINER * (scans + longer))
         to_go = np.linspace(scans + longer, 0.0, cells + 1)
