@@ -130,10 +130,18 @@ def test_a_yield_that_no_tolerance_reaches_is_said(asked: tuple[Plan, Spec]) -> 
 def test_the_set_is_told_where_the_yield_is_too_low(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One corner of the reversal test, with a move either side."""
-    job = tmp_path / "turn.prg"
+    """One corner of the reversal test, with a move either side.
+
+    The numbers of the axes that stand are exact: each would be halved once, to no effect.
+    """
+    job, machine = tmp_path / "turn.prg", tmp_path / "turner.toml"
+    still = [f"{part}.{axis}.*" for part in ("bodies", "drives") for axis in "ya"]
+    still += [f"axes.{axis}.*" for axis in "YA"] + ["inputs.*"]
+    machine.write_text(
+        f'base = "lathe-winder"\nname = "turner"\n[tolerances]\nexclude = {json.dumps(still)}\n'
+    )
     job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n", encoding="utf-8")
-    words = ["yield", str(job), "-m", "lathe-winder", "--variants", "100", "--json"]
+    words = ["yield", str(job), "-m", str(machine), "--variants", "100", "--json"]
     with pytest.raises(SystemExit) as ended:
         main([*words, "--at-least", "85 %"])
     content = json.loads(capsys.readouterr().out)
