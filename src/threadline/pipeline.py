@@ -309,6 +309,7 @@ def prove_plan(
     progress: Progress | None = None,
     trials: Trials = NOMINAL,
     actual: Machine | None = None,
+    judge: Judge | None = None,
 ) -> Proof:
     """Simulate and judge a plan.
 
@@ -319,14 +320,17 @@ def prove_plan(
     actual
         The machine that runs it, where it isn't the one that the plan was made for: with other
         masses or stiffnesses than feed-forward believes in, for instance.
+    judge
+        One that has judged this plan by this spec already knows what is measured of the plan alone.
 
     Raises
     ------
     OptionError
         If other machines are asked for, and no number has a tolerance or one has no dynamics.
     """
+    judge = Judge(plan, spec) if judge is None else judge
     if trials.ends is not None:
-        return _with_ends(plan, spec, progress, trials, actual)
+        return _with_ends(plan, spec, progress, trials, actual, judge)
     if actual is not None or trials.machines:
         check_dynamics("what another machine makes of the plan", plan.machine, actual)
     kind = kind_of_commands(plan.commands)
@@ -342,7 +346,6 @@ def prove_plan(
     others = kind.others(commands, machine, parts, random) if len(parts) else ()
 
     share = Share(plan, progress, len(recordings) + len(others))
-    judge = Judge(plan, spec)
     try:
         verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
     except (MachineError, RecordingError):
@@ -372,13 +375,14 @@ def prove_plan(
 
 
 def _with_ends(
-    plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None
-) -> Proof:
+    plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None,
+    judge: Judge,
+) -> Proof:  # fmt: skip
     """Prove a plan, and judge it on the machines at the ends of the tolerances as well."""
-    proof = prove_plan(plan, spec, progress, replace(trials, ends=None), actual)
+    proof = prove_plan(plan, spec, progress, replace(trials, ends=None), actual, judge)
     machine = plan.machine if actual is None else actual
     ends = [
-        (told, prove_plan(plan, spec, None, NOMINAL, other).verdict)
+        (told, prove_plan(plan, spec, None, NOMINAL, other, judge).verdict)
         for told, other in ends_of(machine, trials.ends or 0.0)
     ]
     return replace(proof, verdict=worst_of(proof.verdict, ends))
@@ -388,8 +392,9 @@ def try_plan(
     plan: Plan, spec: Spec, trials: Trials = NOMINAL, actual: Machine | None = None
 ) -> Proof:
     """Prove a plan for a search; where one run is out of spec already, that is proof enough."""
-    nominal = prove_plan(plan, spec, None, NOMINAL, actual)
+    judge = Judge(plan, spec)
+    nominal = prove_plan(plan, spec, None, NOMINAL, actual, judge)
     failed = any(result.status is Status.FAILED for result in nominal.verdict.results)
     if trials == NOMINAL or failed:
         return nominal
-    return prove_plan(plan, spec, None, trials, actual)
+    return prove_plan(plan, spec, None, trials, actual, judge)
