@@ -62,10 +62,18 @@ def stitcher(tmp_path: Path) -> Machine:
     ids=lambda value: getattr(value, "level", None),
 )
 def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
-    stitcher: Machine, trials: Trials, low: float, high: float
+    stitcher: Machine, tmp_path: Path, trials: Trials, low: float, high: float
 ) -> None:
-    """With gaps where whole ticks do not suit; lists had them in. At every level."""
-    seam = EXAMPLES / "stitcher-test-path.seam.toml"
+    """With gaps where whole ticks do not suit; lists had them in. At every level.
+
+    The first corner of the test path, with 10 stitches either side of it of 25: its intervals are
+    those of the whole path.
+    """
+    whole = (EXAMPLES / "stitcher-test-path.seam.toml").read_text(encoding="utf-8")
+    corner = whole.replace("[[0, 0], [2.5, 0], [2.5, 2.5], [5, 2.5]]", "[[0, 0], [1, 0], [1, 1]]")
+    assert corner != whole
+    seam = tmp_path / "corner.seam.toml"
+    seam.write_text(corner, encoding="utf-8")
     spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", stitcher)
     points, near = (5, 2) if trials == NOMINAL else (3, 1)
     found = fastest_needle(
