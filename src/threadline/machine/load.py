@@ -11,6 +11,7 @@ import re
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
@@ -156,7 +157,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
         )
     text, file = _read(name)
     try:
-        content = tomllib.loads(text)
+        content = copy.deepcopy(_parsed(text))
     except tomllib.TOMLDecodeError as error:
         what, line = toml_fault(error, text)
         raise MachineError(what, place=Place(file, line), remedy="Correct that line.") from error
@@ -184,6 +185,12 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
     # The operator's settings of a base are not inherited.
     below.pop("operator", None)
     return _merge(below, content), text, file
+
+
+@lru_cache(maxsize=16)
+def _parsed(text: str) -> dict[str, Any]:
+    """Return what a text says, for nobody to change: searches read the same base many times."""
+    return tomllib.loads(text)
 
 
 def _read(name: str) -> tuple[str, str]:
