@@ -230,7 +230,7 @@ class _Tags(HTMLParser):
 
 def _report(text: str, folder: Path) -> tuple[list[tuple[str, tuple[str, ...]]], str]:
     with figure_style():
-        figure = Figure()
+        figure = Figure(figsize=(2.4, 1.2))  # inches; what is drawn takes most of the time
         panel = figure.add_subplot()
         panel.semilogy([0, 1], [1, 100], label=text)
         panel.set_title(text)
