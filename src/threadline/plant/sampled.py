@@ -87,12 +87,12 @@ class ClosedLoop:
 
     def respond(self, reference: FloatArray) -> FloatArray:
         """Return the (k, outputs) response to (k, inputs) references in counts, from rest."""
-        state = np.zeros(len(self.A))
-        answer = np.empty((len(reference), len(self.C)))
-        for k, r in enumerate(np.asarray(reference, dtype=np.float64)):
-            answer[k] = self.C @ state + self.D @ r
-            state = self.A @ state + self.B @ r
-        return answer
+        given = np.asarray(reference, dtype=np.float64)
+        states = np.zeros((len(given) + 1, len(self.A)))
+        # What does not need the state before it is multiplied for all ticks at once.
+        for k, push in enumerate(given @ self.B.T):
+            states[k + 1] = self.A @ states[k] + push
+        return np.asarray(states[:-1] @ self.C.T + given @ self.D.T)
 
     def steady(self) -> FloatArray:
         """Return the (outputs, inputs) steady state after unit steps of the references."""
