@@ -241,11 +241,13 @@ def _fastest_rates(piece: PiecewiseLinear) -> FloatArray:
         start += element.direction[:, :, None] * element.modes[0].law[:, None, :]
     laws = [(np.zeros((1, n)), np.zeros((1, start.shape[2])))]
     for element in piece.elements:
-        # Modes that differ in constants alone have the same rates.
-        known = [element.modes[0].law[:, :n]]
+        # Modes that differ in constants alone have the same rates: looked up by their bytes, as an
+        # eccentric gear has thousands. Adding 0 makes one of both signs of it.
+        known = {(element.modes[0].law[:, :n] + 0.0).tobytes()}
         for mode in element.modes[1:]:
-            if not any(np.array_equal(mode.law[:, :n], law) for law in known):
-                known.append(mode.law[:, :n])
+            rows = (mode.law[:, :n] + 0.0).tobytes()
+            if rows not in known:
+                known.add(rows)
                 laws.append((element.direction, mode.law - element.modes[0].law))
     fastest = np.full(piece.variants, 1e-3)
     for direction, law in laws:
