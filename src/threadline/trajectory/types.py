@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -61,13 +62,17 @@ class TrajectoryBlock(Locked):
         piece = np.clip(piece, 0, len(self.start_s) - 1)
         duration = self.duration_s[piece]
         u = np.clip((time_s - self.start_s[piece]) / duration, 0.0, 1.0)
-        coefficients = self.coefficients[piece]
-        order = coefficients.shape[1]
-        result = np.zeros((len(time_s), coefficients.shape[2]))
-        for k in range(order - 1, derivative - 1, -1):
-            factor = float(np.prod(np.arange(k - derivative + 1, k + 1)))
-            result = result * u[:, None] + factor * coefficients[:, k]
-        return np.asarray(result / duration[:, None] ** derivative)
+        # The times of an axis side by side: loops over two or three axes take four times as long.
+        result = np.zeros((self.coefficients.shape[2], len(time_s)))
+        for k in range(self.coefficients.shape[1] - 1, derivative - 1, -1):
+            own = self.coefficients[:, k].T.take(piece, axis=1)
+            if derivative:
+                own *= float(prod(range(k - derivative + 1, k + 1)))
+            result *= u
+            result += own
+        if derivative:
+            result /= duration**derivative
+        return np.ascontiguousarray(result.T)
 
 
 def _checked_times(time_s: FloatArray | float) -> FloatArray:
