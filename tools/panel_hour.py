@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from playwright.sync_api import Page, sync_playwright
+from tools.browser import chromium
 
 ROOT = Path(__file__).parents[1]
 PROGRAM = ROOT / "examples" / "cone-dome-cylinder.prg"
@@ -132,6 +133,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     minutes: float = parser.parse_args().minutes
+    program = chromium()
+    if program is None:
+        parser.error("there is no chromium to open the page in")
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     with tempfile.TemporaryDirectory() as folder:
@@ -143,7 +147,7 @@ def main() -> None:
         try:
             with sync_playwright() as playwright:
                 browser = playwright.chromium.launch(
-                    executable_path=shutil.which("chromium"),
+                    executable_path=program,
                     args=["--no-sandbox", "--enable-unsafe-swiftshader"],
                 )
                 page = browser.new_page(viewport={"width": 1280, "height": 800})

@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from tools.browser import chromium
 
 from tests.panel.test_panel_killed import Plant
 from threadline.panel.server import PAGE
 
-BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser")
-"""The first that there is: the one without windows takes three quarters of the others' time."""
-CHROMIUM = next(filter(None, map(shutil.which, BROWSERS)), None)
+CHROMIUM = chromium()
 if CHROMIUM is None:
     pytest.skip("there is no chromium", allow_module_level=True)
 if not (PAGE / "index.html").exists():

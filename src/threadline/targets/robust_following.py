@@ -25,7 +25,7 @@ from threadline.jobs.operations import FeedMode, Job, Move
 from threadline.machine import Machine
 from threadline.machine.vary import corners
 from threadline.trajectory import Trajectory, leads_of, with_steps
-from threadline.trajectory.averaged import DEGREE, Averages
+from threadline.trajectory.averaged import DEGREE, Averages, denser
 
 TURNS = 4
 """Turns of a needle in which the speed may change: the two stitches before and after a rest."""
@@ -338,7 +338,7 @@ def _change(
 
 def _acting(found: Sequence[RobustWeights]) -> FloatArray:
     """Return the weights of fine samples; one acts the later the earlier it is in its window."""
-    return _refined(np.stack([weights.weights[::-1] for weights in found], axis=1))
+    return denser(np.stack([weights.weights[::-1] for weights in found], axis=1), _SAMPLES)
 
 
 def _shares(job: Job) -> tuple[float, float]:
@@ -386,17 +386,3 @@ def _change_s(job: Job) -> float:
             remedy='Give it: --smoothing "90 ms". Loads ring less the longer it is.',
         )
     return TURNS * turn_s
-
-
-def _refined(weights: FloatArray) -> FloatArray:
-    """Return the weights of the same averages, of samples ``_SAMPLES`` times as dense.
-
-    A uniform B-spline of degree d is a sum of narrower ones: those of d + 1 moving averages over
-    their steps (the two-scale relation of splines).
-    """
-    mask = np.ones(1)
-    for _ in range(DEGREE + 1):
-        mask = np.convolve(mask, np.full(_SAMPLES, 1.0 / _SAMPLES))
-    spread = np.zeros(((len(weights) - 1) * _SAMPLES + 1, weights.shape[1]))
-    spread[::_SAMPLES] = weights
-    return np.stack([np.convolve(column, mask) for column in spread.T], axis=1)

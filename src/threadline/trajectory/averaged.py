@@ -352,3 +352,17 @@ class _EndsOfSpeed:
             begin, stop = max(at, first), min(at + len(change), end)
             if begin < stop:
                 controls[begin - first : stop - first] += change[begin - at : stop - at]
+
+
+def denser(weights: FloatArray, times: int) -> FloatArray:
+    """Return the weights of the same averages, of samples ``times`` as dense; one column an axis.
+
+    A uniform B-spline of degree d is a sum of narrower ones: those of d + 1 moving averages over
+    their steps (the two-scale relation of splines).
+    """
+    mask = np.ones(1)
+    for _ in range(DEGREE + 1):
+        mask = np.convolve(mask, np.full(times, 1.0 / times))
+    spread = np.zeros(((len(weights) - 1) * times + 1, weights.shape[1]))
+    spread[::times] = weights
+    return np.stack([np.convolve(column, mask) for column in spread.T], axis=1)

@@ -16,14 +16,10 @@ from threadline.arrays import FloatArray, IntArray
 from threadline.machine import Machine
 from threadline.plant.network import piecewise_linear
 from threadline.plant.values import Values
-from threadline.twin.kernel.layout import Layout
 from threadline.twin.kernel.names import ClockEntry, Count, Field
 from threadline.twin.kernel.piece import Piece, prepared
 from threadline.twin.kernel.state import Snapshot, State, new_state
 
-_CACHE_BYTES = 16_000
-"""What a block of variants may take: it should stay in the fastest memory."""
-_WIDTH = 8
 NEVER = 1 << 62
 """A tick that no run reaches."""
 
@@ -149,7 +145,7 @@ class Engine:
             at = [owner.get(c) for c in piece.equations.group.controllers]
             middle = np.full(self.variants, 0.5)
             own = np.stack([middle if i is None else phases[:, i] for i in at], 1)
-            lanes, width = _lanes(piece, self.variants, watch_current, quantised)
+            lanes, width = piece.lanes_of(watch_current, quantised)
             states.append(
                 new_state(
                     machine, piece, own, lanes, width, peak=watch_current, quantised=quantised
@@ -387,15 +383,3 @@ class _Wiring:
             self.columns[Reading(Signal.CURRENT_PEAK, axis)] = at.peak(drive)
         for s, name in enumerate(group.inputs):
             self.columns[Reading(Signal.TRIPPED, name)] = at.tripped(s)
-
-
-def _lanes(piece: Piece, variants: int, peak: bool, quantised: bool) -> tuple[int, int]:
-    """Return how many variants in a block, what fits the fastest memory, and in a vector."""
-    if variants < _WIDTH:
-        return 1, 1
-    known = piece.lanes.get((peak, quantised))
-    if known is None:
-        rows = Layout(piece.shape(1, 1, peak=peak, quantised=quantised)).rows
-        fitting = (lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES)
-        known = piece.lanes[peak, quantised] = next(fitting, _WIDTH), _WIDTH
-    return known

@@ -13,6 +13,7 @@ from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
 from threadline.plant.network import PiecewiseLinear
 from threadline.plant.values import Values
+from threadline.twin.kernel.layout import Layout
 from threadline.twin.kernel.mode_tables import ModeTables
 from threadline.twin.kernel.names import Action, Do, Row, SampleLayout
 from threadline.twin.kernel.patterns import shape_of
@@ -25,6 +26,9 @@ from threadline.twin.kernel.tables import (
 )
 from threadline.twin.timeline import Schedule, make_schedule
 
+_CACHE_BYTES = 16_000
+"""What a block of variants may take: it should stay in the fastest memory."""
+_WIDTH = 8
 _WATCH_PER_RATE = 1.0
 _CELL_PER_RATE = 0.5
 _MOST_RATE = float(1 << 20)
@@ -108,6 +112,17 @@ class Piece:
         return SampleLayout(
             len(group.controllers), len(group.axes), len(group.drives), len(group.inputs)
         )
+
+    def lanes_of(self, peak: bool, quantised: bool) -> tuple[int, int]:
+        """Return how many variants in a block, what fits the fastest memory, and in a vector."""
+        if self.equations.variants < _WIDTH:
+            return 1, 1
+        known = self.lanes.get((peak, quantised))
+        if known is None:
+            rows = Layout(self.shape(1, 1, peak=peak, quantised=quantised)).rows
+            fitting = (lanes for lanes in (64, 32, 16) if 8 * rows * lanes <= _CACHE_BYTES)
+            known = self.lanes[peak, quantised] = next(fitting, _WIDTH), _WIDTH
+        return known
 
     def shape(
         self,
