@@ -133,6 +133,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     minutes: float = parser.parse_args().minutes
+    if minutes < _SETTLED_S / 60.0 + 2.0:
+        parser.error(
+            f"--minutes must be {_SETTLED_S / 60.0 + 2.0:g} or more: the first are left out"
+        )
     program = chromium()
     if program is None:
         parser.error("there is no chromium to open the page in")
