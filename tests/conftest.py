@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import math
 import os
 from collections.abc import Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -32,14 +34,14 @@ settings.load_profile("fixed")
 # An assertion of theirs says what it saw, as those of the tests do; some are looked at for it.
 pytest.register_assert_rewrite("tests.live.bench", "tests.live.kill_bench", "tests.panel.bench")
 
-from threadline.cli import told  # noqa: E402 - behind what is read when numpy is imported
-from threadline.search import edges, fastest, gentle  # noqa: E402
-
 ROOT = Path(__file__).resolve().parent.parent
 SHARED_SAMPLES = ROOT.parent / "shared" / "samples"
 NO_SAMPLES = "no folder of sample files beside this checkout"
 NO_FIRMWARE = "a firmware that is built by hand, from sources that no package index has: "
 """The two reasons to skip that hold in CI, too: not everyone can have those."""
+
+
+# What is tested is imported in the fixtures: the process that starts the workers does not need it.
 
 
 @pytest.hookimpl(wrapper=True, optionalhook=True)
@@ -52,6 +54,24 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int,
 def _waits(item: pytest.Item) -> bool:
     """Say whether a test waits for machines that move in real time."""
     return item.nodeid.startswith("tests/live/") or item.get_closest_marker("waits") is not None
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """Import the test files in a worker, each worker from another one on.
+
+    pytest writes their assertions anew where they changed, which takes longer than all else that
+    is done before the tests begin. In the same order each worker would do that for all of them;
+    so each does it for a share of them, and reads what the others wrote.
+    """
+    number = os.environ.get("PYTEST_XDIST_WORKER", "")[2:]
+    if not number or session.config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+        return
+    files = sorted((ROOT / "tests").rglob("test_*.py"))
+    first = len(files) * int(number) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    for file in files[first:] + files[:first]:
+        # What cannot be imported, or is skipped as a whole, is told where it is collected.
+        with suppress(Exception, pytest.skip.Exception):
+            importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
 
 
 @pytest.hookimpl(trylast=True)
@@ -99,6 +119,8 @@ def pytest_runtest_makereport(
 @pytest.fixture(autouse=True, scope="session")
 def nothing_said_of_compiling() -> Iterator[None]:
     """Tests count lines: which of them has machine code compiled hangs on their order."""
+    from threadline.cli import told
+
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(told, "_COMPILING_S", math.inf)
         yield
@@ -110,7 +132,10 @@ def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests of what is made of its answer; ``tests/search`` tests the answer itself.
     """
-    spaced, finer = fastest._spaced, fastest._finer
+    from threadline.search import edges, fastest
+
+    spaced: Any = fastest._spaced
+    finer: Any = fastest._finer
     monkeypatch.setattr(fastest, "_spaced", lambda *of: spaced(*of[:2], min(of[2], 8)))
     monkeypatch.setattr(fastest, "_finer", lambda *of: finer(*of[:2], min(of[2], 1)))
     monkeypatch.setattr(edges, "INSIDE", 2)
@@ -120,6 +145,8 @@ def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def coarse_search(coarse_scan: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have such a search try two shares of the limits, besides."""
+    from threadline.search import gentle
+
     monkeypatch.setattr(gentle, "_LADDER", (1.0, 0.25))
 
 
