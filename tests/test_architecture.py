@@ -196,3 +196,20 @@ def test_a_report_draws_and_simulates_nothing() -> None:
             if isinstance(node, ast.ImportFrom) and node.module == "threadline.pipeline":
                 taken |= {name.name for name in node.names}
     assert taken == {"Proof"}
+
+
+_POSSESSIVE_GROUP = re.compile(r"\)(?:[*+?]|\{\d*,?\d*\})\+|\(\?>")
+
+
+def test_no_pattern_has_a_possessive_group() -> None:
+    """Python 3.11.0 to 3.11.4 take one that fits only in part for a match (gh-106052).
+
+    The block ``X1 Y`` was read as ``X1`` there, and its ``Y`` without a number was lost.
+    """
+    assert _POSSESSIVE_GROUP.search(r"(?:[A-Z]\d++)*+")
+    assert [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in sorted((ROOT / "src" / "threadline").rglob("*.py"))
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if _POSSESSIVE_GROUP.search(line)
+    ] == []

@@ -18,16 +18,17 @@ ONE: int = int(10**DECIMALS)
 MAX_MAGNITUDE = 10**12
 _MAX_SHOWN = 40
 
-_NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)"
+# A group is never possessive: Python below 3.11.5 takes one that fits only in part for a match.
+_NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)"
 _WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
-_BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*+[ \t]*+")
+_BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*[ \t]*+")
 _CHECKSUM = re.compile(r"\*[ \t]*[0-9]{1,3}[ \t]*$")
 _TEXT = re.compile(r"[ \t]*(?:[Nn][ \t]*[0-9]+[ \t]*)?[Mm]11[78](?![0-9.])")
 _HOMING = re.compile(r"[ \t]*(?:[Nn][ \t]*[0-9]+[ \t]*)?[Gg]28(?![0-9.])")
 _ALONE = re.compile(r"([A-Za-z])(?![ \t]*[-+.0-9])")
 _PARENTHESES = re.compile(r"\([^()]*\)")
 _TAG = re.compile(rf"([A-Za-z_][A-Za-z0-9_-]*)=({_NUMBER})")
-_NAMED = re.compile(r"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*+=[^\s,=]*+(?:[\s,]++|$))++")
+_NAMED = re.compile(r"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*+=[^\s,=]*+(?:[\s,]++|$))+")
 _POWERS: tuple[int, ...] = tuple(int(10**k) for k in range(DECIMALS + 1))
 
 

@@ -19,7 +19,7 @@ from threadline.jobs.gcode.flavour import Flavour, in_degrees, radians
 from threadline.jobs.gcode.parametric.parameters import Values
 
 Formula = Callable[[Values], float]
-NUMBER = re.compile(r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)")
+NUMBER = re.compile(r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)")
 MAX_NESTED = 30
 MAX_OPERATORS = 200
 _MAX_SHOWN = 40
