@@ -63,7 +63,8 @@ def test_a_picture_that_leaves_its_page_says_what_it_is_of(tmp_path) -> None:
     """Job, machine and verdict stand above the picture in its file; the page has them once."""
     with figure_style():
         figure = Figure(figsize=(4.0, 2.0))
-        figure.add_subplot().plot([0, 1], [0, 1])
+        figure.add_subplot().plot([0, 1], [0, 1], label="x on a winder")
+        figure.legend()
         width, height = figure.get_size_inches()
         document = Document(
             title="x.prg on winder",
@@ -84,9 +85,18 @@ def test_a_picture_that_leaves_its_page_says_what_it_is_of(tmp_path) -> None:
     assert drawn is not None
     for across, up in ((pixels[1], pixels[0]), map(float, drawn.groups())):
         assert up / across == pytest.approx((height + 0.4) / width, rel=0.01)
-    inner = re.search(r'viewBox="0 0 (\S+) (\S+)"', page)
+    inner = re.search(r'height="(\S+)pt" viewBox="0 (\S+) (\S+) (\S+)"', page)
     assert inner is not None
-    assert float(inner[2]) / float(inner[1]) == pytest.approx(height / width, rel=1e-6)
+    assert float(inner[4]) / float(inner[3]) == pytest.approx(height / width, rel=1e-6)
+    assert inner[1] == inner[4] and float(inner[2]) == pytest.approx(72 * 0.4)
+    alone = (tmp_path / "r-one.svg").read_text()
+    assert 'id="head"' in alone and "IN SPEC" in alone
+    in_page = page[page.index("<svg") : page.index("</svg>")]
+    assert "head" not in in_page and "IN SPEC" not in in_page
+    # No letter of the figure was defined in the lines above it, which the page does not have.
+    assert set(re.findall(r'(?:href="|url\()#([^")]+)', in_page)) <= set(
+        re.findall(r'id="([^"]+)"', in_page)
+    )
 
 
 def test_the_parts_of_a_figure_are_placed_once_for_all_its_files(

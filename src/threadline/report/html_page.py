@@ -2,32 +2,13 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from threadline.report.document import Document, failing
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-    from matplotlib.transforms import Bbox
-
-
-def svg_text(figure: Figure, area: Bbox | None = None) -> str:
-    """Return a figure as SVG; the same figure gives the same text each time.
-
-    Parameters
-    ----------
-    area
-        Which part of the plane is drawn, inches; None is the figure itself.
-    """
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches=area)
-    return buffer.getvalue()
 
 
 def html_page(document: Document, svgs: Mapping[str, str]) -> str:

@@ -24,8 +24,9 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
         If the folder cannot be written.
     """
     # Imported late: their libraries are heavy.
-    from threadline.report.html_page import html_page, svg_text
+    from threadline.report.html_page import html_page
     from threadline.report.pdf import write_pdf
+    from threadline.report.svg import svg_text, without_head
 
     document = document.shown()
     with together():
@@ -33,12 +34,13 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
         with staging_folder(folder) as temporary, laid_out(document.figures.values()):
             svgs = {}
             for name, figure in document.figures.items():
-                svgs[name] = svg_text(figure)
                 # A picture that leaves its page takes along what it is of, and how it was judged.
                 with headed(figure, _head(document)) as area:
                     # Not by with_suffix, to which the feed in "auto-0.6m-per-s" has one.
                     alone = f"{temporary / stem}-{name}"
-                    Path(f"{alone}.svg").write_text(svg_text(figure, area), encoding="utf-8")
+                    svg = svg_text(figure, area)
+                    Path(f"{alone}.svg").write_text(svg, encoding="utf-8")
+                    svgs[name] = without_head(svg, area.height - figure.get_figheight())
                     figure.savefig(
                         f"{alone}.png", dpi=_PNG_DPI, metadata={"Software": None},
                         bbox_inches=area,

@@ -77,6 +77,8 @@ def figure_style() -> Iterator[None]:
         yield
 
 
+HEAD = "head"
+"""Name of the lines above a figure among its parts."""
 _HEAD_SIZE = 8.0  # points
 _LINE_IN = 0.16
 _LETTERS_PER_IN = 13.5  # that surely have room beside each other
@@ -93,7 +95,8 @@ def laid_out(figures: Iterable[Figure]) -> Iterator[None]:
 
     figures = list(figures)
     for figure in figures:
-        figure.draw_without_rendering()
+        if figure.axes and (engine := figure.get_layout_engine()) is not None:
+            engine.execute(figure)
     with mpl.rc_context({"figure.constrained_layout.use": False}):
         for figure in figures:
             figure.set_layout_engine(None)
@@ -122,7 +125,8 @@ def headed(figure: Figure, lines: Sequence[str]) -> Iterator[Bbox]:
     strip = _LINE_IN * (len(broken) + 0.5)
     text = figure.text(
         0.08 / width, 1.0 + strip / height, "\n".join(broken), va="top", ha="left",
-        fontsize=_HEAD_SIZE, linespacing=1.25, color="0.2", parse_math=False,
+        fontsize=_HEAD_SIZE, linespacing=1.25, color="0.2", parse_math=False, gid=HEAD,
+        zorder=1e3,  # drawn last: nothing else refers to what is defined in it
     )  # fmt: skip
     text.set_in_layout(False)
     try:
