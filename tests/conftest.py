@@ -95,8 +95,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """Leave out what the modules made when garbage is looked for from here on, and seldom look.
 
-    Looking took a twentieth of the time of the tests; nothing in them waits for it.
+    Looking took a twentieth of the time of the tests; nothing in them waits for it. Freed memory is
+    kept, as where many machines are judged: every second page was asked for anew.
     """
+    from threadline.search.kept_memory import keep_freed_memory
+
+    keep_freed_memory()
     gc.freeze()
     gc.set_threshold(20_000, 20, 50)
     gc.enable()
