@@ -7,7 +7,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-import control
 from threadline.errors import MachineError, OptionError
 from threadline.machine.load import load_machine
 from threadline.plant.coupled import connected_groups
@@ -127,6 +126,8 @@ def test_coil_adds_its_state(stitcher_y):
 
 def test_sampled_loop_is_python_controls():
     """Without quantisers the twin's step is python-control's closed loop of the c2d plant."""
+    import control  # with half of matplotlib: for one worker alone
+
     machine = load_machine("lathe-winder")
     model = next(m for m in linear_model(machine) if "X.load" in m.outputs)
     seen = model.select(["drives.x"], ["sensors.x"])

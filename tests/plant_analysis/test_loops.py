@@ -9,7 +9,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import lambertw
 
-import control
 from threadline.arrays import FloatArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
@@ -140,6 +139,8 @@ def test_margins_against_a_dense_grid(name, axis, numbers, options):
 
 def test_python_control_with_pade_is_wrong_where_we_are_not():
     """Its polynomial margin of the printed X loop is 3 % off by the Pade delay of the thesis."""
+    import control  # with half of matplotlib: for one worker alone
+
     K, A, B = ref.FILTERS["stitcher-rigid"]["X"]
     gain, _ = ref.dense_margins(lambda w: ref.open_loop(ref.X, K, A, B, w, rigid=True), 0.5, 2e4)
     s = control.tf("s")
@@ -408,6 +409,8 @@ def test_the_phase_margin_of_a_conditionally_stable_loop_is_the_nearest():
     The mode is crossed at some -80 and +80 degrees, the loop at 72: the smallest number is not the
     margin. 0.1 deg: python-control takes the nearest of its frequencies.
     """
+    import control  # with half of matplotlib: for one worker alone
+
     w0, zeta = 100.0, 0.01
 
     def response(omega):
