@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.dop853 import state_after
 from tests.second_order import states_of
 
 from threadline.arrays import FloatArray
@@ -105,6 +106,22 @@ def test_the_printed_table_is_met(name: str) -> None:
     for f, printed in zip(FREQUENCIES, PRINTED[name], strict=True):
         found = 1e3 * residual_m(law(name), FlexibleMode(f, ZETA), MOVE, np.array([WINDOW]))[0]
         assert abs(found - printed) <= max(0.01, 0.01 * printed), (f, found, printed)
+
+
+def test_the_integrator_agrees_with_scipys() -> None:
+    """DOP853, restarted at each corner of the law."""
+    motion, omega = law("modified-sine"), 2 * np.pi * 12.0
+    state = np.zeros(2)
+    for a, b in pairwise((motion.edges * WINDOW).tolist()):
+
+        def slope(t: float, y: FloatArray, a: float = a) -> list[float]:
+            base = float(motion((a + t) / WINDOW, 2)[0]) * MOVE / WINDOW**2
+            return [y[1], -base - 2 * ZETA * omega * y[1] - omega**2 * y[0]]
+
+        state = state_after(slope, state, b - a, rtol=1e-11, atol=1e-14)
+    away, rate = state
+    left = np.hypot(away, (rate + ZETA * omega * away) / (omega * np.sqrt(1 - ZETA**2)))
+    assert simulated(motion, [12.0], WINDOW)[0] == pytest.approx(left, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", LAWS)
