@@ -63,11 +63,23 @@ class Answer(Locked):
             (k,) m or rad, one at each tick of the controller; before them the load rests at the
             first.
         """
-        from scipy.signal import oaconvolve
-
         start = reference[0]
-        moved = oaconvolve(reference - start, self.taps)[: len(reference)]
-        return np.asarray(start + moved)
+        return np.asarray(start + _filtered(reference - start, self.taps))
+
+
+def _filtered(values: FloatArray, taps: FloatArray) -> FloatArray:
+    """Return (k,) values behind a filter of (n,) taps, by overlapped parts and their transforms.
+
+    scipy.signal has the same (``oaconvolve``) and takes a second to import: a third of a short job.
+    """
+    size = 1 << (4 * len(taps) - 1).bit_length()
+    step = size - len(taps) + 1
+    parts = np.zeros((-(-len(values) // step), step))
+    parts.ravel()[: len(values)] = values
+    answers = np.fft.irfft(np.fft.rfft(parts, size) * np.fft.rfft(taps, size), size)
+    found = np.ascontiguousarray(answers[:, :step])
+    found[1:, : size - step] += answers[:-1, step:]  # what a part leaves to the next one
+    return found.ravel()[: len(values)]
 
 
 _RECENT: Recent[Machine, dict[str, Answer]] = Recent(8, lambda a, b: a is b or a == b)
