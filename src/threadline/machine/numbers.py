@@ -107,11 +107,11 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
             tolerance_si=old.tolerance_si * share,
             exact_s=exact,
         )
-    # At once: of two numbers that hold together, one alone may be refused.
-    machine = _replaced(machine, new)
     note = repr(sorted((path, float(value)) for path, value in numbers.items()))
-    sha256 = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
-    return dataclasses.replace(machine, sha256=sha256)
+    new["sha256"] = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
+    # At once: of two numbers that hold together, one alone may be refused.
+    made: Machine = _replaced(machine, new)
+    return made
 
 
 def exact_time_s(seconds: float) -> Fraction:

@@ -23,6 +23,7 @@ from threadline.machine.numbers import is_whole, number_at, with_numbers
 from threadline.machine.pneumatics import TIMES
 from threadline.machine.quantity import Quantity
 from threadline.machine.tolerances import matches, quantities
+from threadline.recent import Recent
 
 MOST_CORNERS = 12
 """Most numbers that may vary for ``corners``, which then are 2 to this power."""
@@ -82,6 +83,14 @@ def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     OptionError
         If a number has a tolerance but no variant can change it.
     """
+    # Each variant of a machine asks for those of the same machine.
+    return _RECENT.of(machine, lambda: _uncertain(machine))
+
+
+_RECENT: Recent[Machine, tuple[Uncertain, ...]] = Recent(4, lambda a, b: a is b)
+
+
+def _uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     rules = machine.tolerances
     found: dict[str, list[str]] = {}
     for path, quantity in _numbers(machine):
