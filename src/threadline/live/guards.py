@@ -118,7 +118,8 @@ class Guards:
 
         It is the same as ``_trip_of``, in one call for all ticks; that says which guard it is.
         """
-        told, read, volts = (samples.get(name, _NONE) for name in axis.channels)
+        # Copies: locked arrays and parts of others would have machine code of their own.
+        told, read, volts = (np.array(samples.get(name, _NONE)) for name in axis.channels)
         if not len(told) or len(told) != len(read):
             return False
         quiet, axis.still = _in_order(

@@ -85,7 +85,8 @@ class _Sewn:
 
     def __init__(self, run: SewnStitches, lines: Sequence[DrawnLine], before: _Sewn | None) -> None:
         s = run.stitches
-        self.contour: IntArray = s.contour
+        # A copy: a locked array would have machine code of its own.
+        self.contour: IntArray = s.contour.copy()
         self.operation, self.job_line = s.operation, s.line
         self.down_s, self.begin, self.end = run.down_s, run.begun, run.actual
         share = np.linspace(0.0, 1.0, _PARTS + 1)

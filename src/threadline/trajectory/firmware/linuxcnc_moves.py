@@ -93,7 +93,8 @@ def course(
         start.copy(), way.copy(), length, nominal_s.copy(), operation, np.arange(len(way)), alone
     )
     bows: dict[int, Bow] = {}
-    found = rows_of(ends_of_bows(way[:, linear], line, alone & (nominal_s > 0.0)))
+    along = np.ascontiguousarray(way[:, linear])
+    found = rows_of(ends_of_bows(along, line, alone & (nominal_s > 0.0)))
     if found:
         beside = np.array([axis not in "XY" for axis in rules.axes])
         bows = rows.bend(found, beside, cam_tolerance)
@@ -165,7 +166,9 @@ class _Rows:
         """Put one row for moves that are joined within Q; return ``bows`` by their new rows."""
         timed = self.nominal_s > 0.0
         feed = np.where(timed, self.length / np.where(timed, self.nominal_s, 1.0), 0.0)
-        ends = joined(self.start[:, linear], self.way[:, linear], feed, self.alone, cam_tolerance)
+        # In the same order always: each order would have machine code of its own.
+        begun, along = (np.ascontiguousarray(of[:, linear]) for of in (self.start, self.way))
+        ends = joined(begun, along, feed, self.alone, cam_tolerance)
         last = np.flatnonzero(ends)
         first = np.concatenate(([0], last[:-1] + 1))
         many = np.flatnonzero(last > first)
