@@ -338,7 +338,6 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
         ask(plan)
-    store.index.close()
 
 
 def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_path: Path) -> None:
@@ -359,6 +358,5 @@ def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_p
     with pytest.raises(OptionError, match="nobody is at the keys"):
         check_continued(folder, "last", None, confirmed=False)
     store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
-    store.index.close()
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
         check_continued(folder, "last", None, confirmed=False)

@@ -103,4 +103,3 @@ def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> No
     assert {one.run: one.ended for one in store.index.runs()} == {
         run: "stopped", done["run"]: "completed",
     }  # fmt: skip
-    store.index.close()

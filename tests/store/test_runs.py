@@ -113,7 +113,6 @@ def test_a_run_has_all_that_it_was_made_from(
     assert len(found.samples("X.load")[1]) == len(ROWS) + 101
     assert (found.origin["link"], found.origin["run"]) == ("sim", run.path.name)
     assert store.find("last") == store.find(run.path.name) == run.path
-    store.index.close()
 
 
 @pytest.mark.parametrize("tick", [35, 480, 1233])
@@ -143,7 +142,6 @@ def test_a_crash_loses_at_most_a_second(
     assert record.ended == RUNNING
     with run:
         pass  # of this process, which has written nothing
-    store.index.close()
 
 
 def test_a_run_that_never_began_says_why(proof: Proof, known: ProofFile, tmp_path: Path) -> None:
@@ -161,7 +159,6 @@ def test_a_run_that_never_began_says_why(proof: Proof, known: ProofFile, tmp_pat
     assert {record.text for record in records} == {"", "the machine did not answer"}
     with pytest.raises(StoreError, match="there is no run 'nothing'"):
         store.find("nothing")
-    store.index.close()
 
 
 def test_the_disk_is_ordered_to_take_it_up_as_it_goes(
@@ -184,7 +181,6 @@ def test_the_disk_is_ordered_to_take_it_up_as_it_goes(
     assert len(ordered) > 3
     assert ordered == sorted(ordered)
     assert ordered[0] < ordered[-1] <= run.trace.stat().st_size
-    store.index.close()
 
 
 def test_a_refused_run_has_a_verdict_and_is_listed(
@@ -203,7 +199,6 @@ def test_a_refused_run_has_a_verdict_and_is_listed(
         main(["report", "last", "--store", str(store.folder)])
     assert ended.value.code == 2
     assert "was refused before anything moved: axis X stands at 1" in capsys.readouterr().err
-    store.index.close()
 
 
 def test_the_last_run_is_the_one_that_began_last(tmp_path: Path) -> None:
@@ -217,7 +212,6 @@ def test_the_last_run_is_the_one_that_began_last(tmp_path: Path) -> None:
         store.index.add(replace(RECORD, run=run, started=started))
     assert [one.run[9:] for one in store.index.runs()] == ["120000-a", "120000-x", "130000-b"]
     assert store.find("last").name == "20261122-120000-a"
-    store.index.close()
 
 
 def test_a_store_that_cannot_be_used_is_one_line(tmp_path: Path) -> None:
@@ -244,7 +238,6 @@ def test_the_index_lies_in_the_folder_whatever_that_is_called(name: str, tmp_pat
     """As a URL, "a?b/index.sqlite" was the file "a": all stores called so shared one index."""
     store = RunStore(tmp_path / name)
     store.index.add(RECORD)
-    store.index.close()
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert [path.name for path in (tmp_path / name).iterdir()] == ["index.sqlite"]
 
@@ -276,7 +269,6 @@ def test_an_index_that_holds_something_else_is_one_line(
         with pytest.raises(StoreError, match=f"damaged: {column} of a run is") as caught:
             ask()
         assert "\n" not in str(caught.value)
-    store.index.close()
 
 
 def test_a_full_disk_ends_the_run_and_names_it(
@@ -312,4 +304,3 @@ def test_a_full_disk_ends_the_run_and_names_it(
     assert (record.ended, record.passed) == ("fault", None)
     assert record.text == "the trace could not be written: No space left on device"
     assert read_recording(run.trace).outcome().ended is Ended.FAULT
-    store.index.close()

@@ -13,6 +13,7 @@ from pathlib import Path
 from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table, create_engine
 from sqlalchemy.engine import URL, Engine, RowMapping
 from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.pool import NullPool
 from sqlalchemy.schema import CreateTable
 
 from threadline.errors import StoreError
@@ -104,7 +105,8 @@ class RunIndex:
         with self._clear():
             # As text a path would be read as a URL: what follows its first "?" is no name there.
             url = URL.create("sqlite", database=str(where)) if isinstance(where, Path) else where
-            self._engine: Engine = create_engine(url)
+            # A connection lasts for one use: none is left open where a store is let go of.
+            self._engine: Engine = create_engine(url, poolclass=NullPool)
             with self._engine.begin() as connection:  # another program may be making it, too
                 connection.execute(CreateTable(_RUNS, if_not_exists=True))
 
@@ -131,10 +133,6 @@ class RunIndex:
         with self._clear(), self._engine.connect() as connection:
             found = [self._record(row) for row in connection.execute(_RUNS.select()).mappings()]
         return sorted(found, key=lambda one: (_instant(one.started), one.run), reverse=True)
-
-    def close(self) -> None:
-        """Close all connections to the database."""
-        self._engine.dispose()
 
     def _record(self, row: RowMapping) -> RunRecord:
         """Return the run of a row, checked: SQLite holds any type in any column."""

@@ -24,11 +24,8 @@ def unfinished_run(store: Path, run: str) -> tuple[Path, RunRecord]:
         raise StoreError(
             f"there is no run {run[:60]!r} in {str(store)!r}", remedy="Give its folder: --store."
         )
-    try:
-        folder = kept.find(run)
-        record = kept.index.record(folder.name)
-    finally:
-        kept.index.close()
+    folder = kept.find(run)
+    record = kept.index.record(folder.name)
     if record.ended in {Ended.COMPLETED, REFUSED}:
         raise StoreError(
             f"run {folder.name} was {record.ended}: there is no rest of it", remedy="Run the job."
