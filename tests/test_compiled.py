@@ -7,6 +7,7 @@ step by a reader, or by another writer, in this process and therefore always in 
 from __future__ import annotations
 
 import contextlib
+import math
 import re
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from threadline.compiled import CacheFile
+from threadline.compiled import CacheFile, njit
 
 
 def cache(folder: Path, stamp: str) -> CacheFile:
@@ -106,6 +107,10 @@ def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
         )  # fmt: skip
         found.append(float(ran.stdout))
     assert found == [1.5, 2.5 if "2.0" in change else 3.5]
+
+
+def test_it_divides_as_numpy_does() -> None:
+    assert njit()(lambda x: 1.0 / x)(0.0) == math.inf
 
 
 def test_of_processes_that_want_the_same_one_compiles_and_the_others_wait(tmp_path: Path) -> None:

@@ -152,11 +152,17 @@ _register("numba:compile", _Clock())
 
 
 def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
-    """Compile the function that is given next, as ``numba.njit``; its machine code is kept."""
+    """Compile the function that is given next, as ``numba.njit``; its machine code is kept.
+
+    It divides as numpy does: what is divided by zero is infinite, or no number. A look at each
+    divisor, as Python's, would be a sixth of the work of compiling; results that are not finite
+    are refused where they are made into trajectories, tables and recordings.
+    """
+    options = {"error_model": "numpy", **options}
 
     def compiled(function: F) -> Dispatcher[F]:
         found: Dispatcher[F] = numba.njit(cache=True, **options)(function)
-        _keep_safely(found)
+        _keep_safely(found, repr(sorted(options.items())))
         return found
 
     return compiled
@@ -175,14 +181,14 @@ def where_kept(function: Callable[..., Any]) -> Path | None:
         return None
 
 
-def _keep_safely(function: Any) -> None:
+def _keep_safely(function: Any, options: str) -> None:
     cache = function._cache
     own = cache._cache_file
     made: Callable[..., CacheFile] = CacheFile
     cache._cache_file = made(
         cache_path=own._cache_path,
         filename_base=cache._impl.filename_base,
-        source_stamp=(own._source_stamp, _used_by(function.py_func, {function})),
+        source_stamp=(own._source_stamp, options, _used_by(function.py_func, {function})),
     )
 
 
