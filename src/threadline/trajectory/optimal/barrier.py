@@ -58,98 +58,99 @@ def duration(b, length):
 
 
 @njit()
-def room_of(row, y, tangent):
+def room_of(row, y0, y1, y2, tangent):
     """Return 1 less the share of its limit that a row of a drive uses."""
-    used = 0.5 / tangent * row[6]
-    for a in range(3):
-        used += (row[a] + 0.5 * tangent * row[3 + a]) * y[a]
-    return 1.0 - used
-
-
-@njit()
-def _add_demands(drive, y, tangent, weight, row, gy, hy):
-    """Add what the rows of the drives give to the gradient and the upper half of the matrix."""
-    for k in range(len(drive)):
-        s = room_of(drive[k], y, tangent)
-        part = weight / s
-        for a in range(3):
-            row[a] = drive[k, a] + 0.5 * tangent * drive[k, 3 + a]
-        for a in range(3):
-            gy[a] += part * row[a]
-            for c in range(a, 3):
-                hy[a, c] += part / s * row[a] * row[c]
+    slope = 0.5 * tangent
+    used = 0.5 / tangent * row[6] + (row[0] + slope * row[3]) * y0
+    return 1.0 - (used + (row[1] + slope * row[4]) * y1 + (row[2] + slope * row[5]) * y2)
 
 
 @njit()
 def derivatives(b, length, rows, tangent, weight):
     """Return matrix and gradient of duration - weight * sum(log(slack)).
 
-    Entry (i, k) of the (n + 2, 3) matrix is that of row i and column i + k.
+    Entry (i, k) of the (n + 2, 3) matrix is that of row i and column i + k. What an element gives
+    is kept in single numbers until its last row: numbers of arrays would be written for each row.
     """
     acc, jerk, points, count, top, drive, begin = rows
     n = len(length)
-    size = n + 2
-    g = np.zeros(size)
-    matrix = np.zeros((size, 3))
-    gy, hy, row, y, p = np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    g, matrix = np.zeros(n + 2), np.zeros((n + 2, 3))
     for i in range(n):
         m00, m01, m11, m21, m22 = maps(length, i)
-        p[0, 0], p[0, 1], p[1, 1], p[2, 1], p[2, 2] = m00, m01, m11, m21, m22
-        y[0], y[1] = m00 * b[i] + m01 * b[i + 1], m11 * b[i + 1]
-        y[2] = m21 * b[i + 1] + m22 * b[i + 2]
-        hy[:] = 0.0
-        for a in range(3):
-            time = 1.0 / (3.0 * np.sqrt(y[a]))
-            gy[a] = -0.5 * time / y[a]
-            hy[a, a] = 0.75 * time / (y[a] * y[a])
-            if top[i] < np.inf:
-                s = top[i] - y[a]
-                gy[a] += weight / s
-                hy[a, a] += weight / (s * s)
-        gy[1] -= weight / y[1]
-        hy[1, 1] += weight / (y[1] * y[1])
+        y0, y1, y2 = values(b, length, i)
+        g0, h00 = _of_time(y0, top[i], weight)
+        g1, h11 = _of_time(y1, top[i], weight)
+        g2, h22 = _of_time(y2, top[i], weight)
+        of = g0, g1 - weight / y1, g2, h00, 0.0, 0.0, h11 + weight / (y1 * y1), 0.0, h22
         for k in range(count[i, 0]):
-            r = acc[i, k]
-            v = r[0] * y[0] + r[1] * y[1] + r[2] * y[2]
-            s1, s2 = 1.0 - v, 1.0 + v
-            first = weight * (1.0 / s1 - 1.0 / s2)
-            second = weight * (1.0 / (s1 * s1) + 1.0 / (s2 * s2))
-            for a in range(3):
-                gy[a] += first * r[a]
-                for c in range(a, 3):
-                    hy[a, c] += second * r[a] * r[c]
+            r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
+            v = r0 * y0 + r1 * y1 + r2 * y2
+            one, two = _inverses(1.0 - v, 1.0 + v)
+            of = _with(of, weight * (one - two), weight * (one * one + two * two), r0, r1, r2)
         t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
         for k in range(count[i, 1]):
-            r = jerk[i, k]
+            r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
             w = WEIGHTS[points[i, k]]
-            v = r[0] * y[0] + r[1] * y[1] + r[2] * y[2]
-            room = t0 - t1 * (w[0] * y[0] + w[1] * y[1] + w[2] * y[2])
-            for side in range(2):
-                sign = 1.0 if side == 0 else -1.0
-                s = room - sign * v
-                part = weight / s
-                for a in range(3):
-                    row[a] = -t1 * w[a] - sign * r[a]
-                for a in range(3):
-                    gy[a] -= part * row[a]
-                    for c in range(a, 3):
-                        hy[a, c] += part / s * row[a] * row[c]
-        _add_demands(drive[begin[i] : begin[i + 1]], y, tangent[i], weight, row, gy, hy)
-        for a in range(3):
-            for c in range(a):
-                hy[a, c] = hy[c, a]
-        for a in range(3):
-            slope = 0.0
-            for k in range(3):
-                slope += p[k, a] * gy[k]
-            g[i + a] += slope
-            for c in range(a, 3):
-                bend = 0.0
-                for k in range(3):
-                    for m in range(3):
-                        bend += p[k, a] * hy[k, m] * p[m, c]
-                matrix[i + a, c - a] += bend
+            w0, w1, w2 = t1 * w[0], t1 * w[1], t1 * w[2]
+            v = r0 * y0 + r1 * y1 + r2 * y2
+            room = t0 - t1 * (w[0] * y0 + w[1] * y1 + w[2] * y2)
+            one, two = _inverses(room - v, room + v)
+            one_part, two_part = weight * one, weight * two
+            of = _with(of, one_part, one_part * one, w0 + r0, w1 + r1, w2 + r2)
+            of = _with(of, two_part, two_part * two, w0 - r0, w1 - r1, w2 - r2)
+        slope = 0.5 * tangent[i]
+        for k in range(begin[i], begin[i + 1]):
+            r, s = drive[k], room_of(drive[k], y0, y1, y2, tangent[i])
+            d0, d1, d2 = r[0] + slope * r[3], r[1] + slope * r[4], r[2] + slope * r[5]
+            of = _with(of, weight / s, weight / s / s, d0, d1, d2)
+        g0, g1, g2, h00, h01, h02, h11, h12, h22 = of
+        # From y to b: P' g and P' H P, where P has the weights in its columns (m00, 0, 0),
+        # (m01, m11, m21) and (0, 0, m22).
+        g[i] += m00 * g0
+        g[i + 1] += m01 * g0 + m11 * g1 + m21 * g2
+        g[i + 2] += m22 * g2
+        c0 = h00 * m01 + h01 * m11 + h02 * m21
+        c1 = h01 * m01 + h11 * m11 + h12 * m21
+        c2 = h02 * m01 + h12 * m11 + h22 * m21
+        matrix[i, 0] += m00 * h00 * m00
+        matrix[i, 1] += m00 * c0
+        matrix[i, 2] += m00 * h02 * m22
+        matrix[i + 1, 0] += m01 * c0 + m11 * c1 + m21 * c2
+        matrix[i + 1, 1] += m22 * c2
+        matrix[i + 2, 0] += m22 * h22 * m22
     return matrix, g
+
+
+@njit()
+def _with(of, slope, bend, r0, r1, r2):
+    """Return the gradient and the upper half of the matrix of one element with one more row."""
+    g0, g1, g2, h00, h01, h02, h11, h12, h22 = of
+    p0, p1, p2 = bend * r0, bend * r1, bend * r2
+    return (
+        g0 + slope * r0, g1 + slope * r1, g2 + slope * r2,
+        h00 + p0 * r0, h01 + p0 * r1, h02 + p0 * r2,
+        h11 + p1 * r1, h12 + p1 * r2, h22 + p2 * r2,
+    )  # fmt: skip
+
+
+@njit()
+def _inverses(one, other):
+    """Return 1 / one and 1 / other by one division, which takes as long as twenty products."""
+    both = 1.0 / (one * other)
+    return other * both, one * both
+
+
+@njit()
+def _of_time(y, top, weight):
+    """Return slope and bend of the share of one y in the duration, and of its upper limit."""
+    time = 1.0 / (3.0 * np.sqrt(y))
+    slope = -0.5 * time / y
+    bend = 0.75 * time / (y * y)
+    if top < np.inf:
+        s = top - y
+        slope += weight / s
+        bend += weight / (s * s)
+    return slope, bend
 
 
 @njit()
@@ -251,40 +252,42 @@ def newton(b, length, rows, tangent, weight, held):
 
 
 @njit()
-def _far(y, dy, acc, jerk, points, count, top, drive, tangent):
-    """Return how far along dy the y of one element may go before it reaches a limit."""
+def _far(b, step, length, rows, tangent, i):
+    """Return how far along the step the y of element ``i`` may go before it reaches a limit."""
+    acc, jerk, points, count, top, drive, begin = rows
+    y0, y1, y2 = values(b, length, i)
+    d0, d1, d2 = values(step, length, i)
     best = 1e300
-    for a in range(3):
-        if dy[a] < 0.0:
-            best = min(best, -y[a] / dy[a])
-        elif dy[a] > 0.0 and top < np.inf:
-            best = min(best, (top - y[a]) / dy[a])
-    for k in range(count[0]):
-        r = acc[k]
-        v = r[0] * y[0] + r[1] * y[1] + r[2] * y[2]
-        dv = r[0] * dy[0] + r[1] * dy[1] + r[2] * dy[2]
+    for y, dy in ((y0, d0), (y1, d1), (y2, d2)):
+        if dy < 0.0:
+            best = min(best, -y / dy)
+        elif dy > 0.0 and top[i] < np.inf:
+            best = min(best, (top[i] - y) / dy)
+    for k in range(count[i, 0]):
+        r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
+        v = r0 * y0 + r1 * y1 + r2 * y2
+        dv = r0 * d0 + r1 * d1 + r2 * d2
+        room = 1.0 - v if dv > 0.0 else 1.0 + v
+        if (dv != 0.0) & (room < best * abs(dv)):
+            best = room / abs(dv)
+    t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
+    for k in range(count[i, 1]):
+        r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
+        w = WEIGHTS[points[i, k]]
+        v = r0 * y0 + r1 * y1 + r2 * y2
+        dv = r0 * d0 + r1 * d1 + r2 * d2
+        room = t0 - t1 * (w[0] * y0 + w[1] * y1 + w[2] * y2)
+        less = t1 * (w[0] * d0 + w[1] * d1 + w[2] * d2)
+        if (dv + less > 0.0) & (room - v < best * (dv + less)):
+            best = (room - v) / (dv + less)
+        if (less - dv > 0.0) & (room + v < best * (less - dv)):
+            best = (room + v) / (less - dv)
+    slope = 0.5 * tangent[i]
+    for k in range(begin[i], begin[i + 1]):
+        r = drive[k]
+        dv = (r[0] + slope * r[3]) * d0 + (r[1] + slope * r[4]) * d1 + (r[2] + slope * r[5]) * d2
         if dv > 0.0:
-            best = min(best, (1.0 - v) / dv)
-        elif dv < 0.0:
-            best = min(best, (1.0 + v) / -dv)
-    t0, t1 = 1.5 * tangent, 0.5 * tangent**3
-    for k in range(count[1]):
-        r = jerk[k]
-        w = WEIGHTS[points[k]]
-        v = r[0] * y[0] + r[1] * y[1] + r[2] * y[2]
-        dv = r[0] * dy[0] + r[1] * dy[1] + r[2] * dy[2]
-        room = t0 - t1 * (w[0] * y[0] + w[1] * y[1] + w[2] * y[2])
-        less = t1 * (w[0] * dy[0] + w[1] * dy[1] + w[2] * dy[2])
-        if dv + less > 0.0:
-            best = min(best, (room - v) / (dv + less))
-        if less - dv > 0.0:
-            best = min(best, (room + v) / (less - dv))
-    for k in range(len(drive)):
-        dv = 0.0
-        for a in range(3):
-            dv += (drive[k, a] + 0.5 * tangent * drive[k, 3 + a]) * dy[a]
-        if dv > 0.0:
-            best = min(best, room_of(drive[k], y, tangent) / dv)
+            best = min(best, room_of(r, y0, y1, y2, tangent[i]) / dv)
     return best
 
 
@@ -295,15 +298,9 @@ def advance(b, step, length, rows, tangent):
     Where rounding has left no room to a limit, the share is not above 0 and b stays as it is: a
     slack of -1e-16 over a change of 1e-30 would be a step of 1e14 backwards.
     """
-    acc, jerk, points, count, top, drive, begin = rows
     best = 1e300
-    y, dy = np.zeros(3), np.zeros(3)
     for i in range(len(length)):
-        y[0], y[1], y[2] = values(b, length, i)
-        dy[0], dy[1], dy[2] = values(step, length, i)
-        own = drive[begin[i] : begin[i + 1]]
-        far = _far(y, dy, acc[i], jerk[i], points[i], count[i], top[i], own, tangent[i])
-        best = min(best, far)
+        best = min(best, _far(b, step, length, rows, tangent, i))
     share = min(1.0, _NEAR * best)
     if share > 0.0:
         for k in range(len(b)):
@@ -315,27 +312,26 @@ def advance(b, step, length, rows, tangent):
 def follow(b, length, rows, tangent):
     """Move each tangent towards the present y, as far as the slacks that depend on it allow."""
     _, jerk, points, count, _, drive, begin = rows
-    y = np.zeros(3)
     for i in range(len(length)):
         if count[i, 1] == 0 and begin[i] == begin[i + 1]:
             continue
-        y[0], y[1], y[2] = values(b, length, i)
+        y0, y1, y2 = values(b, length, i)
         old = tangent[i]
-        new = ((y[0] + y[1] + y[2]) / 3.0) ** -0.5
+        new = ((y0 + y1 + y2) / 3.0) ** -0.5
         for _ in range(6):
             sound = True
             for k in range(count[i, 1]):
-                r = jerk[i, k]
                 w = WEIGHTS[points[i, k]]
-                v = abs(r[0] * y[0] + r[1] * y[1] + r[2] * y[2])
-                at = w[0] * y[0] + w[1] * y[1] + w[2] * y[2]
+                v = abs(jerk[i, k, 0] * y0 + jerk[i, k, 1] * y1 + jerk[i, k, 2] * y2)
+                at = w[0] * y0 + w[1] * y1 + w[2] * y2
                 before = 1.5 * old - 0.5 * old**3 * at - v
                 if 1.5 * new - 0.5 * new**3 * at - v < _SLACK_KEPT * before:
                     sound = False
                     break
             if sound:
                 for k in range(begin[i], begin[i + 1]):
-                    if room_of(drive[k], y, new) < _SLACK_KEPT * room_of(drive[k], y, old):
+                    before = room_of(drive[k], y0, y1, y2, old)
+                    if room_of(drive[k], y0, y1, y2, new) < _SLACK_KEPT * before:
                         sound = False
                         break
             if sound:

@@ -61,27 +61,24 @@ def used(b, length, rows, tangent, out, anew):
     ``anew`` says whether each tangent is put to its best first.
     """
     acc, jerk, points, count, top, drive, begin = rows
-    y = np.zeros(3)
     worst = 0.0
     for i in range(len(length)):
-        y[0], y[1], y[2] = values(b, length, i)
+        y0, y1, y2 = values(b, length, i)
         share = 0.0
         if top[i] < np.inf:
-            share = max(y[0], y[1], y[2]) / top[i]
+            share = max(y0, y1, y2) / top[i]
         for k in range(count[i, 0]):
-            r = acc[i, k]
-            share = max(share, abs(r[0] * y[0] + r[1] * y[1] + r[2] * y[2]))
+            share = max(share, abs(acc[i, k, 0] * y0 + acc[i, k, 1] * y1 + acc[i, k, 2] * y2))
         if anew:
-            tangent[i] = ((y[0] + y[1] + y[2]) / 3.0) ** -0.5
+            tangent[i] = ((y0 + y1 + y2) / 3.0) ** -0.5
         t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
         for k in range(count[i, 1]):
-            r = jerk[i, k]
             w = WEIGHTS[points[i, k]]
-            room = t0 - t1 * (w[0] * y[0] + w[1] * y[1] + w[2] * y[2])
-            v = abs(r[0] * y[0] + r[1] * y[1] + r[2] * y[2])
+            room = t0 - t1 * (w[0] * y0 + w[1] * y1 + w[2] * y2)
+            v = abs(jerk[i, k, 0] * y0 + jerk[i, k, 1] * y1 + jerk[i, k, 2] * y2)
             share = max(share, v / room if room > 0.0 else np.inf)
         for k in range(begin[i], begin[i + 1]):
-            share = max(share, 1.0 - room_of(drive[k], y, tangent[i]))
+            share = max(share, 1.0 - room_of(drive[k], y0, y1, y2, tangent[i]))
         out[i] = share
         worst = max(worst, share)
     return worst
@@ -95,12 +92,14 @@ def roundings(b, length, rows):
     for i in range(len(length)):
         y0, y1, y2 = values(b, length, i)
         y = max(y0, y1, y2)
-        steep = 0.0
+        steep, steep_jerk = 0.0, 0.0
         for k in range(count[i, 0]):
-            steep = max(steep, np.abs(acc[i, k]).max())
+            r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
+            steep = max(steep, abs(r0), abs(r1), abs(r2))
         for k in range(count[i, 1]):
-            steep = max(steep, np.abs(jerk[i, k]).max() * np.sqrt(y))
-        out[i] = _DIGITS * steep * y
+            r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
+            steep_jerk = max(steep_jerk, abs(r0), abs(r1), abs(r2))
+        out[i] = _DIGITS * max(steep, steep_jerk * np.sqrt(y)) * y
     return out
 
 
