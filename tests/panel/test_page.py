@@ -39,6 +39,29 @@ def told_mm(plant: Plant) -> float:
         return 1e3 * float(json.load(answer)["axes"]["X"]["commanded"])
 
 
+def written_at_rest(page: Page) -> set[str]:
+    """Return the names of what the page writes, or writes anew, within a second in which it looks.
+
+    It begins after two messages of the machine, so that what has just ended was told.
+    """
+    looks(page, 3)
+    return set(page.evaluate(
+        """async () => {
+          const written = new Set();
+          const watching = new MutationObserver((changes) => {
+            for (const { target, attributeName } of changes)
+              written.add(target.id || attributeName || target.textContent);
+          });
+          watching.observe(document, {
+            subtree: true, childList: true, attributes: true, characterData: true,
+          });
+          await new Promise((come) => setTimeout(come, 1000));
+          watching.disconnect();
+          return [...written];
+        }"""
+    ))  # fmt: skip
+
+
 def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
     shot(page, "1-opened")
@@ -54,6 +77,7 @@ def test_home_jog_calculate_run_hold_resume_stop(browser: Browser, plant: Plant)
     press(page, "Calculate")
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     shot(page, "2-calculated")
+    assert {"age"} == written_at_rest(page)  # else the page is laid out and drawn all the time
     press(page, "Start")
     state(page, "running")
     moved_on(page, 0.0)

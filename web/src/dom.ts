@@ -8,6 +8,12 @@ export function made<K extends keyof HTMLElementTagNameMap>(name: K, text = ""):
   return found;
 }
 
+/** Set a property where it is another: one that is set anew, though the same, is laid out and drawn anew. */
+export function put<T, K extends keyof T>(at: T, name: K, value: T[K]): void { if (at[name] !== value) at[name] = value; }
+
+/** Say something in a place, where it says something else. */
+export function tell(id: string, text: string): void { put(by(id), "textContent", text); }
+
 /** A button that is enabled while the panel allows a command. */
 export function button(text: string, what: string, press: () => void): HTMLButtonElement {
   const found = made("button", text);

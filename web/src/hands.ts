@@ -1,6 +1,6 @@
 /** The machine by hand: positions, jogs while a button or a key is held, steps. */
 
-import { button, by, made, typing, value } from "./dom";
+import { button, by, made, put, tell, typing, value } from "./dom";
 import type { Axis, State } from "./messages";
 import type { Session } from "./session";
 import { unitOf } from "./session";
@@ -127,12 +127,12 @@ export class Hands {
 
   show(state: State): void {
     const arm = by<HTMLInputElement>("by-keys");
-    arm.disabled = !this.session.mine() || this.session.axes.length === 0;
+    put(arm, "disabled", !this.session.mine() || this.session.axes.length === 0);
     if (arm.disabled) this.disarm();
     for (const [name, at] of Object.entries(state.axes)) {
       if (!document.getElementById(`at-${name}`)) by("axes").append(this.bare(name)); // it moves, and is no axis
       const [scale, unit] = unitOf(this.session, name), where = at.measured ?? at.load ?? at.commanded;
-      by(`at-${name}`).textContent = where === null ? "–" : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`;
+      tell(`at-${name}`, where === null ? "–" : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`);
     }
     const signals = Object.entries(state.signals), told = JSON.stringify(signals);
     if (told === this.told) return; // what stays the same is not laid out again, twenty times a second

@@ -2,7 +2,7 @@
 
 import "./style.css";
 import { Curves } from "./curves";
-import { by, made } from "./dom";
+import { by, made, put, tell } from "./dom";
 import { Draw } from "./draw";
 import { Guide } from "./guide";
 import { Hands } from "./hands";
@@ -15,7 +15,10 @@ import { Traces } from "./traces";
 import { View3d } from "./view3d";
 
 const STALE_S = 0.5;
+const USUAL_S = 0.2;
+const TELLS_MS = 250;
 let bare: Mandrel | null = null; // of the machine, before anything is planned
+let toldMs = -Infinity, toldUsual = false; // when the age of the data was told last, and whether it was usual
 
 const curves = new Curves(by("position"), by("deviation"));
 const session = new Session(heard, () => show(null));
@@ -102,26 +105,32 @@ by("take").onclick = () => { const held = session.state?.control; session.link.c
 by("keep").onclick = () => session.link.control("keep");
 by("axis").onchange = () => replan();
 
+/** Say how old the data are: a few times a second, for each text is a picture of the page; at once where they get, or were, older than usual. */
+function tellAge(age: number, stale: boolean): void {
+  const now = performance.now(), usual = age <= USUAL_S;
+  if (usual && toldUsual && now - toldMs < TELLS_MS) return;
+  [toldUsual, toldMs] = [usual, now];
+  tell("age", stale ? `no data for ${age.toFixed(1)} s` : `data ${Math.round(age * 1000)} ms old`);
+}
+
 function show(state: State | null): void {
   const silent = (performance.now() - session.link.heardMs) / 1000;
   const age = state ? state.age_s + silent : silent;
   const stale = state === null || age > STALE_S;
   document.body.classList.toggle("stale", stale);
-  by("age").textContent = stale ? `no data for ${age.toFixed(1)} s` : `data ${Math.round(age * 1000)} ms old`;
-  const named = by("state");
-  named.textContent = state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : "no connection";
-  named.className = !state || ["fault", "gone"].includes(state.state) ? "wrong" : "";
-  const unreasoned = state !== null && program.wantsReason(state);
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) one.disabled = !hands.keeps(one) && (stale || !session.can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned));
-  by<HTMLButtonElement>("take").disabled = state === null;
+  tellAge(age, stale);
+  tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : "no connection");
+  put(by("state"), "className", !state || ["fault", "gone"].includes(state.state) ? "wrong" : "");
+  const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (what === "teach" ? teach.can(state) : session.can(what));
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned)));
+  put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;
-  by("control").textContent = mine ? (asked ? `${held.asks_name} asks for control; it passes in ${held.passes_in_s.toFixed(0)} s` : "you have control") : held.client === null ? "nobody has control" : `${held.name} (${held.client}) has control${held.asks === session.me ? `; it passes in ${held.passes_in_s.toFixed(0)} s` : ""}`;
-  by("take").textContent = mine ? (asked ? "Give control" : "Release control") : held.client === null ? "Take control" : "Ask for control";
-  by("keep").hidden = !asked;
+  tell("control", mine ? (asked ? `${held.asks_name} asks for control; it passes in ${held.passes_in_s.toFixed(0)} s` : "you have control") : held.client === null ? "nobody has control" : `${held.name} (${held.client}) has control${held.asks === session.me ? `; it passes in ${held.passes_in_s.toFixed(0)} s` : ""}`);
+  tell("take", mine ? (asked ? "Give control" : "Release control") : held.client === null ? "Take control" : "Ask for control");
+  put(by("keep"), "hidden", !asked);
   hands.show(state);
   program.show(state);
-  teach.show(state);
   traces.show(state);
   rest.show(state);
   view?.live(state);

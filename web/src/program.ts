@@ -1,6 +1,6 @@
 /** The program: load, calculate by the operator's priority, look at the figures, run. */
 
-import { button, by, made, value } from "./dom";
+import { button, by, made, put, tell, value } from "./dom";
 import type { Criterion, Figures, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { say, unitOf } from "./session";
@@ -91,13 +91,13 @@ export class Program {
   forget(): void { by("figures").replaceChildren(); }
 
   show(state: State): void {
-    by<HTMLInputElement>("file").disabled = !this.session.mine();
-    by("cancel").hidden = state.calculating === null;
-    by("override-row").hidden = !state.proven || state.proven.passed;
+    put(by<HTMLInputElement>("file"), "disabled", !this.session.mine());
+    put(by("cancel"), "hidden", state.calculating === null);
+    put(by("override-row"), "hidden", !state.proven || state.proven.passed);
     const run = state.progress;
-    by<HTMLProgressElement>("progress").value = state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0);
-    by("progress-text").textContent = state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? `${run.program}: ${run.ended}${run.why ? `, ${run.why}` : ""}. ${run.verdict}` : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`;
-    by("progress-text").className = run?.ended && state.calculating === null && run.verdict && !run.verdict.startsWith("IN SPEC") ? "wrong" : "";
+    put(by<HTMLProgressElement>("progress"), "value", state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0));
+    tell("progress-text", state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? `${run.program}: ${run.ended}${run.why ? `, ${run.why}` : ""}. ${run.verdict}` : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`);
+    put(by("progress-text"), "className", run?.ended && state.calculating === null && run.verdict && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
   }
 
   /** Whether a start needs a reason that was not given. */

@@ -60,7 +60,6 @@ export class Teach {
     if (await this.program.load(`${value("teach-name")}.prg`, new Blob([text]))) say("calculate it before it can be started");
   }
 
-  show(state: State): void {
-    for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what=teach]")) one.disabled = !this.session.mine() || state.state !== "idle" || this.session.axes.length === 0;
-  }
+  /** Whether a point can be recorded now, or a program saved. */
+  can(state: State | null): boolean { return this.session.mine() && state?.state === "idle" && this.session.axes.length > 0; }
 }

@@ -2,7 +2,7 @@
 
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { by, value } from "./dom";
+import { by, put, tell, value } from "./dom";
 import type { Figures, Mandrel, State } from "./messages";
 
 const FRAME_MS = 100;
@@ -80,7 +80,7 @@ export class View3d {
     for (const [name, where] of Object.entries(state.axes)) at[name] = where.measured ?? where.load ?? where.commanded ?? 0;
     const run = state.progress?.ended === null ? state.progress : null; // its time stands still in a hold
     this.put(at, run ? this.step(run.time_s) : 0);
-    by("seen").textContent = this.moves() ? "the machine, now" : "the machine, at rest";
+    tell("seen", this.moves() ? "the machine, now" : "the machine, at rest");
   }
 
   private planned(k: number): At {
@@ -160,12 +160,12 @@ export class View3d {
 
   private draw(): void {
     const figures = this.figures;
-    by<HTMLButtonElement>("simulate").disabled = figures === null || this.moves();
-    by("simulate").textContent = this.playing === null ? "Simulate" : "End simulation";
+    put(by<HTMLButtonElement>("simulate"), "disabled", figures === null || this.moves());
+    tell("simulate", this.playing === null ? "Simulate" : "End simulation");
     if (this.playing !== null && figures) {
       const pace = Math.max(figures.duration_s / SHOWN_S, 1), time_s = pace * (performance.now() - this.playing) / 1000, k = this.step(time_s);
       this.put(this.planned(k), k + 1);
-      by("seen").textContent = `SIMULATED, not the machine: ${Math.min(time_s, figures.duration_s).toFixed(1)} of ${figures.duration_s.toFixed(1)} s, ${pace.toFixed(1)} times as fast`;
+      tell("seen", `SIMULATED, not the machine: ${Math.min(time_s, figures.duration_s).toFixed(1)} of ${figures.duration_s.toFixed(1)} s, ${pace.toFixed(1)} times as fast`);
       if (time_s > figures.duration_s + 1) this.playing = null;
     }
     if (!this.dirty || this.place.clientWidth === 0) return;
