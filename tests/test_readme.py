@@ -1,4 +1,4 @@
-"""The README's own words run."""
+"""The commands of the README run; its Python does in ``tests/documents/test_one_plan.py``."""
 
 from __future__ import annotations
 
@@ -19,20 +19,6 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 OUTPUTS = ("-o", "--report", "--recording", "--proof")
 SLOW = {"design": "its search takes minutes; tests/cli/test_design.py runs the command"}
 SLOW["panel"] = "it serves until it is ended; tests/panel/test_panel_command.py runs it"
-
-
-def test_the_python_of_the_readme_runs_and_says_that_the_job_is_in_spec(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """One question, one function; it says the level of its answer."""
-    monkeypatch.chdir(ROOT)
-    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    names: dict[str, object] = {}
-    exec(compile(code, "README.md", "exec"), names)
-
-    said = capsys.readouterr().out.splitlines()
-    assert said[0] == "in spec (repeated)"
-    assert 0.0 < float(said[1].split()[2]) <= 0.5  # mm, the limit of the winder's specification
 
 
 def commands() -> list[tuple[list[str], int]]:

@@ -83,6 +83,19 @@ def settled_alone(said: Any) -> float:
     return max(float(cell.split("/")[1].split()[0]) for cell in cells)
 
 
+WHOLE = Quick(
+    DOCUMENT,
+    f"{CONE} --interpolation optimal --report reports/demo",
+    [
+        Figures("to spare: {} of 0.5 mm in {} s, for its timing", [contour, seconds]),
+        Figures(
+            "| cone-dome-cylinder | none: its own feed | {} | {} | {} | {} | in spec |",
+            ALL_OF_OPTIMAL,
+        ),
+    ],
+)
+"""The slowest of all, run where others want the same plan: ``test_one_plan.py``."""
+
 QUICK = [
     Quick(
         DOCUMENT,
@@ -168,17 +181,7 @@ QUICK = [
         more=["--nominal"],
         status=1,
     ),
-    Quick(
-        DOCUMENT,
-        f"{CONE} --interpolation optimal --report reports/demo",
-        [
-            Figures("to spare: {} of 0.5 mm in {} s, for its timing", [contour, seconds]),
-            Figures(
-                "| cone-dome-cylinder | none: its own feed | {} | {} | {} | {} | in spec |",
-                ALL_OF_OPTIMAL,
-            ),
-        ],
-    ),
+    WHOLE,
     Quick(
         DOCUMENT,
         CONE,

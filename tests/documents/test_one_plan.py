@@ -1,0 +1,78 @@
+"""What three documents say of one plan, the slowest of those that they show: it is made once.
+
+The README's Python, the command of docs/results.md and a row of docs/interpolations.md ask for the
+same: ``cone-dome-cylinder.prg`` on ``lathe-winder`` by ``optimal``. Each does all else as ever.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from tests.documents.of_the_winder import WHOLE
+from tests.documents.quick import ROOT
+from tests.documents.test_results_run import has_its_figures
+from tests.path.test_interpolations_document import row_is_of
+from threadline import pipeline
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.plan import Plan
+
+MADE = pipeline.plan_job
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+class Asked:
+    """A job, a machine and options: equal where all that a plan is made of is equal."""
+
+    def __init__(self, job: pipeline.Job, machine: pipeline.Machine, options: Options) -> None:
+        self.all = (job, machine, options)
+        self._said = (job.sha256, machine.sha256, options)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Asked) and self._said == other._said
+
+    def __hash__(self) -> int:
+        return hash(self._said)
+
+
+@cache
+def plan_of(asked: Asked) -> Plan:
+    return MADE(*asked.all)
+
+
+@pytest.fixture(autouse=True)
+def planned_once(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Make a plan once for all who ask for the same."""
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setattr(pipeline, "plan_job", lambda *told: plan_of(Asked(*told)))
+    yield
+    assert plan_of.cache_info().currsize == 1  # they did ask for the same
+
+
+def test_the_python_of_the_readme_runs_and_says_that_the_job_is_in_spec(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """One question, one function; it says the level of its answer."""
+    (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(code, "README.md", "exec"), names)
+
+    said = capsys.readouterr().out.splitlines()
+    assert said[0] == "in spec (repeated)"
+    assert 0.0 < float(said[1].split()[2]) <= 0.5  # mm, the limit of the winder's specification
+
+
+def test_the_results_have_the_figures_that_the_command_answers() -> None:
+    has_its_figures(WHOLE)
+
+
+def test_the_row_of_optimal_says_what_the_planner_does() -> None:
+    machine = load_machine("lathe-winder")
+    job = read_job(Path("examples/cone-dome-cylinder.prg"), machine)
+    row_is_of("optimal", pipeline.plan_job(job, machine, Options(interpolation="optimal")))
