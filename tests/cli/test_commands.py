@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.blank_pictures import blank_pictures
 
 from threadline.cli.main import main
 from threadline.face import compile as compile_job
@@ -283,6 +284,7 @@ def test_fastest_prints_the_command_that_proves_its_answer(
     # All shares of the limits give the same job here: one row.
     assert len(re.findall(r"100 % to [0-9.]+ %\s+20\s+21\.1\s", out)) == 1
 
+    blank_pictures(monkeypatch)
     _, found, _ = run(capsys, *words, "--json", "--report", tmp_path / "report")
     assert (tmp_path / "report" / "report.html").is_file()
     code, again, _ = run(capsys, *shlex.split(command), "--json")
@@ -294,9 +296,15 @@ def test_fastest_prints_the_command_that_proves_its_answer(
 
 @pytest.mark.parametrize("extra", [["--contour", "0.4 mm"], ["--feed-forward"]])
 def test_the_fastest_of_optimal_is_a_plan_that_prove_makes_again(
-    examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str]
-) -> None:
-    """No feed is searched; the limits alone are said, and the report is that of the plan."""
+    examples: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], extra: list[str],
+) -> None:  # fmt: skip
+    """No feed is searched; the limits alone are said, and the report is that of the plan.
+
+    It is drawn in the first case.
+    """
+    if extra == ["--feed-forward"]:
+        blank_pictures(monkeypatch)
     words = ["fastest", examples / "x-180.prg", "-m", "lathe-winder", "--interpolation", "optimal"]
     code, out, _ = run(capsys, *words, *extra, "--json", "--report", tmp_path)
     found = json.loads(out)
