@@ -178,6 +178,9 @@ UNUSED = {
     "cli.prove": FOR_FEW,
     "cli.fastest": OF_STUDIES,
     "cli.yield_": OF_STUDIES,
+    "panel.owner_process": OF_STUDIES | {"sqlalchemy"},
+    "cli.panel_": OF_STUDIES | {"sqlalchemy"},
+    "cli.run_": OF_STUDIES | {"sqlalchemy"},
 }
 """What each module does not load; each is loaded behind those above it, which load less."""
 

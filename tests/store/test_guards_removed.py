@@ -11,14 +11,13 @@ from types import SimpleNamespace
 from typing import IO, Any
 
 import pytest
-from sqlalchemy import Table
+from sqlalchemy import Table, schema
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.schema import CreateTable
 
 from tests.live.test_guards_removed import Take, attribute
 from tests.store import test_recording_mcap, test_shared
 from threadline.signals.files import recording_mcap
-from threadline.store import index
 from threadline.store.index import RunIndex
 
 _records = recording_mcap._records
@@ -51,7 +50,7 @@ def locked(folder: Path) -> None:
 
 GUARDS: dict[str, tuple[Take, Callable[[Path], None]]] = {
     "programs that begin at once": (
-        attribute(index, "CreateTable", made_anew),
+        attribute(schema, "CreateTable", made_anew),
         test_shared.test_programs_that_begin_at_once_all_get_their_rows,
     ),
     "an index that is locked": (

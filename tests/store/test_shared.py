@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import sqlalchemy
 from sqlalchemy import create_engine
 from sqlalchemy.dialects import postgresql
 from sqlalchemy.schema import CreateTable
 
 from threadline.cli.main import main
 from threadline.errors import StoreError
-from threadline.store import index
-from threadline.store.index import _RUNS, RunIndex, RunRecord
+from threadline.store.index import RunIndex, RunRecord, _table
 from threadline.store.run_store import INDEX, INDEX_URL, RunStore, opened
 
 PROGRAMS = 8
@@ -77,7 +77,7 @@ def test_a_store_names_the_database_of_its_index(tmp_path: Path) -> None:
 
 def test_the_table_is_one_of_postgresql() -> None:
     """As its dialect writes it; ``docs/running.md`` says with which server it was tried."""
-    told = str(CreateTable(_RUNS, if_not_exists=True).compile(dialect=postgresql.dialect()))
+    told = str(CreateTable(_table(), if_not_exists=True).compile(dialect=postgresql.dialect()))
     assert "CREATE TABLE IF NOT EXISTS runs" in told
     assert "PRIMARY KEY (run)" in told
     for column, kind in (("run", "VARCHAR"), ("passed", "BOOLEAN"), ("late_ticks", "INTEGER")):
@@ -102,7 +102,7 @@ def test_the_index_is_open_while_it_is_used_alone(tmp_path: Path) -> None:
 def test_a_locked_index_is_one_line_before_anything_moves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(index, "create_engine", at_once)
+    monkeypatch.setattr(sqlalchemy, "create_engine", at_once)
     RunIndex(tmp_path / INDEX).add(record("first"))
     other = sqlite3.connect(tmp_path / INDEX)
     other.execute("BEGIN EXCLUSIVE")

@@ -8,15 +8,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from datetime import datetime
+from functools import cache
 from pathlib import Path
-
-from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table, create_engine
-from sqlalchemy.engine import URL, Engine, RowMapping
-from sqlalchemy.exc import SQLAlchemyError
-from sqlalchemy.pool import NullPool
-from sqlalchemy.schema import CreateTable
+from typing import TYPE_CHECKING
 
 from threadline.errors import StoreError
+
+# SQLAlchemy takes a fifth of a second to load, which is spent where an index is opened.
+if TYPE_CHECKING:
+    from sqlalchemy import Table
+    from sqlalchemy.engine import Engine, RowMapping
 
 RUNNING = "running"
 """``ended`` of a run that goes on, or whose program was killed before it could write the end."""
@@ -72,18 +73,22 @@ class RunRecord:
 
 
 _NAME = re.compile(r"[A-Za-z0-9._-]{1,200}")
-_TYPES = {"speed": Float, "proof_passed": Boolean, "passed": Boolean, "late_ticks": Integer}
-_RUNS = Table(
-    "runs",
-    MetaData(),
-    *(
+
+
+@cache
+def _table() -> Table:
+    """Return the table of the runs, as a database is told of it."""
+    from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table
+
+    types = {"speed": Float, "proof_passed": Boolean, "passed": Boolean, "late_ticks": Integer}
+    columns = (
         Column(
-            f.name, _TYPES.get(f.name, String), primary_key=f.name == "run",
+            f.name, types.get(f.name, String), primary_key=f.name == "run",
             nullable=f.name == "passed",
         )
         for f in fields(RunRecord)
-    ),
-)  # fmt: skip
+    )  # fmt: skip
+    return Table("runs", MetaData(), *columns)
 
 
 class RunIndex:
@@ -101,6 +106,11 @@ class RunIndex:
     """
 
     def __init__(self, where: Path | str) -> None:
+        from sqlalchemy import create_engine
+        from sqlalchemy.engine import URL
+        from sqlalchemy.pool import NullPool
+        from sqlalchemy.schema import CreateTable
+
         self._told = str(where).rpartition("@")[2] if isinstance(where, str) else str(where)
         with self._clear():
             # As text a path would be read as a URL: what follows its first "?" is no name there.
@@ -108,19 +118,20 @@ class RunIndex:
             # A connection lasts for one use: none is left open where a store is let go of.
             self._engine: Engine = create_engine(url, poolclass=NullPool)
             with self._engine.begin() as connection:  # another program may be making it, too
-                connection.execute(CreateTable(_RUNS, if_not_exists=True))
+                connection.execute(CreateTable(_table(), if_not_exists=True))
 
     def add(self, record: RunRecord) -> None:
         """Add a run."""
         with self._clear(), self._engine.begin() as connection:
-            connection.execute(_RUNS.insert().values(**_values(record)))
+            connection.execute(_table().insert().values(**_values(record)))
 
     def end(self, run: str, *, ended: str, text: str, late_ticks: int, passed: bool | None) -> None:
         """Write into its row how a run ended."""
+        table = _table()
         with self._clear(), self._engine.begin() as connection:
             connection.execute(
-                _RUNS.update()
-                .where(_RUNS.c.run == run)
+                table.update()
+                .where(table.c.run == run)
                 .values(ended=ended, text=text, late_ticks=late_ticks, passed=passed)
             )
 
@@ -131,7 +142,7 @@ class RunIndex:
     def runs(self) -> Sequence[RunRecord]:
         """Return every run, the latest first."""
         with self._clear(), self._engine.connect() as connection:
-            found = [self._record(row) for row in connection.execute(_RUNS.select()).mappings()]
+            found = [self._record(row) for row in connection.execute(_table().select()).mappings()]
         return sorted(found, key=lambda one: (_instant(one.started), one.run), reverse=True)
 
     def _record(self, row: RowMapping) -> RunRecord:
@@ -148,6 +159,8 @@ class RunIndex:
     @contextmanager
     def _clear(self) -> Iterator[None]:
         """Raise errors of the database as a ``StoreError`` of one line."""
+        from sqlalchemy.exc import SQLAlchemyError
+
         try:
             yield
         except (SQLAlchemyError, ImportError, ValueError) as error:
