@@ -75,8 +75,8 @@ def test_vertices_that_can_be_the_worst_are_as_near_as_the_nearest_segment(runs,
     worst = np.full(runs, spread**2)
     best, at_s = np.full((12, runs), np.inf), np.zeros((12, runs))
     boxes.vertices_to_path(
-        points, points[0].copy(), time_s, begin, end, vertices, EACH, None, boxes_of(points),
-        worst, best, at_s,
+        points, points[0].copy(), time_s, begin, end, vertices, EACH, np.empty((0, 2)),
+        boxes_of(points), worst, best, at_s,
     )  # fmt: skip
     for v in range(12):
         there = np.flatnonzero((begin[:-1] - 1 <= v) & (v <= end[1:]))

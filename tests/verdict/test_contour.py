@@ -312,7 +312,7 @@ def test_a_segment_reaches_the_vertices_of_both_its_samples() -> None:
         np.array([1, 2]),
         vertices,
         (0, 0),
-        None,
+        np.empty((0, 2)),
         NO_BOXES,
         np.full(1, -np.inf),
         best,

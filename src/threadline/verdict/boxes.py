@@ -195,7 +195,7 @@ def _vertices_to_path(
     end: IntArray,
     vertices: FloatArray,
     axes: tuple[int, ...],
-    share: FloatArray | None,
+    share: FloatArray,
     boxes: Boxes,
     worst: FloatArray,
     best: FloatArray,
@@ -205,7 +205,8 @@ def _vertices_to_path(
 
     Segment i leads to point i, the first one from ``before``; it counts for the vertices of the
     chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have an entry more than
-    the points, for the point before. ``share`` is (vertices, axes).
+    the points, for the point before. ``share`` is (vertices, axes); it
+    is empty where the axes count alike.
 
     A vertex that is as near as ``worst``, (runs,) squared, in every run is left as it is. So is one
     that another segment comes nearer to in every run.
@@ -215,7 +216,8 @@ def _vertices_to_path(
     for i in range(samples):
         low, high = min(low, begin[i] - 1), max(high, end[i + 1])
     known, lower, upper, _, _ = boxes
-    boxed = known and share is None
+    weighed = len(share) > 0
+    boxed = known and not weighed
     near = np.zeros(samples)
     for v in range(low, high + 1):
         limit = np.inf
@@ -238,18 +240,20 @@ def _vertices_to_path(
                     limit = min(limit, across)
             limit *= MORE
         for i in range(samples):
-            if begin[i] - 1 <= v <= end[i + 1] and near[i] <= limit:
+            if not (begin[i] - 1 <= v <= end[i + 1] and near[i] <= limit):
+                continue
+            start = before if i == 0 else points[i - 1]
+            from_s, long_s = time_s[i], time_s[i + 1] - time_s[i]
+            if weighed:
                 _approach_fast(
-                    points[i],
-                    before if i == 0 else points[i - 1],
-                    time_s[i],
-                    time_s[i + 1] - time_s[i],
-                    vertices[v],
-                    axes,
-                    None if share is None else share[v],
-                    best[v],
-                    best_time_s[v],
-                )
+                    points[i], start, from_s, long_s, vertices[v], axes, share[v],
+                    best[v], best_time_s[v],
+                )  # fmt: skip
+            else:
+                _approach_fast(
+                    points[i], start, from_s, long_s, vertices[v], axes, None,
+                    best[v], best_time_s[v],
+                )  # fmt: skip
 
 
 vertices_to_path = njit(nogil=True)(_vertices_to_path)

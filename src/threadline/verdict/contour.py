@@ -46,7 +46,14 @@ class ContourPart(NamedTuple):
 
 
 def _raise(
-    squared: FloatArray, chord: IntArray, only: IntArray, low: int, part: ContourPart
+    squared: FloatArray,
+    chord: IntArray,
+    only: IntArray,
+    low: int,
+    worst: FloatArray,
+    at: IntArray,
+    part: FloatArray,
+    nearest: IntArray,
 ) -> None:
     """Raise the worst to the (n, runs) squared distances of samples, the first of which is ``low``.
 
@@ -57,12 +64,12 @@ def _raise(
     for i in range(samples):
         larger = 0
         for r in range(runs):
-            larger += squared[i, r] > part.worst[r]
+            larger += squared[i, r] > worst[r]
         if larger:  # seldom, once the first few are behind
             for r in range(runs):
-                if squared[i, r] > part.worst[r]:
-                    part.worst[r], part.at[r], part.part[r] = squared[i, r], low + i, 1.0
-                    part.nearest[r] = only[i] if only[i] >= 0 else chord[i, r]
+                if squared[i, r] > worst[r]:
+                    worst[r], at[r], part[r] = squared[i, r], low + i, 1.0
+                    nearest[r] = only[i] if only[i] >= 0 else chord[i, r]
 
 
 raise_to_samples = njit(nogil=True)(_raise)

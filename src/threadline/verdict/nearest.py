@@ -116,24 +116,25 @@ def _nearest_chords(
     way: FloatArray,
     length: FloatArray,
     axes: tuple[int, ...],
-    share: FloatArray | None,
+    share: FloatArray,
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
-    """Do so with each of (n, axes, runs) points and the chords ``begin[i]`` to ``end[i]``."""
+    """Do so with each of (n, axes, runs) points and the chords ``begin[i]`` to ``end[i]``.
+
+    ``share`` is of the shape of the points; it is empty where the axes count alike.
+    """
     for i in range(len(points)):
-        nearest_of_all(
-            points[i],
-            begin[i],
-            end[i],
-            vertices,
-            way,
-            length,
-            axes,
-            None if share is None else share[i],
-            squared[i],
-            chord[i],
-        )
+        if len(share):
+            nearest_of_all(
+                points[i], begin[i], end[i], vertices, way, length, axes, share[i],
+                squared[i], chord[i],
+            )  # fmt: skip
+        else:
+            nearest_of_all(
+                points[i], begin[i], end[i], vertices, way, length, axes, None,
+                squared[i], chord[i],
+            )  # fmt: skip
 
 
 def _most_between(
@@ -264,7 +265,7 @@ def _between(
     begin: IntArray,
     end: IntArray,
     vertices: FloatArray,
-    share: FloatArray | None,
+    share: FloatArray,
     worst: FloatArray,
     at: IntArray,
     part: FloatArray,
@@ -277,7 +278,8 @@ def _between(
     the nearest ones of each run, unless ``only`` is one of all. ``begin``, ``end`` and ``only``
     have an entry more than the points, for the point before. Where the worst is: ``at`` the
     point that the way leads to, counted from ``number`` on, ``part`` of the way (0..1), and the
-    nearest chord ``worst_chord``. The way counts with the shares of the point that it leads to.
+    nearest chord ``worst_chord``. The way counts with the shares of the point that it leads to;
+    where ``share`` is empty the axes count alike.
     """
     axes = points.shape[1]
     here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
@@ -294,7 +296,7 @@ def _between(
             for a in range(axes):
                 here[a] = before[a, r] if i == 0 else points[i - 1, a, r]
                 there[a] = points[i, a, r]
-                if share is not None:
+                if len(share):
                     of[a] = share[i, a, r]
             look_between(
                 here, there, low, high, left_from, led_to, vertices, of,
@@ -328,6 +330,6 @@ def nearest_chords(
     squared = np.empty((samples, runs))
     chord = np.empty((samples, runs), dtype=np.int64)
     way, length = chord_ways(vertices)
-    each = (0,) * axes
-    nearest_chords_each(points, begin, end, vertices, way, length, each, share, squared, chord)
+    each, shares = (0,) * axes, points[:0] if share is None else share
+    nearest_chords_each(points, begin, end, vertices, way, length, each, shares, squared, chord)
     return squared, chord

@@ -40,8 +40,8 @@ from threadline.verdict.turning import TurningPart, follow_turnings
 PartT = TypeVar("PartT", bound=NamedTuple)
 
 _OF_DRIVES = {PeakPart, RmsPart, DacPart}
-_AT_ONCE = 1 << 12
-"""Samples times runs that are brought in together."""
+_AT_ONCE = 1 << 14
+"""Samples times runs that are brought in together: more wait, fewer lose time to the calls."""
 
 
 class _Chords(NamedTuple):
@@ -72,22 +72,10 @@ def _scale(actual: FloatArray, radius_m: FloatArray, points: FloatArray) -> None
 _scale_fast = njit(nogil=True)(_scale)
 
 
-def _copy(point: FloatArray, chord: IntArray, to: FloatArray, chord_to: IntArray) -> None:
-    """Copy an (axes, runs) sample and its chords; an assignment takes seconds to compile."""
-    axes, runs = point.shape
-    for r in range(runs):
-        chord_to[r] = chord[r]
-        for a in range(axes):
-            to[a, r] = point[a, r]
-
-
-_copy_fast = njit(nogil=True)(_copy)
-
-
 def _sweep(
     actual: FloatArray,
-    share: FloatArray | None,
-    vertex_share: FloatArray | None,
+    share: FloatArray,
+    vertex_share: FloatArray,
     time_s: FloatArray,
     chords: _Chords,
     contour: ContourPart,
@@ -96,15 +84,24 @@ def _sweep(
     tracking: TrackingPart,
     at_once: int,
 ) -> None:
-    """Let every measure take the (n, axes, runs) samples; one without runs is not there."""
+    """Let every measure take the (n, axes, runs) samples; one without runs is not there.
+
+    It is not compiled: its calls cost little beside what they do, and a compiled one takes all that
+    it calls through the compiler once more, for each number of axes.
+    """
     samples, axes, runs = actual.shape
+    at_once = max(min(at_once, samples), 1)
+    follows = len(turning.closed) > 0
+    moves, leaves = len(progress.worst) > 0, len(contour.worst) > 0
+    path, weighed = (chords.vertices, chords.way, chords.length, chords.axes), len(share) > 0
+    of_place = share[:0]
     # The row before the first is the sample before.
     points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
     squared, only = np.empty((at_once, runs)), np.full(at_once + 1, -1)
     least, most = np.empty((at_once + 1, axes)), np.empty((at_once + 1, axes))
     boxes = Boxes(runs >= COMPANY, least, most, np.empty(runs), np.empty(runs))
-    if len(contour.worst):
-        _copy_fast(contour.point, contour.chord, points[0], chord[0])
+    if leaves:
+        points[0], chord[0] = contour.point, contour.chord
     for low in range(0, samples, at_once):
         high = min(low + at_once, samples)
         count = high - low
@@ -113,54 +110,43 @@ def _sweep(
         if tracking.at.size:
             command = tracking.command[low:high]
             raise_to_farthest(actual[low:high], command, tracking.size, tracking.at, low)
+        if not (follows or moves or leaves):
+            continue
         _scale_fast(actual[low:high], chords.radius_m, here)
         if low == 0 and contour.fresh:
-            _copy_fast(points[1], chord[1], points[0], chord[0])
+            points[0] = points[1]
         if boxes.known:
             enclose(points[: count + 1], boxes)
-        follow_turnings(here, boxes, time_s[low:high], low, turning)
-        if share is None:
-            if len(contour.worst) or len(progress.worst):
-                nearest_in_boxes(
-                    here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
-                    away, near, only[1:],
-                )  # fmt: skip
-            if len(progress.worst):
-                move_on(here, boxes, away, low, progress)
-        else:
-            if len(progress.worst):
-                nearest_chords_each(
-                    here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
-                    None, away, near,
-                )  # fmt: skip
-                move_on(here, boxes, away, low, progress)
-            if len(contour.worst):
-                nearest_chords_each(
-                    here, begin, end, chords.vertices, chords.way, chords.length, chords.axes,
-                    share[low:high], away, near,
-                )  # fmt: skip
-        if len(contour.worst):
+        if follows:
+            follow_turnings(here, boxes, time_s[low:high], low, turning)
+        if not weighed and (leaves or moves):
+            nearest_in_boxes(here, begin, end, *path, away, near, only[1:])
+        if moves:
+            if weighed:
+                nearest_chords_each(here, begin, end, *path, share[:0], away, near)
+            move_on(here, boxes, away, low, progress)
+        if leaves:
+            if weighed:
+                of_place = share[low:high]
+                nearest_chords_each(here, begin, end, *path, of_place, away, near)
             if low == 0 and contour.fresh:
-                _copy_fast(points[1], chord[1], points[0], chord[0])
-                only[0] = only[1]
+                chord[0], only[0] = chord[1], only[1]
             begin, end = contour.begin[low : high + 1], contour.end[low : high + 1]
-            raise_to_samples(away, near, only[1:], low, contour)
+            raise_to_samples(
+                away, near, only[1:], low, contour.worst, contour.at, contour.part, contour.nearest
+            )
             between(
-                here, points[0], near, chord[0], only, begin, end, chords.vertices,
-                None if share is None else share[low:high],
+                here, points[0], near, chord[0], only, begin, end, chords.vertices, of_place,
                 contour.worst, contour.at, contour.part, contour.nearest, low,
             )  # fmt: skip
             vertices_to_path(
                 here, points[0], contour.time_s[low : high + 1], begin, end, chords.vertices,
                 chords.axes, vertex_share, boxes, contour.worst, contour.best, contour.best_time_s,
             )  # fmt: skip
-            _copy_fast(points[count], chord[count], points[0], chord[0])
-            only[0] = only[count]
-    if len(contour.worst):
-        if only[0] >= 0:
-            for r in range(runs):
-                chord[0, r] = only[0]
-        _copy_fast(points[0], chord[0], contour.point, contour.chord)
+            points[0], chord[0], only[0] = points[count], chord[count], only[count]
+    if leaves:
+        contour.point[:] = points[0]
+        contour.chord[:] = chord[0] if only[0] < 0 else only[0]
 
 
 def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> None:
@@ -179,7 +165,6 @@ def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> N
             count_beyond(dac.voltage[own], dac.limit, dac.beyond, dac.first, dac.begin + low)
 
 
-_sweep_fast = njit(nogil=True)(_sweep)
 _sweep_drives_fast = njit(nogil=True)(_sweep_drives)
 
 
@@ -271,7 +256,8 @@ def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -
     assert block.actual is not None
     actual = lanes(block.actual)
     axes = (0,) * actual.shape[1]
-    path = block.path
+    path, shares = block.path, None
+    vertex_share: FloatArray | None = None
     if path is None:  # without operations: nothing that asks where on the path takes part
         nowhere = np.empty((0, len(axes)))
         chords = _Chords(
@@ -281,10 +267,11 @@ def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -
         _, begin, end = block.window()
         way, length = chord_ways(path.vertices)
         chords = _Chords(begin, end, path.vertices, way, length, path.radius_m, axes)
-    _sweep_fast(
+        shares, vertex_share = block.shares, path.shares
+    _sweep(
         actual,
-        None if path is None else block.shares,
-        None if path is None else path.shares,
+        np.empty((0, len(axes), block.runs)) if shares is None else shares,
+        np.empty((0, len(axes))) if vertex_share is None else vertex_share,
         block.time_s,
         chords,
         _that(parts, _NO_CONTOUR),
