@@ -251,7 +251,9 @@ class _Inner:
 
     def __init__(self, inverse: Inverse, step_s: float) -> None:
         self._Q, self._R = inverse.Q, inverse.R
-        self._decay, (m0, m1, m2, m3) = decay_and_moments(inverse.Q, step_s, 4)
+        decay, (m0, m1, m2, m3) = decay_and_moments(inverse.Q, step_s, 4)
+        # Of one order always: a part of another array would have machine code of its own.
+        self._decay: FloatArray = np.ascontiguousarray(decay)
         # Hermite's four cubics: value and slope (times the step) at the start, then at the end.
         self._start = (m0 - 3.0 * m2 + 2.0 * m3, step_s * (m1 - 2.0 * m2 + m3))
         self._end = (3.0 * m2 - 2.0 * m3, step_s * (m3 - m2))

@@ -116,6 +116,9 @@ def arc_table(pieces: Pieces) -> ArcTable:
     piece, begin, end, length = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.lexsort((begin, piece))
     total = np.cumsum(length[order].astype(np.longdouble)).astype(np.float64)
+    if not pieces.top.flags.c_contiguous:  # as of a curve turned round
+        # Parts of other arrays would have machine code of their own.
+        pieces = pieces.take(np.arange(len(pieces)))
     return ArcTable(
         pieces=pieces,
         piece=piece[order],

@@ -110,8 +110,9 @@ def residual_vibration_batch(
     OptionError
         If shapes disagree, a frequency is negative or a damping ratio is outside [0, 1).
     """
-    a = np.ascontiguousarray(amplitudes, dtype=np.float64)
-    t = np.ascontiguousarray(times_s, dtype=np.float64)
+    # Copies: locked arrays would have machine code of their own.
+    a = np.array(amplitudes, dtype=np.float64, order="C")
+    t = np.array(times_s, dtype=np.float64, order="C")
     f = np.ascontiguousarray(frequency_hz, dtype=np.float64)
     z = np.ascontiguousarray(damping_ratio, dtype=np.float64)
     if a.ndim != 2 or a.shape != t.shape or f.ndim != 1 or f.shape != z.shape:
