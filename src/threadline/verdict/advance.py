@@ -75,7 +75,6 @@ class _Progress(SweptMeasure):
             way=way,
             inverse=1.0 / length,
             heading=heading,
-            axes=(0,) * command.shape[1],
             first=first,
             number=self._number,
             lag=self._lag,

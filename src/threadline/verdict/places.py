@@ -81,7 +81,7 @@ def _stay_at(
     way: FloatArray,
     k: int,
     per_length: float,
-    axes: tuple[int, ...],
+    axes: tuple[int, ...] | FloatArray,
     value: FloatArray,
     row: int,
     carry: FloatArray,
@@ -92,7 +92,8 @@ def _stay_at(
     """Advance ``row`` of ``value``, that of place k, by sample i; with it ``carry`` and ``least``.
 
     Return in how many runs it is more than ``worst``, in how many no more than ``ceiling``, and in
-    how many the least of all places so far is more than ``worst``.
+    how many the least of all places so far is more than ``worst``. ``axes`` has one entry for each
+    axis: of a tuple the length is known when this is compiled, and the loops over axes are gone.
     """
     more, near, farther = 0, 0, 0
     for r in range(len(carry)):
@@ -132,7 +133,6 @@ class ProgressPart(NamedTuple):
     way: FloatArray
     inverse: FloatArray
     heading: FloatArray
-    axes: tuple[int, ...]
     first: int
     number: int
     lag: int
@@ -167,15 +167,16 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     where this is so of every run is quiet; where the box of all runs tells that it stays so, it is
     not looked at, and its value is 0 from then on.
 
-    ``axes`` has one entry for each axis: its length is known when this is compiled.
+    What goes over the axes of a place is compiled for two and for three of them, and for any
+    number; the rest is compiled once.
     """
     # Each look into a tuple would count references.
     known, lower, upper, _, _ = boxes
     (
-        command, way, inverse, heading, axes, first, number, lag, places, value, worst, at, side,
+        command, way, inverse, heading, first, number, lag, places, value, worst, at, side,
         ceilings, dropped,
     ) = part  # fmt: skip
-    samples, _, runs = points.shape
+    samples, axes, runs = points.shape
     rows, origin = len(value), number - first
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
@@ -237,10 +238,21 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                 for r in range(runs):
                     value[row, r] = 0.0
                 blank[row] = False
-            more, near[row], farther = _stay_at_fast(
-                points, off, i, command, start, way, k, per_length, axes, value, row,
-                carry, least, worst, ceiling,
-            )  # fmt: skip
+            if axes == 3:
+                more, near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, (0, 0, 0), value, row,
+                    carry, least, worst, ceiling,
+                )  # fmt: skip
+            elif axes == 2:
+                more, near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, (0, 0), value, row,
+                    carry, least, worst, ceiling,
+                )  # fmt: skip
+            else:
+                more, near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, way[k], value, row,
+                    carry, least, worst, ceiling,
+                )  # fmt: skip
             quiet[row] = more == 0 and known
             if not farther:  # here every run has been good enough: no later place is better
                 break

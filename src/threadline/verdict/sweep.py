@@ -176,7 +176,7 @@ _NO_CONTOUR = ContourPart(
     best_time_s=_NO_ROWS,
 )  # fmt: skip
 _NO_PROGRESS = ProgressPart(
-    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, heading=_NO_ROWS, axes=(), first=0, number=0,
+    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, heading=_NO_ROWS, first=0, number=0,
     lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS, side=_NONE,
     ceiling=_NONE, dropped=_NONE,
 )  # fmt: skip
@@ -275,7 +275,7 @@ def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -
         block.time_s,
         chords,
         _that(parts, _NO_CONTOUR),
-        _that(parts, _NO_PROGRESS._replace(axes=axes)),
+        _that(parts, _NO_PROGRESS),
         _that(parts, _NO_TURNING),
         _that(parts, _NO_TRACKING),
         at_once,
