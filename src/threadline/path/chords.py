@@ -38,7 +38,7 @@ _MEAN = 3  # vertices about an end: this part of the chord's legs on either side
 _MOST_MEAN = 16
 
 
-@njit(error_model="numpy")
+@njit()
 def chord(
     positions, radius_m, cut_m, shares, rough, aside, first, before_m, guess, start, limit, corner,
     opens, here, d, middle,
@@ -122,7 +122,7 @@ def chord(
     return start + 1, True, from_vertex(positions, radius_m, here, start), first, 0
 
 
-@njit(error_model="numpy")
+@njit()
 def _grown(positions, radius_m, here, start, room, thin_m, d, middle):
     """Return how many legs a chord may have, tried with more and more of them."""
     n = min(_FIRST, room)
@@ -137,7 +137,7 @@ def _grown(positions, radius_m, here, start, room, thin_m, d, middle):
     return n
 
 
-@njit(error_model="numpy")
+@njit()
 def _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle):
     """Return how many times as long a chord may be, and how far vertices are beside the curve.
 
@@ -160,7 +160,7 @@ def _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle):
     return np.sqrt(left / max(bent, 1e-3 * thin_m)), strayed - bent
 
 
-@njit(error_model="numpy")
+@njit()
 def _write(positions, radius_m, here, start, n, room, d):
     """Write the way along a chord of ``n`` legs; return whether it ends in its last vertex."""
     k, axes = start + n, len(d)
@@ -177,7 +177,7 @@ def _write(positions, radius_m, here, start, n, room, d):
     return False
 
 
-@njit(error_model="numpy")
+@njit()
 def _add(own, total):
     """Add the rows of (n, axes) ``own`` to (axes,) ``total``."""
     if len(total) == 3:
@@ -193,7 +193,7 @@ def _add(own, total):
             total[j] += own[i, j]
 
 
-@njit(error_model="numpy")
+@njit()
 def squared_of(d):
     """Return the square of the length of a way."""
     squared = 0.0
@@ -202,7 +202,7 @@ def squared_of(d):
     return squared
 
 
-@njit(error_model="numpy")
+@njit()
 def from_vertex(positions, radius_m, here, k):
     """Return the distance of vertex ``k`` from a place."""
     squared = 0.0
@@ -211,7 +211,7 @@ def from_vertex(positions, radius_m, here, k):
     return np.sqrt(squared)
 
 
-@njit(error_model="numpy")
+@njit()
 def _turned(positions, radius_m, start, stop):
     """Return the difference of the directions of the first leg and the last between vertices."""
     axes = positions.shape[1]
@@ -227,7 +227,7 @@ def _turned(positions, radius_m, start, stop):
     return np.sqrt(squared)
 
 
-@njit(error_model="numpy")
+@njit()
 def _turn(positions, radius_m, k, legs):
     """Return the difference of the directions to vertex ``k`` and from it, over some legs each."""
     axes = positions.shape[1]
@@ -243,14 +243,14 @@ def _turn(positions, radius_m, k, legs):
     return np.sqrt(squared)
 
 
-@njit(error_model="numpy")
+@njit()
 def towards(positions, radius_m, here, k, d):
     """Write the way from ``here`` to vertex ``k``."""
     for j in range(len(d)):
         d[j] = positions[k, j] * radius_m[j] - here[j]
 
 
-@njit(error_model="numpy")
+@njit()
 def _walked(positions, radius_m, here, start, limit, thin_m, d):
     """Return the last vertex up to ``limit`` that one chord can pass; write the way along it.
 
@@ -296,7 +296,7 @@ def _walked(positions, radius_m, here, start, limit, thin_m, d):
     return k
 
 
-@njit(error_model="numpy", fastmath={"contract"})
+@njit(fastmath={"contract"})
 def _strayed(positions, radius_m, here, d, start, stop):
     """Return the largest distance of vertices ``start`` to ``stop`` from their places on a chord.
 

@@ -51,7 +51,7 @@ _NEXT = 1.5  # of a leg with one knot: where the knot beyond its end is, at most
 TOUCH = 1e-9  # share of a leg: two added knots that are nearer to each other become one
 
 
-@njit(error_model="numpy")
+@njit()
 def leg_of(k, count):
     """Return which of ``count`` legs leg ``k`` is, which may lie beyond an end of the run."""
     while k < 0 or k >= count:
@@ -59,7 +59,7 @@ def leg_of(k, count):
     return k
 
 
-@njit(error_model="numpy")
+@njit()
 def point_of(k, count):
     """Return which of the points of ``count`` legs point ``k`` mirrors, which may lie beyond."""
     while k < 0 or k > count:
@@ -67,7 +67,7 @@ def point_of(k, count):
     return k
 
 
-@njit(error_model="numpy")
+@njit()
 def cut_of(length_m, turn, v):
     """Return the bound at vertex ``v``: the sum of |dt[u]| e[u] there, in units of length.
 
@@ -103,7 +103,7 @@ def cut_of(length_m, turn, v):
     return bound
 
 
-@njit(error_model="numpy")
+@njit()
 def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
     """Write how far apart the knots beside each vertex may stand, 0 for any.
 
@@ -142,7 +142,7 @@ def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
                 spacing[0 if after else 1, v] = 0.0
 
 
-@njit(error_model="numpy")
+@njit()
 def _one_is_enough(length_m, turn, v, after, spacing, cut_m):
     """Return whether a vertex needs a knot on its longer leg alone, and has it midway there.
 
@@ -171,7 +171,7 @@ def _one_is_enough(length_m, turn, v, after, spacing, cut_m):
     return cut_of(length, turned, v - begin + (0 if after else 1)) <= cut_m
 
 
-@njit(error_model="numpy")
+@njit()
 def knots_between(near, far, opens, closes, beyond, share):
     """Write the places (0 to 1) of the knots on a leg, its end the last; count them.
 
@@ -216,7 +216,7 @@ def knots_between(near, far, opens, closes, beyond, share):
     return n + 1
 
 
-@njit(error_model="numpy")
+@njit()
 def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
     """Return the pieces between two knots, their paces, and which of them are straight.
 
@@ -280,7 +280,7 @@ def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
     return out, pace, straight
 
 
-@njit(error_model="numpy")
+@njit()
 def _means(h, at, share):
     """Write which of seven legs ``h`` the mean of four knots is on, and at what share of it.
 
@@ -298,7 +298,7 @@ def _means(h, at, share):
         share[i] = along / h[at[i]]
 
 
-@njit(error_model="numpy")
+@njit()
 def _blossom(h, way, at, share, bezier, place, e, f):
     """Write the (5, columns) Bezier points of the piece on the fourth leg, from its start.
 

@@ -95,7 +95,7 @@ def turns(
     return found
 
 
-@njit(error_model="numpy")
+@njit()
 def _turns(positions, radius_m, shares):
     """Return lengths and turns; ``shares`` are those of the vertices in between, or none."""
     count, axes = positions.shape
@@ -122,7 +122,7 @@ def _turns(positions, radius_m, shares):
     return length, turn
 
 
-@njit(error_model="numpy")
+@njit()
 def corner_spacing(length_m, turn, cut_m, beside_m, spacing):
     """Write the (n,) distances of the points to be added beside each vertex, 0 for none.
 
@@ -191,7 +191,7 @@ def control_polygon(
     return Controls(**dict(zip(_COLUMNS, columns, strict=True)))
 
 
-@njit(error_model="numpy")
+@njit()
 def _points(
     positions, nominal_s, operation, line, length_m, turn, spacing, first, stop, quartic,
     begins, ends,
@@ -232,7 +232,7 @@ def _points(
     return out, turned, added, gone, time_s, own, row
 
 
-@njit(error_model="numpy")
+@njit()
 def _on_chord(length, turn, spacing, c, quartic, begins, ends, share):
     """Write the places (0 to 1) of the points on a chord, its end the last; count them."""
     near, far = spacing[1, c] / length[c], spacing[0, c + 1] / length[c]

@@ -18,7 +18,7 @@ DENSE = 4.0
 SMOOTH, UNEVEN, ROUGH = 0, 1, 2
 
 
-@njit(error_model="numpy")
+@njit()
 def roughness(positions, radius_m, cut_m, start, stop):
     """Return how the program is between two vertices, by what most of its legs are.
 
@@ -73,7 +73,7 @@ def roughness(positions, radius_m, cut_m, start, stop):
     return ROUGH if 2 * rough >= legs - APART else UNEVEN
 
 
-@njit(error_model="numpy")
+@njit()
 def legs_kept(positions, radius_m, cut_m):
     """Return which legs, by the vertex where they begin, a corner at an end of theirs needs.
 

@@ -71,7 +71,7 @@ def join_vertices(first: Vertices | None, *others: Vertices) -> Vertices:
     )
 
 
-@njit(error_model="numpy")
+@njit()
 def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-untyped-def]
     """Return which of (n, axes) places are kept; ``before`` is the place before them.
 
@@ -109,7 +109,7 @@ def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-un
     return away.all(), rests > 0, away
 
 
-@njit(error_model="numpy")
+@njit()
 def _all_away(places, before, begins, radius_m, near_m):  # type: ignore[no-untyped-def]
     """Return whether each place is kept by its way from the one before it; most often it is.
 

@@ -67,7 +67,7 @@ def pieces_of(
     )
 
 
-@njit(error_model="numpy")
+@njit()
 def _spans(positions, turn, length_m, nominal_s, first, stop):
     """Return the pieces between two control points, their paces, and which of them are straight.
 
@@ -136,7 +136,7 @@ def _spans(positions, turn, length_m, nominal_s, first, stop):
     return coefficients, pace, line[first:stop]
 
 
-@njit(error_model="numpy")
+@njit()
 def _parts(pace, straight):
     """Return into how many parts each of m pieces is divided so that its pace is even in each.
 
@@ -155,7 +155,7 @@ def _parts(pace, straight):
     return out
 
 
-@njit(error_model="numpy")
+@njit()
 def _count(parts, straight, operation):
     """Return the number of pieces: parts, and straight spans of one move as one of them."""
     count = 0
@@ -166,7 +166,7 @@ def _count(parts, straight, operation):
     return count
 
 
-@njit(error_model="numpy")
+@njit()
 def _nominal(pace, straight, passed_s):
     """Return the (m,) times of whole pieces: at the slowest pace of those that are curved."""
     out = np.empty(len(pace))
@@ -178,7 +178,7 @@ def _nominal(pace, straight, passed_s):
     return out
 
 
-@njit(error_model="numpy")
+@njit()
 def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, line, count):
     """Return ``count`` pieces: m cut into ``parts`` each, straight spans of one move joined.
 

@@ -110,7 +110,7 @@ class Thinner:
         return Chunk(parts=(found,), ends=chunk.ends, dwell_s=chunk.dwell_s)
 
 
-@njit(error_model="numpy", fastmath={"reassoc"})
+@njit(fastmath={"reassoc"})
 def _passed(nominal_s, start, stop):
     """Return the time from one row to another, summed in any order."""
     passed_s = 0.0
@@ -119,7 +119,7 @@ def _passed(nominal_s, start, stop):
     return passed_s
 
 
-@njit(error_model="numpy")
+@njit()
 def _thin(
     positions, nominal_s, radius_m, cut_m, shares, ends, start, place,
     until, rough, valid, level, before_m, guess,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 from datetime import datetime
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from threadline.errors import StoreError
 
@@ -81,7 +81,7 @@ def _table() -> Table:
     from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table
 
     types = {"speed": Float, "proof_passed": Boolean, "passed": Boolean, "late_ticks": Integer}
-    columns = (
+    columns: Iterator[Column[Any]] = (
         Column(
             f.name, types.get(f.name, String), primary_key=f.name == "run",
             nullable=f.name == "passed",

@@ -111,7 +111,7 @@ def _to_one_chord(
         squared[i, r] = away
 
 
-_to_one_chord_fast = njit(nogil=True, error_model="numpy")(_to_one_chord)
+_to_one_chord_fast = njit(nogil=True)(_to_one_chord)
 
 
 def _nearest_chords(
@@ -184,7 +184,7 @@ def _approach(
         best_time_s[r] = from_s + where * long_s if nearer else best_time_s[r]
 
 
-_approach_fast = njit(nogil=True, error_model="numpy")(_approach)
+_approach_fast = njit(nogil=True)(_approach)
 
 
 def _vertices_to_path(

@@ -105,7 +105,7 @@ def _nearest_of_all(
             chord[r] = c if nearer else chord[r]
 
 
-nearest_of_all = njit(nogil=True, error_model="numpy")(_nearest_of_all)
+nearest_of_all = njit(nogil=True)(_nearest_of_all)
 
 
 def _nearest_chords(

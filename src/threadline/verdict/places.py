@@ -69,7 +69,7 @@ def _bounds(
     return max(away - half, 0.0) ** 2 / MORE, MORE * (away + half) ** 2
 
 
-_bounds_fast = njit(nogil=True, error_model="numpy")(_bounds)
+_bounds_fast = njit(nogil=True)(_bounds)
 
 
 def _stay_at(
@@ -119,7 +119,7 @@ def _stay_at(
     return more, near, farther
 
 
-_stay_at_fast = njit(nogil=True, error_model="numpy")(_stay_at)
+_stay_at_fast = njit(nogil=True)(_stay_at)
 
 
 class ProgressPart(NamedTuple):
@@ -296,4 +296,4 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     places[0], places[1], ceilings[0] = low, high, ceiling
 
 
-move_on = njit(nogil=True, error_model="numpy")(_advance)
+move_on = njit(nogil=True)(_advance)

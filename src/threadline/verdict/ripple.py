@@ -52,7 +52,7 @@ def _farthest(
             at[r] = i if larger else at[r]
 
 
-_farthest_fast = njit(nogil=True, error_model="numpy")(_farthest)
+_farthest_fast = njit(nogil=True)(_farthest)
 
 
 class _Ripple:

@@ -210,7 +210,7 @@ def _apart(
             strayed[i, r] = np.sqrt(strayed[i, r])
 
 
-_apart_fast = njit(nogil=True, error_model="numpy")(_apart)
+_apart_fast = njit(nogil=True)(_apart)
 
 
 def start_seam(setting: Setting, options: Mapping[str, float]) -> Measure:

@@ -60,7 +60,7 @@ def _nearest_chords(
         squared[i], chord[i] = least, nearest
 
 
-nearest_of_one = njit(nogil=True, error_model="numpy")(_nearest_chords)
+nearest_of_one = njit(nogil=True)(_nearest_chords)
 
 
 def _to_vertex(
@@ -92,7 +92,7 @@ def _to_vertex(
     return away, where
 
 
-_to_vertex_fast = njit(nogil=True, error_model="numpy")(_to_vertex)
+_to_vertex_fast = njit(nogil=True)(_to_vertex)
 
 
 def _leave_path(
@@ -147,7 +147,7 @@ def _leave_path(
     chord_before[0] = chord[samples - 1]
 
 
-contour_of_one = njit(nogil=True, error_model="numpy")(_leave_path)
+contour_of_one = njit(nogil=True)(_leave_path)
 
 
 def _advance(
@@ -216,7 +216,7 @@ def _advance(
     places[0], places[1], worst[0] = low, high, most
 
 
-_advance_fast = njit(nogil=True, error_model="numpy")(_advance)
+_advance_fast = njit(nogil=True)(_advance)
 
 
 def progress_of_one(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
