@@ -30,7 +30,7 @@ from threadline.compiling import COMPILING
 if sys.platform != "win32":
     import fcntl
 
-__all__ = ["njit", "where_kept"]
+__all__ = ["FileLock", "njit", "where_kept"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 _WAITS_S = 120.0
@@ -39,7 +39,7 @@ _LOOKS_EACH_S = 0.02
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
 
 
-class _Lock:
+class FileLock:
     """A file that one process locks until it forgets this object, where files can be locked.
 
     Others wait, though not for ever: a process may have been stopped.
@@ -85,7 +85,7 @@ class CacheFile(IndexDataCacheFile):
         found = inherited.load(key)
         if found is not None or key in self._making:
             return found
-        lock = _Lock(Path(self._cache_path) / f"{self._name_of(key)}.lock")
+        lock = FileLock(Path(self._cache_path) / f"{self._name_of(key)}.lock")
         found = inherited.load(key)
         if found is None:
             self._making[key] = lock
@@ -107,9 +107,9 @@ class CacheFile(IndexDataCacheFile):
                 lock.remove()
 
     @property
-    def _making(self) -> dict[Hashable, _Lock]:
+    def _making(self) -> dict[Hashable, FileLock]:
         """What this process has to make."""
-        found: dict[Hashable, _Lock] = self.__dict__.setdefault("_made_here", {})
+        found: dict[Hashable, FileLock] = self.__dict__.setdefault("_made_here", {})
         return found
 
     def _name_of(self, key: Hashable) -> str:

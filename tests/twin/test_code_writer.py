@@ -37,7 +37,7 @@ def run(width: int, write, *columns: np.ndarray) -> np.ndarray:
     with code.count(0, count, width) as at:
         code.write_lanes(out, at, write(code, *(code.read_lanes(g, at) for g in given)))
     code.finish()
-    address = COMPILER.address(module, "run")
+    address = COMPILER.address(lambda: module, "run")
     function = CFUNCTYPE(None, c_int64, *[c_void_p] * (len(columns) + 1))(address)
     found = np.full(len(columns[0]), np.nan)
     function(len(found), found.ctypes.data, *(c.ctypes.data for c in columns))
@@ -200,7 +200,7 @@ def test_functions_call_functions():
     outer.finish()
     called: list[int] = []
     back = CFUNCTYPE(None, c_int64)(called.append)
-    address = COMPILER.address(module, "outer")
+    address = COMPILER.address(lambda: module, "outer")
     cell = (c_double * 1)(7.0)
     CFUNCTYPE(None, c_void_p, c_int64)(address)(addressof(cell), cast(back, c_void_p).value)
     assert (cell[0], called) == (21.0, [5])

@@ -44,7 +44,7 @@ def search(width: int, monotone: bool):
             mask,
         )
     code.finish()
-    address = COMPILER.address(module, "run")
+    address = COMPILER.address(lambda: module, "run")
     run = CFUNCTYPE(None, c_int64, c_void_p, c_void_p, c_int64)(address)
 
     def found(series, low, high, until, lanes=(1 << width) - 1):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import threading
 from ctypes import CFUNCTYPE, c_int64
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import llvmlite.binding as llvm
 import pytest
 from llvmlite import ir
 
+from threadline.twin.kernel import compiler as compiling
 from threadline.twin.kernel import kept_code as kept
 from threadline.twin.kernel.compiler import Compiler
 from threadline.twin.kernel.kept_code import KeptCode
@@ -29,7 +32,7 @@ def adds(number: int) -> ir.Module:
 def answer(folder: Path, number: int) -> int:
     """``100 + number``, by a compiler that has made nothing yet."""
     compiler = Compiler(KeptCode(folder))
-    return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(adds(number), "f"))(100))
+    return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(lambda: adds(number), "f"))(100))
 
 
 def files(folder: Path) -> list[Path]:
@@ -97,3 +100,75 @@ def test_what_was_not_asked_for_the_longest_goes_first(
     assert code.read("old") is None
     assert code.read("asked for") == b"asked for"
     assert code.read("new") == b"new"
+
+
+def by_shape(folder: Path, shape: str, number: int, written: list[int]) -> int:
+    """``100 + number``, of a module that is known by a shape; note that it was written."""
+
+    def write() -> ir.Module:
+        written.append(number)
+        return adds(number)
+
+    compiler = Compiler(KeptCode(folder))
+    return int(CFUNCTYPE(c_int64, c_int64)(compiler.address(write, "f", shape))(100))
+
+
+def test_what_is_known_by_its_shape_is_not_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written: list[int] = []
+    assert by_shape(tmp_path, "seven", 7, written) == 107
+    assert by_shape(tmp_path, "seven", 7, written) == 107
+    assert written == [7]
+    assert by_shape(tmp_path, "eight", 8, written) == 108
+    assert written == [7, 8]
+    # Other sources write something else for the same shape.
+    monkeypatch.setattr(compiling, "_WRITTEN_BY", "others")
+    assert by_shape(tmp_path, "seven", 9, written) == 109
+    # Without sources the text of the module says what it is.
+    monkeypatch.setattr(compiling, "_WRITTEN_BY", "")
+    assert by_shape(tmp_path, "seven", 10, written) == 110
+    assert by_shape(tmp_path, "seven", 11, written) == 111
+    assert written == [7, 8, 9, 10, 11]
+
+
+def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:
+    """What ``run`` imports is of its folder, or of ``_OTHERS``; arrays and caches write none."""
+    folder = Path(str(compiling.__file__)).parent
+    package = "threadline.twin.kernel."
+    known = {module.__name__ for module in compiling._OTHERS}
+    seen, outside, ahead = set(), set(), ["run"]
+    while ahead:
+        name = ahead.pop()
+        seen.add(name)
+        for node in ast.walk(ast.parse((folder / f"{name}.py").read_text("utf-8"))):
+            if not isinstance(node, ast.ImportFrom) or not str(node.module).startswith("threadl"):
+                continue
+            module = str(node.module)
+            if module.startswith(package):
+                ahead += {module.removeprefix(package)} - seen
+            else:
+                outside |= (
+                    {module} if module in known else {f"{module}.{a.name}" for a in node.names}
+                )
+    assert {"tick", "exits", "code", "names"} <= seen
+    assert outside - known == {
+        "threadline.arrays.FloatArray",
+        "threadline.compiled.FileLock",
+        "threadline.compiled.where_kept",
+    }
+
+
+def test_who_wants_the_same_waits_for_whoever_makes_it(tmp_path: Path) -> None:
+    """As another process would: a lock on a file is of one that has opened it."""
+    maker, other = KeptCode(tmp_path), KeptCode(tmp_path)
+    assert maker.read("a kernel") is None
+    found: list[bytes | None] = []
+    waiting = threading.Thread(target=lambda: found.append(other.read("a kernel")))
+    waiting.start()
+    waiting.join(0.3)
+    assert waiting.is_alive()
+    maker.write("a kernel", b"made")
+    waiting.join(30.0)
+    assert found == [b"made"]
+    assert [file.suffix for file in files(tmp_path)] == [".bin"]

@@ -1,7 +1,15 @@
-"""Modules of LLVM to machine code of this processor."""
+"""Modules of LLVM to machine code of this processor.
+
+To write the module of a kernel takes as long as to compile it. So its machine code is kept by what
+the module would be written from, and the module is written where there is none: by the shape, and
+by a digest of the sources that write.
+"""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import llvmlite
@@ -9,9 +17,27 @@ import llvmlite.binding as llvm
 from llvmlite import ir
 
 from threadline.compiled import where_kept
+from threadline.machine import controllers
+from threadline.twin import timeline
 from threadline.twin.kernel.kept_code import KeptCode
 
 _OPTIMISES = 3, 2  # levels of the code generator and of the passes before it
+_OTHERS = controllers, timeline
+"""Modules outside this folder that those which write a kernel take numbers from."""
+
+
+def _digest() -> str:
+    """Return a digest of the sources that write kernels; empty where they cannot be read."""
+    files = sorted(Path(__file__).parent.glob("*.py"))
+    files += [Path(str(module.__file__)) for module in _OTHERS]
+    try:
+        return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
+    except OSError:
+        return ""
+
+
+# Read with the sources: a file that is changed later is not what this process writes by.
+_WRITTEN_BY = _digest()
 
 
 class Compiler:
@@ -29,21 +55,26 @@ class Compiler:
         self._engines: list[Any] = []
         self._kept = KeptCode(where_kept(_compiled)) if kept is None else kept
 
-    def address(self, module: ir.Module, name: str) -> int:
-        """Compile ``module`` and return the address of one of its functions."""
+    def address(self, write: Callable[[], ir.Module], name: str, shape: str = "") -> int:
+        """Compile the module that ``write`` returns; return the address of one of its functions.
+
+        ``shape`` is all that ``write`` is told, where that is one of this package. Where its
+        machine code is kept, nothing is written.
+        """
         target = llvm.Target.from_default_triple()
         cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
         machine = target.create_target_machine(
             cpu=cpu, features=features, opt=_OPTIMISES[0], jit=True
         )
-        module.triple = target.triple
-        module.data_layout = str(machine.target_data)
-        text = str(module)
+        text = ""
+        if not (shape and _WRITTEN_BY):
+            text = _text(write(), target, machine)
         versions = llvmlite.__version__, llvm.llvm_version_info, _OPTIMISES
-        made_from = "\n".join([repr(versions), cpu, features, text])
+        known = text or f"{_WRITTEN_BY} {shape}"
+        made_from = "\n".join([repr(versions), cpu, features, known])
         code = self._kept.read(made_from)
         if code is None:
-            code = _compiled(text, machine)
+            code = _compiled(text or _text(write(), target, machine), machine)
             self._kept.write(made_from, code)
         nothing = llvm.parse_assembly(f'target triple = "{target.triple}"')
         engine = llvm.create_mcjit_compiler(nothing, machine)
@@ -51,6 +82,12 @@ class Compiler:
         engine.finalize_object()
         self._engines.append(engine)
         return int(engine.get_function_address(name))
+
+
+def _text(module: ir.Module, target: Any, machine: Any) -> str:
+    module.triple = target.triple
+    module.data_layout = str(machine.target_data)
+    return str(module)
 
 
 def _compiled(text: str, machine: Any) -> bytes:

@@ -1,4 +1,7 @@
-"""Machine code on disk, by what it was made from: another process need not make it again."""
+"""Machine code on disk, by what it was made from: another process need not make it again.
+
+Of processes that want the same at once, one makes it and the others wait for it.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ import os
 import uuid
 from contextlib import suppress
 from pathlib import Path
+
+from threadline.compiled import FileLock
 
 _MOST = 512
 """Number of files that are kept; the one that was not asked for the longest goes first."""
@@ -26,12 +31,26 @@ class KeptCode:
 
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
+        self._making: dict[Path, FileLock] = {}
 
     def read(self, made_from: str) -> bytes | None:
-        """Return the machine code that was made from a text; None if there is none."""
+        """Return the machine code that was made from a text; None if whoever asks has to make it.
+
+        Who asks for the same in the meantime, in another process, waits for ``write``.
+        """
         if self._folder is None:
             return None
         path = self._path(self._folder, made_from)
+        code = self._read(path)
+        if code is None and path not in self._making:
+            lock = FileLock(path.with_suffix(".lock"))
+            code = self._read(path)
+            if code is None:
+                self._making[path] = lock
+        return code
+
+    @staticmethod
+    def _read(path: Path) -> bytes | None:
         try:
             data = path.read_bytes()
         except OSError:
@@ -59,6 +78,9 @@ class KeptCode:
         finally:
             with suppress(OSError):
                 part.unlink(missing_ok=True)
+            lock = self._making.pop(path, None)
+            if lock is not None:
+                lock.remove()
 
     @staticmethod
     def _path(folder: Path, made_from: str) -> Path:

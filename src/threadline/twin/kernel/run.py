@@ -49,6 +49,12 @@ def kernel(shape: Shape) -> Any:
 
 @cache
 def _kernel(shape: Shape) -> Any:
+    address = _compiler().address(partial(_module, shape), "run", repr(shape))
+    return CFUNCTYPE(None, c_int64, c_int64, c_void_p)(address)
+
+
+def _module(shape: Shape) -> Any:
+    """Write the kernel for a shape."""
     module = ir.Module("kernel")
     layout = Layout(shape)
     events = gather = None
@@ -59,8 +65,7 @@ def _kernel(shape: Shape) -> Any:
         events = write_events(module, layout, change, exits)
         gather = write_gather(module, layout)
     _write_run(module, layout, (events, gather))
-    address = _compiler().address(module, "run")
-    return CFUNCTYPE(None, c_int64, c_int64, c_void_p)(address)
+    return module
 
 
 class _Run:
