@@ -12,7 +12,10 @@ SPACE = True
 
 
 def test_a_winding_is_seen_before_and_while_it_is_wound(browser: Browser, plant: Plant) -> None:
-    """Ten pictures a second at most; the simulation ends where the machine moves."""
+    """Ten pictures a second at most, five of rough edges where the processor draws them.
+
+    The simulation ends where the machine moves.
+    """
     page = opened(browser, plant)
     ready(page)
     press(page, "Calculate")
@@ -34,7 +37,15 @@ def test_a_winding_is_seen_before_and_while_it_is_wound(browser: Browser, plant:
           }).observe(space, { attributes: true, attributeFilter: ["data-drawn"] });
         })"""
     )
-    assert np.median(np.diff(drawn_ms)) >= 90.0
+    drawn_by, smooth = page.evaluate(
+        """() => {
+          const context = document.querySelector("#space canvas").getContext("webgl2");
+          context.getExtension("WEBGL_debug_renderer_info");
+          return [context.getParameter(0x9246), context.getContextAttributes().antialias];
+        }"""
+    )
+    assert smooth == ("SwiftShader" not in drawn_by)
+    assert np.median(np.diff(drawn_ms)) >= (90.0 if smooth else 180.0)
     page.keyboard.press("Escape")
     state(page, "idle")
     page.close()

@@ -3,6 +3,8 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Figures, State } from "./messages";
+import { put } from "./dom";
+import { onScreen } from "./seen";
 
 const SHOWN_S = 60;
 const MOST = 3000;
@@ -22,6 +24,8 @@ export class Curves {
   private planned: [number[], number[]] = [[], []];
   private readonly position: uPlot;
   private readonly deviation: uPlot;
+  private readonly seenAbove: () => boolean;
+  private readonly seenBelow: () => boolean;
 
   constructor(private readonly above: HTMLElement, below: HTMLElement) {
     const axes = [{ stroke: INK, label: "s" }, { stroke: INK, size: 60, space: 22 }];
@@ -30,6 +34,8 @@ export class Curves {
     this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [10, 5] }, { label: "commanded", stroke: BLUE, dash: [3, 2] }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
     const close = axes.map((axis, k) => (k ? { ...axis, space: 14 } : axis)); // a low picture has marks, too
     this.deviation = new uPlot({ ...size(), height: 150, legend: { live: false }, scales: { x, y: { range: CLOSEST } }, axes: close, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
+    this.seenAbove = onScreen(above);
+    this.seenBelow = onScreen(below);
     new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 150 }); }).observe(above);
   }
 
@@ -70,22 +76,34 @@ export class Curves {
 
   draw(running: boolean): void {
     if (!this.dirty && running === this.ran) return;
+    const last = this.times.length - 1, now = this.times[last] ?? 0, behind = this.behind;
+    put(this.above, "title", last < 0 ? "" : [["planned", this.then[last]], ["commanded", this.commanded[last]], ["measured", this.measured[last]]].filter(([, at]) => typeof at === "number").map(([name, at]) => `${name} ${(at as number).toFixed(2)}`).join(", "));
+    if (!this.seenAbove() && !this.seenBelow()) return;
     this.dirty = false;
     this.ran = running;
-    const last = this.times.length - 1, now = this.times[last] ?? 0, behind = this.behind;
-    const from = Math.max(0, now - SHOWN_S), until = Math.max(now + 5, from + SHOWN_S);
-    const show = running || last < 0;
+    const from = Math.max(0, now - SHOWN_S), until = Math.max(now + 5, from + SHOWN_S), first = this.from(from);
+    const own = <T>(values: T[]): (T | undefined)[] => values.slice(first);
+    const times = this.times.slice(first), commanded = own(this.commanded), measured = own(this.measured);
+    const planned: (number | null | undefined)[] = [];
     // What is planned is shown when the run came to it, and will come to it.
-    const places = new Map<number, number | null>();
-    if (show) {
-      this.times.forEach((t, k) => places.set(t, this.then[k] ?? null));
-      this.planned[0].forEach((t, k) => { if (last < 0 || t + behind > now) places.set(t + behind, this.planned[1][k]!); });
+    if (running || last < 0) {
+      planned.push(...this.then.slice(first));
+      this.planned[0].forEach((time, k) => {
+        const t = time + behind;
+        if (t > until || (last < 0 ? t < from : t <= now)) return;
+        times.push(t);
+        planned.push(this.planned[1][k]);
+      });
     }
-    const times = [...new Set([...this.times, ...places.keys()])].filter((t) => t >= from && t <= until).sort((a, b) => a - b);
-    const lookup = (keys: number[], values: (number | null)[]) => { const found = new Map(keys.map((key, k) => [key, values[k] ?? null])); return times.map((t) => found.has(t) ? found.get(t)! : undefined); };
-    this.position.setData([times, times.map((t) => places.get(t)), lookup(this.times, this.commanded), lookup(this.times, this.measured)] as uPlot.AlignedData);
-    const difference = this.measured.map((m, k) => { const c = this.commanded[k]; return m === null || c === null || c === undefined ? null : m - c; });
-    this.deviation.setData([times, lookup(this.times, difference)] as uPlot.AlignedData);
-    this.above.title = last < 0 ? "" : [["planned", this.then[last]], ["commanded", this.commanded[last]], ["measured", this.measured[last]]].filter(([, at]) => typeof at === "number").map(([name, at]) => `${name} ${(at as number).toFixed(2)}`).join(", ");
+    const difference = measured.map((m, k) => { const c = commanded[k]; return typeof m !== "number" || typeof c !== "number" ? null : m - c; });
+    for (const short of [planned, commanded, measured, difference] as unknown[][]) while (short.length < times.length) short.push(undefined);
+    this.position.setData([times, planned, commanded, measured] as uPlot.AlignedData);
+    this.deviation.setData([times, difference] as uPlot.AlignedData);
+  }
+
+  /** Number of the first that was kept of a time or later. */
+  private from(time: number): number {
+    const found = this.times.findIndex((t) => t >= time);
+    return found < 0 ? this.times.length : found;
   }
 }

@@ -1,11 +1,11 @@
-/** Mandrel or bed with the path in three dimensions: planned, simulated beforehand, live. Drawn 10 times a second at most. */
+/** Mandrel or bed with the path in three dimensions: planned, simulated beforehand, live. */
 
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { by, put, tell, value } from "./dom";
 import type { Figures, Mandrel, State } from "./messages";
+import { bySoftware, onScreen } from "./seen";
 
-const FRAME_MS = 100;
 const SHOWN_S = 15; // a simulation lasts no longer by the clock
 const GREY = 0xbdbdbd, FAINT = 0x8f8f8f, BLUE = 0x003f72, INK = 0x949494, DARK = 0x333333;
 
@@ -25,9 +25,12 @@ export class View3d {
   private playing: number | null = null; // when it began, ms of the page
   private dirty = true;
   private shown = ""; // where all was put last
+  private readonly seen: () => boolean;
+  /** Whether the processor draws: then edges are not smoothed, and there are fewer pictures. */
+  readonly slow = bySoftware();
 
   constructor(private readonly place: HTMLElement, private readonly moves: () => boolean) {
-    this.renderer = new three.WebGLRenderer({ antialias: true });
+    this.renderer = new three.WebGLRenderer({ antialias: !this.slow });
     this.renderer.setClearColor(0xe6e6e6);
     place.append(this.renderer.domElement);
     this.camera.up.set(0, 0, 1);
@@ -39,7 +42,7 @@ export class View3d {
     new ResizeObserver(() => this.fit()).observe(place);
     by("simulate").onclick = () => { this.playing = this.playing === null && this.figures && !moves() ? performance.now() : null; };
     by<HTMLSelectElement>("seen-from").onchange = () => this.look();
-    setInterval(() => this.draw(), FRAME_MS);
+    this.seen = onScreen(place);
   }
 
   build(mandrel: Mandrel | null): void {
@@ -158,7 +161,7 @@ export class View3d {
     this.dirty = true;
   }
 
-  private draw(): void {
+  draw(): void {
     const figures = this.figures;
     put(by<HTMLButtonElement>("simulate"), "disabled", figures === null || this.moves());
     tell("simulate", this.playing === null ? "Simulate" : "End simulation");
@@ -168,7 +171,7 @@ export class View3d {
       tell("seen", `SIMULATED, not the machine: ${Math.min(time_s, figures.duration_s).toFixed(1)} of ${figures.duration_s.toFixed(1)} s, ${pace.toFixed(1)} times as fast`);
       if (time_s > figures.duration_s + 1) this.playing = null;
     }
-    if (!this.dirty || this.place.clientWidth === 0) return;
+    if (!this.dirty || !this.seen()) return;
     this.dirty = false;
     this.renderer.render(this.scene, this.camera);
     this.place.dataset.drawn = String(Number(this.place.dataset.drawn ?? 0) + 1);
