@@ -21,7 +21,10 @@ from threadline.machine import controllers
 from threadline.twin import timeline
 from threadline.twin.kernel.kept_code import KeptCode
 
-_OPTIMISES = 3, 2  # levels of the code generator and of the passes before it
+_OPTIMISES = 3  # level of the code generator
+_PASSES = "sroa", "instruction_combine", "simplify_cfg", "new_gvn", "dead_code_elimination"
+"""What is done before it. Kernels are written as vectors, with their loops as short as they can be:
+all else that LLVM would try takes as long as the code generator, and gains a twentieth at most."""
 _OTHERS = controllers, timeline
 """Modules outside this folder that those which write a kernel take numbers from."""
 
@@ -63,13 +66,11 @@ class Compiler:
         """
         target = llvm.Target.from_default_triple()
         cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-        machine = target.create_target_machine(
-            cpu=cpu, features=features, opt=_OPTIMISES[0], jit=True
-        )
+        machine = target.create_target_machine(cpu=cpu, features=features, opt=_OPTIMISES, jit=True)
         text = ""
         if not (shape and _WRITTEN_BY):
             text = _text(write(), target, machine)
-        versions = llvmlite.__version__, llvm.llvm_version_info, _OPTIMISES
+        versions = llvmlite.__version__, llvm.llvm_version_info, _OPTIMISES, _PASSES
         known = text or f"{_WRITTEN_BY} {shape}"
         made_from = "\n".join([repr(versions), cpu, features, known])
         code = self._kept.read(made_from)
@@ -93,6 +94,8 @@ def _text(module: ir.Module, target: Any, machine: Any) -> str:
 def _compiled(text: str, machine: Any) -> bytes:
     parsed = llvm.parse_assembly(text)
     parsed.verify()
-    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(_OPTIMISES[1]))
-    builder.getModulePassManager().run(parsed, builder)
+    passes = llvm.create_new_module_pass_manager()
+    for name in _PASSES:
+        getattr(passes, f"add_{name}_pass")()
+    passes.run(parsed, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
     return bytes(machine.emit_object(parsed))
