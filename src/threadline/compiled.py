@@ -155,8 +155,8 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
     """Compile the function that is given next, as ``numba.njit``; its machine code is kept.
 
     It divides as numpy does: what is divided by zero is infinite, or no number. A look at each
-    divisor, as Python's, would be a sixth of the work of compiling; results that are not finite
-    are refused where they are made into trajectories, tables and recordings.
+    divisor, as Python's, would be a sixth of the work of compiling; a block of a trajectory refuses
+    what is not finite.
     """
     options = {"error_model": "numpy", **options}
 

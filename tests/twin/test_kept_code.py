@@ -14,8 +14,10 @@ from llvmlite import ir
 
 from threadline.twin.kernel import compiler as compiling
 from threadline.twin.kernel import kept_code as kept
+from threadline.twin.kernel import run
 from threadline.twin.kernel.compiler import Compiler
 from threadline.twin.kernel.kept_code import KeptCode
+from threadline.twin.kernel.shape import Shape
 
 INTEGER = ir.IntType(64)
 
@@ -130,6 +132,21 @@ def test_what_is_known_by_its_shape_is_not_written_again(
     assert by_shape(tmp_path, "seven", 10, written) == 110
     assert by_shape(tmp_path, "seven", 11, written) == 111
     assert written == [7, 8, 9, 10, 11]
+
+
+def test_the_kernel_of_a_machine_is_known_by_its_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[str] = []
+    monkeypatch.setattr(
+        Compiler, "address", lambda _self, _write, _name, shape="": told.append(shape) or 1
+    )
+    shape = Shape(
+        lanes=1, width=1, matrix=((0,),), drives=(), controllers=(), axes=(), guards=(), inputs=0,
+        lengths=1, terms=1, sections=1, peak=False, quantised=False, delayed=False, shared=False,
+        kinds=(), uniform=(),
+    )  # fmt: skip
+    for one in (shape, shape._replace(terms=2)):
+        run._kernel.__wrapped__(one)
+    assert told == [repr(shape), repr(shape._replace(terms=2))]
 
 
 def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:

@@ -138,20 +138,12 @@ function show(state: State | null): void {
   if (!state.proven && session.figures && state.calculating === null && state.seq > session.figuresAt + 1) { session.figures = null; program.forget(); replan(); view?.show(null, bare); }
 }
 
-/** What is told at once; where the machine is, and how far its run has come, is told ten times a second. */
-function news(state: State | null): string {
-  return JSON.stringify(state && [state.state, state.why, state.allowed, state.signals, state.control.client, state.control.asks, state.progress?.ended, state.progress?.verdict, state.proven?.proof, state.calculating === null]);
-}
-
-/** All is drawn by one clock, in ticks of it: what changes together is one picture of the browser then, and not three. */
-const TICK_MS = 50, TELL_TICKS = 2, DRAW_TICKS = view && !view.slow ? 2 : 4;
-let ticks = 0, told = "";
+/** All is drawn by one clock: what changes together is one picture of the browser then, and not three. */
+const TICK_MS = 50, CURVE_TICKS = 2, VIEW_TICKS = view?.slow ? 4 : 2;
+let ticks = 0;
 setInterval(() => {
-  const state = session.state && performance.now() - session.link.heardMs < 3000 ? session.state : null, fresh = news(state);
-  if (ticks % TELL_TICKS === 0 || fresh !== told) { told = fresh; show(state); }
-  if (ticks % DRAW_TICKS === 0) {
-    view?.draw();
-    curves.draw(["running", "holding"].includes(session.state?.state ?? ""));
-  }
+  show(session.state && performance.now() - session.link.heardMs < 3000 ? session.state : null);
+  if (ticks % VIEW_TICKS === 0) view?.draw();
+  if (ticks % CURVE_TICKS === 0) curves.draw(["running", "holding"].includes(session.state?.state ?? ""));
   ticks++;
 }, TICK_MS);

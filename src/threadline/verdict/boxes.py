@@ -205,8 +205,8 @@ def _vertices_to_path(
 
     Segment i leads to point i, the first one from ``before``; it counts for the vertices of the
     chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have an entry more than
-    the points, for the point before. ``share`` is (vertices, axes); it
-    is empty where the axes count alike.
+    the points, for the point before. ``share`` is (vertices, axes); it is empty where the axes
+    count alike.
 
     A vertex that is as near as ``worst``, (runs,) squared, in every run is left as it is. So is one
     that another segment comes nearer to in every run.
