@@ -142,8 +142,18 @@ def test_every_shaper_is_compared_with_both_bounds() -> None:
     assert rows[0].worst_step > 0.5 > rows[1].worst_step > 0.05
 
 
+def test_a_tolerance_finer_than_the_solver_keeps_its_rows_is_kept() -> None:
+    """At one frequency a command can leave nothing at all; the solver's rows are kept to 1e-7."""
+    mode = FlexibleMode(1.0, 0.0)
+    command = robust_optimum(
+        RestToRest(0.001, 1.0, (mode,)), relative=0.0, tolerance=1e-9, intervals=20
+    )
+    steps = np.diff(command.levels, prepend=0.0, append=0.0)
+    assert abs(steps @ np.exp(2j * np.pi * mode.frequency_hz * command.times_s)) <= 1.001e-9
+
+
 def test_impossible_bands_are_refused() -> None:
-    with pytest.raises(ShaperError, match=r"the linear program failed|no command"):
+    with pytest.raises(ShaperError, match="no command that keeps the ringing below 1e-09"):
         robust_optimum(
             RestToRest(0.001, 1.0, (FlexibleMode(1.0, 0.0),)),
             relative=0.999,

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +33,7 @@ from threadline.arrays import FloatArray
 from threadline.control.corner_machines import CornerResponse
 from threadline.control.step_answers import Answers, answer_steps
 from threadline.errors import PlanError
+from threadline.simplex import QUICK
 
 STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
 """Largest share of its speed with which the planned load stands, least share of the wanted speed
@@ -66,8 +66,6 @@ _LARGEST = 10.0  # weight; those that are found are below 0.3
 _DEAREST = 1.0 + _DRIVEN + _LATE_COSTS * _SPARE + _EXCESS_COSTS * _MARGIN
 """Cost above which a program is given up: the error is all of the speed, or the margin is left. The
 weights have next to no part in it."""
-_QUICK: Any = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
-"""How simplex is asked: a program is small and dense, and looking at it first takes longer."""
 _KEPT = 0.5 * _CLOSE  # a solution that leaves a row of its own program by more is none
 
 
@@ -300,7 +298,7 @@ def _solved(
     from scipy.optimize import linprog
 
     for method in ("highs-ds", "highs-ipm"):
-        how = _QUICK if method == "highs-ds" else None
+        how = QUICK if method == "highs-ds" else None
         found = linprog(cost, rows, limits, sums, [1.0, 0.0], bounds, method=method, options=how)
         if found.x is not None and found.status == 0:
             unknowns: FloatArray = np.asarray(found.x)

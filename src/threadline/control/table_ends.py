@@ -21,6 +21,7 @@ from threadline.control.loop_ticks import LoopTicks, acting, acts_after
 from threadline.control.preview import AxisPreview
 from threadline.control.told_ticks import Told
 from threadline.machine import Machine
+from threadline.simplex import solved
 
 CHOSEN = 24
 """Number of references next to an end of a table that are chosen anew."""
@@ -128,8 +129,6 @@ class AxisEnds:
         lost: int | None,
     ) -> TableEnd | None:
         """Return the best end with which the DAC loses ``lost`` and what it lost before."""
-        from scipy.optimize import linprog
-
         acts = acting(told.levels) if self._skips else told.levels
         gone = acts != told.levels
         if lost is not None:
@@ -160,17 +159,18 @@ class AxisEnds:
             most += [amperes - current, amperes + current]
             slack += [zero, zero]
         matrix = np.vstack(rows)
-        solved = linprog(
+        found = solved(
             np.append(np.zeros(n), 1.0),
-            A_ub=np.column_stack([matrix[:, :n] / _MM, np.concatenate(slack)]),
-            b_ub=np.concatenate(most) - matrix[:, n],
+            below=(
+                np.column_stack([matrix[:, :n] / _MM, np.concatenate(slack)]),
+                np.concatenate(most) - matrix[:, n],
+            ),
             bounds=[(None, None)] * n + [(0.0, None)],
-            method="highs",
         )
-        if solved.status != 0 or solved.x is None:
+        if found.status != 0 or found.x is None:
             return None
         added = forced.copy()
-        added[chosen] += solved.x[:n] / _MM
+        added[chosen] += found.x[:n] / _MM
         return self._followed(added, told.levels, acts, current)
 
     def _signs(

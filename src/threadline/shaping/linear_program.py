@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from threadline.arrays import FloatArray
 from threadline.shaping.types import ShaperError
-
-Bounds = tuple[float | None, float | None]
+from threadline.simplex import Bounds, solved
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +40,7 @@ def minimise(
     Parameters
     ----------
     seconds
-        How long the solver may take. A degenerate program can keep the simplex method for minutes;
-        then the interior-point method gets as long.
+        How long the solver may take, in each of two ways.
 
     Raises
     ------
@@ -52,22 +49,13 @@ def minimise(
     ShaperError
         If the solver fails otherwise.
     """
-    from scipy.optimize import linprog
-
-    problem: dict[str, Any] = {"A_eq": equal[0], "b_eq": equal[1], "bounds": bounds}
-    if below is not None:
-        problem["A_ub"], problem["b_ub"] = below
-    if seconds is not None:
-        problem["options"] = {"time_limit": seconds}
-    solved = linprog(cost, **problem, method="highs")
-    if solved.status == 1 and seconds is not None:
-        solved = linprog(cost, **problem, method="highs-ipm")
-    if solved.status == 2:
+    found = solved(cost, equal=equal, below=below, bounds=bounds, seconds=seconds)
+    if found.status == 2:
         raise InfeasibleError(f"{what}: no command meets the constraints")
-    if solved.status != 0 or solved.x is None or solved.fun is None:
-        raise ShaperError(f"{what}: the linear program failed: {solved.message}")
+    if found.status != 0 or found.x is None or found.fun is None:
+        raise ShaperError(f"{what}: the linear program failed: {found.message}")
     return Solution(
-        np.asarray(solved.x, dtype=np.float64),
-        float(solved.fun),
-        np.asarray(solved.eqlin.marginals, dtype=np.float64),
+        np.asarray(found.x, dtype=np.float64),
+        float(found.fun),
+        np.asarray(found.eqlin.marginals, dtype=np.float64),
     )

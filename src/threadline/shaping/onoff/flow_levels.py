@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.shaping.onoff.valves import Valves
+from threadline.simplex import solved
 
 _NODES = 200
 """Most nodes of an integer program's tree: unlike a time limit, the same on every computer."""
@@ -87,8 +88,6 @@ def least_scans(move: FlowMove, most_scans: int, known_scans: int = 1) -> int | 
     It is a lower bound for all valves: the circle of what may ring is replaced by a polygon around
     it, and the band by some of its frequencies. None where not even ``most_scans`` suffice.
     """
-    from scipy.optimize import linprog
-
     around = np.exp(2j * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS)
     seen, longer = move._seen(), move.valves.longer
     least = max(math.ceil(move.on_scans - longer - _SHORT), known_scans)
@@ -100,10 +99,10 @@ def least_scans(move: FlowMove, most_scans: int, known_scans: int = 1) -> int | 
         ring = (grown[:, :-1] - grown[:, 1:]) / move.most[seen, None]
         rows = (ring[None] * around[:, None, None]).real.reshape(-1, cells)
         distance = -np.diff(to_go)[None, :]
-        found = linprog(
+        within = [*np.ones(len(rows)), move.on_scans + _OVER, _SHORT - move.on_scans]
+        found = solved(
             np.zeros(cells),
-            A_ub=np.vstack((rows, distance, -distance)),
-            b_ub=[*np.ones(len(rows)), move.on_scans + _OVER, _SHORT - move.on_scans],
+            below=(np.vstack((rows, distance, -distance)), within),
             bounds=(0.0, 1.0),
         )
         if found.status == 0:

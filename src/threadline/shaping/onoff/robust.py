@@ -31,6 +31,7 @@ from threadline.shaping.onoff.optimal import time_optimal
 from threadline.shaping.types import Shaper, ShaperError
 
 _ACCURACY = 1e-4
+_ROUNDS = 60
 _SWEEP = 201
 _ROUNDING = 1e-9
 _APART = 80.0
@@ -97,19 +98,25 @@ def farthest(
     """Largest distance, m, within ``duration_s``, and its command."""
     edges = np.linspace(0.0, duration_s, intervals + 1)
     speed, distance = travel_rows(edges)
-    for _ in range(60):
+    for _ in range(_ROUNDS):
         rows = band.rows(edges)
         solved = minimise(
             -distance / duration_s**2,
             equal=(speed[None, :] / duration_s, np.zeros(1)),
-            below=(rows, np.full(len(rows), tolerance)),
+            # In parts of the tolerance: the solver keeps a row to 1e-7, and as it stands one of
+            # 1e-9 would not be kept at all.
+            below=(rows / tolerance, np.ones(len(rows))),
             bounds=(-1.0, 1.0),
             what="robust move",
         )
         command = Command(edges, solved.x)
         if not band.cut(command, tolerance):
             return float(distance @ solved.x) * move.acceleration_m_s2, command
-    raise ShaperError("robust move: the cutting planes did not converge in 60 rounds")
+    raise ShaperError(
+        f"robust move: no command that keeps the ringing below {tolerance:g} is found in {_ROUNDS} "
+        "rounds of cutting planes",
+        remedy="Narrow the band or allow more ringing.",
+    )
 
 
 def robust_optimum(
@@ -204,7 +211,7 @@ def least_ringing(
     reach = move.distance_m / move.acceleration_m_s2
     band = _Band(move, relative, tolerance)
     cost = np.append(np.zeros(ticks), 1.0)
-    for _ in range(60):
+    for _ in range(_ROUNDS):
         rows = band.rows(edges)
         try:
             solved = minimise(
@@ -222,7 +229,11 @@ def least_ringing(
         command = Command(edges, solved.x[:-1])
         if not band.cut(command, max(float(solved.x[-1]), 1e-9)):
             return band.worst(command), command
-    raise ShaperError("robust move: the cutting planes did not converge in 60 rounds")
+    raise ShaperError(
+        f"robust move: the command that rings least is not found in {_ROUNDS} rounds of cutting "
+        "planes",
+        remedy="Narrow the band.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
