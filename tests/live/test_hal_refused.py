@@ -12,7 +12,8 @@ from tests.live.bench import winder
 from tests.live.hal_bench import hal_alone, left_samples
 from tests.live.test_hal import winder_at_1_ms
 from threadline.errors import LinkFaultError, OptionError
-from threadline.live.hal_session import HalSession, check_hal
+from threadline.live.hal_link import check_hal
+from threadline.live.hal_session import HalSession
 from threadline.live.links import link_of
 from threadline.machine import load_machine
 

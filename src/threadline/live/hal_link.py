@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 
 from threadline.arrays import IntArray
 from threadline.errors import OptionError
+from threadline.kinds import kind_of
 from threadline.live.executed_link import ExecutedLink
+from threadline.live.hal_fifo import HAL_KEY, in_use
 from threadline.live.hal_process import hal_link
-from threadline.live.hal_session import check_hal
+from threadline.live.hal_session import AXES_AT_MOST, as_user, words_to_end
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.plan import Plan
@@ -19,6 +22,39 @@ WHAT = {
     "plant": "HAL's plant, a lag for each axis: not the machine",
 }
 """What is at the far end, by the word behind ``hal:``."""
+_PROGRAMS = ("halcmd", "halrun")
+
+
+def check_hal(machine: Machine) -> None:
+    """Refuse a machine or a computer that HAL cannot run on; nothing is started.
+
+    Raises
+    ------
+    OptionError
+        With what is missing.
+    """
+    if "ticks" not in kind_of(machine).targets or len(machine.axes) > AXES_AT_MOST:
+        raise OptionError(
+            f"{machine.name} is not driven by tables of ticks of at most {AXES_AT_MOST} axes",
+            remedy="Use --link sim.",
+        )
+    if (10**9 * machine.tick_clock.period_s).denominator != 1:
+        raise OptionError(
+            f"the tick of {machine.name} is no whole number of nanoseconds",
+            remedy="Use --link sim.",
+        )
+    lacking = [name for name in _PROGRAMS if shutil.which(name) is None]
+    if lacking:
+        raise OptionError(
+            f"LinuxCNC's HAL is not installed: there is no {' and no '.join(lacking)}",
+            remedy="Install linuxcnc-uspace.",
+        )
+    as_user()
+    if in_use(HAL_KEY):
+        raise OptionError(
+            "LinuxCNC's HAL runs on this computer already",
+            remedy=f"End LinuxCNC; after a run that was killed: {' '.join(words_to_end())}.",
+        )
 
 
 class HalLink(ExecutedLink):

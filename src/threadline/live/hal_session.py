@@ -9,7 +9,6 @@ a single bit in the record from which on they hold puts all of them in force at 
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import tempfile
 import time
@@ -22,13 +21,10 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError, OptionError
-from threadline.kinds import kind_of
 from threadline.live.hal_fifo import (
-    HAL_KEY,
     SAMPLER_KEY,
     STREAMER_KEY,
     HalFifo,
-    in_use,
     remove_left,
 )
 from threadline.machine import Machine
@@ -43,7 +39,6 @@ _HELD_S = 1.2  # rows, tail and rest: what the fifo has room for
 _SAMPLED_S = 4.0
 _LEAD_S = 0.005  # a row is not replaced any more when it is as near as this
 _PATIENCE_S = 10.0
-_PROGRAMS = ("halcmd", "halrun")
 _FLIP, _NUMBER = 0, 1  # fields of a record of the streamer
 _OWN = 2  # fields before the positions, there and in the sampler
 
@@ -81,38 +76,6 @@ class Samples:
             np.concatenate([part.interval_s for part in parts]),
             np.concatenate([part.told for part in parts]),
             np.concatenate([part.read for part in parts]),
-        )
-
-
-def check_hal(machine: Machine) -> None:
-    """Refuse a machine or a computer that HAL cannot run on; nothing is started.
-
-    Raises
-    ------
-    OptionError
-        With what is missing.
-    """
-    if "ticks" not in kind_of(machine).targets or len(machine.axes) > AXES_AT_MOST:
-        raise OptionError(
-            f"{machine.name} is not driven by tables of ticks of at most {AXES_AT_MOST} axes",
-            remedy="Use --link sim.",
-        )
-    if (10**9 * machine.tick_clock.period_s).denominator != 1:
-        raise OptionError(
-            f"the tick of {machine.name} is no whole number of nanoseconds",
-            remedy="Use --link sim.",
-        )
-    lacking = [name for name in _PROGRAMS if shutil.which(name) is None]
-    if lacking:
-        raise OptionError(
-            f"LinuxCNC's HAL is not installed: there is no {' and no '.join(lacking)}",
-            remedy="Install linuxcnc-uspace.",
-        )
-    as_user()
-    if in_use(HAL_KEY):
-        raise OptionError(
-            "LinuxCNC's HAL runs on this computer already",
-            remedy=f"End LinuxCNC; after a run that was killed: {' '.join(words_to_end())}.",
         )
 
 
