@@ -41,8 +41,8 @@ class Bench:
         """One scan with these inputs beside those of the cell; return what is on then."""
         self.count += 1
         late = round(self.random.uniform(-self.jitter, self.jitter) * self.period)
-        inputs: dict[str, Any] = self.cell.advance(self.count * self.period + late)
-        self.on = self.cell.tell(self.plc.scan(inputs | PANEL | given, self.now))
+        cell = self.cell.advance(self.count * self.period + late)
+        self.on = self.cell.tell(self.plc.scan({**cell, **PANEL, **given}, self.now))
         return self.on
 
     def press(self, button: str) -> set[str]:

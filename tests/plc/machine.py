@@ -7,8 +7,6 @@ from typing import Any
 
 from tests.plc.reading import Code, Unit, code_of
 
-DEFAULTS = {"BOOL": False, "INT": 0, "DINT": 0, "TIME": 0, "STRING": ""}
-
 
 class Ton:
     """The on-delay timer of IEC 61131-3, microseconds."""
@@ -18,16 +16,23 @@ class Ton:
         self.since: int | None = None
 
     def call(self, pins: dict[str, Any], now: int) -> None:
-        self.v.update(pins)
-        if not self.v["in"]:
+        v = self.v
+        v.update(pins)
+        if not v["in"]:
             self.since = None
-            self.v["q"], self.v["et"] = False, 0
+            v["q"] = False
+            v["et"] = 0
             return
         if self.since is None:
             self.since = now
-        elapsed = now - self.since
-        self.v["q"] = elapsed >= self.v["pt"]
-        self.v["et"] = min(elapsed, self.v["pt"])
+        elapsed, wanted = now - self.since, v["pt"]
+        v["q"] = over = elapsed >= wanted
+        v["et"] = wanted if over else elapsed
+
+    def fork(self) -> Ton:
+        twin = Ton.__new__(Ton)
+        twin.v, twin.since = self.v.copy(), self.since
+        return twin
 
 
 class Instance:
@@ -42,19 +47,19 @@ class Instance:
             elif declared.type.lower() in units:
                 self.v[name] = Instance(units[declared.type.lower()], units, codes)
             else:
-                initial = declared.initial
-                self.v[name] = DEFAULTS[declared.type] if initial is None else initial
+                self.v[name] = declared.first
+        self.inner = [name for name, x in self.v.items() if isinstance(x, Ton | Instance)]
 
     def call(self, pins: dict[str, Any], now: int) -> None:
         self.v.update(pins)
         self.code.run(self.v, now)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
-        twin = object.__new__(Instance)
-        twin.code = self.code
-        twin.v = {
-            k: copy.deepcopy(x) if isinstance(x, Ton | Instance) else x for k, x in self.v.items()
-        }
+    def fork(self) -> Instance:
+        twin = Instance.__new__(Instance)
+        twin.code, twin.inner = self.code, self.inner
+        twin.v = self.v.copy()
+        for name in self.inner:
+            twin.v[name] = self.v[name].fork()
         return twin
 
 
@@ -72,14 +77,15 @@ class Plc:
         self.outputs = [d.name for d in located if d.address.upper().startswith("%Q")]
 
     def scan(self, inputs: dict[str, bool], now: int) -> dict[str, bool]:
+        v = self.instance.v
         for name in self.inputs:
-            self.instance.v[name] = inputs[name]
+            v[name] = inputs[name]
         for name in self.panel.keys() & inputs.keys():
-            self.instance.v[name] = inputs[name]
-        self.instance.code.run(self.instance.v, now)
-        return {name: self.instance.v[name] for name in self.outputs}
+            v[name] = inputs[name]
+        self.instance.code.run(v, now)
+        return {name: v[name] for name in self.outputs}
 
     def fork(self) -> Plc:
         twin = copy.copy(self)
-        twin.instance = copy.deepcopy(self.instance)
+        twin.instance = self.instance.fork()
         return twin

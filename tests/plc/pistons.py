@@ -9,7 +9,7 @@ import copy
 from dataclasses import dataclass, field
 
 FLOW = {"a1": 0.63, "a2": 0.37}
-BUTTONS = ("start_button", "acknowledge", "home_button")
+RELEASED = dict.fromkeys(("start_button", "acknowledge", "home_button"), False)
 
 
 @dataclass
@@ -23,11 +23,17 @@ class Piston:
     level: float = 0.0
     orders: list[tuple[int, float]] = field(default_factory=list)
 
+    def __post_init__(self) -> None:
+        self.ways = [
+            (valve, sign, [(f"{valve}_{k}", flow) for k, flow in FLOW.items()])
+            for valve, sign in ((self.out, 1.0), (self.back, -1.0))
+        ]
+
     def tell(self, on: set[str], now: int) -> None:
         level = 0.0
-        for valve, sign in ((self.out, 1.0), (self.back, -1.0)):
+        for valve, sign, flows in self.ways:
             if valve in on:
-                level += sign * sum(FLOW[k] for k in FLOW if f"{valve}_{k}" in on)
+                level += sign * sum([flow for name, flow in flows if name in on])
         if not self.orders or self.orders[-1][1] != level:
             self.orders.append((now + self.dead_us, level))
 
@@ -41,6 +47,11 @@ class Piston:
                 until = min(then, self.orders[0][0])
             self.at = min(max(self.at + self.level * self.speed * (until - now), 0.0), self.stroke)
             now = until
+
+    def fork(self) -> Piston:
+        twin = copy.copy(self)
+        twin.orders = self.orders.copy()
+        return twin
 
 
 class Cell:
@@ -62,14 +73,15 @@ class Cell:
             "x_is_left": x <= 6, "x_is_right": x >= 194, "z_is_up": z <= 6, "z_is_down": z >= 94,
             "letter_held": "venturi" in self.on,
         }  # fmt: skip
-        return true | self.stuck
+        true.update(self.stuck)
+        return true
 
     def advance(self, then: int) -> dict[str, bool]:
         """Go to ``then`` and return every input."""
         for piston in self.pistons.values():
             piston.advance(then, self.now)
         self.now = then
-        return dict.fromkeys(BUTTONS, False) | self.inputs | self.contacts()
+        return {**RELEASED, **self.inputs, **self.contacts()}
 
     def tell(self, outputs: dict[str, bool]) -> set[str]:
         self.on = {name for name, value in outputs.items() if value}
@@ -78,4 +90,7 @@ class Cell:
         return self.on
 
     def fork(self) -> Cell:
-        return copy.deepcopy(self)
+        twin = copy.copy(self)
+        twin.pistons = {name: piston.fork() for name, piston in self.pistons.items()}
+        twin.on, twin.stuck, twin.inputs = self.on.copy(), self.stuck.copy(), self.inputs.copy()
+        return twin

@@ -13,6 +13,7 @@ from tests.plc.parsed import parsed
 
 UNITS_US = {"hours": 3_600_000_000, "minutes": 60_000_000, "seconds": 1_000_000}
 UNITS_US |= {"milliseconds": 1000, "days": 86_400_000_000}
+DEFAULTS = {"BOOL": False, "INT": 0, "DINT": 0, "TIME": 0, "STRING": ""}
 PYTHON = {"AND": "and", "OR": "or", "=": "==", "<>": "!=", "NOT": "not ", "MOD": "%"}
 
 
@@ -23,6 +24,11 @@ class Declared:
     section: str
     address: str = ""
     initial: Any = None
+
+    @property
+    def first(self) -> Any:
+        """Its value before the first scan."""
+        return DEFAULTS[self.type] if self.initial is None else self.initial
 
 
 @dataclass
@@ -38,6 +44,14 @@ class Unit:
 
     def of(self, section: str) -> list[str]:
         return [n for n, d in self.declared.items() if d.section == section]
+
+    @property
+    def private(self) -> set[str]:
+        """The plain variables that nobody but this unit can write: none of a program's."""
+        if self.kind == "PROGRAM":
+            return set()
+        own = [self.declared[name] for name in self.of("VAR")]
+        return {d.name for d in own if d.type in DEFAULTS and not d.address}
 
 
 def name_of(node: Tree[Any]) -> str:
@@ -138,17 +152,22 @@ def constant(node: Tree[Any]) -> str:
     return str(int(next(t for t in tokens(inner) if t.type == "INTEGER")))
 
 
+def local(name: str) -> str:
+    """Return the Python name of a variable; it ends as no keyword does, and no name of ours."""
+    return f"{name}_"
+
+
 def expression(node: Any, used: set[str]) -> str:
     """Return the Python of an expression; names are collected in ``used``, fields with a dot."""
     if isinstance(node, Token):
         return PYTHON.get(str(node).upper(), str(node))
     if node.data == "variable_name":
         used.add(name_of(node))
-        return f"v[{name_of(node)!r}]"
+        return local(name_of(node))
     if node.data == "multi_element_variable":
         base, selector = node.children
         used.add(f"{name_of(base)}.{name_of(selector)}")
-        return f"v[{name_of(base)!r}].v[{name_of(selector)!r}]"
+        return f"{local(name_of(base))}.v[{name_of(selector)!r}]"
     if node.data == "constant":
         return constant(node)
     parts = [expression(c, used) for c in node.children if c is not None]
@@ -167,7 +186,7 @@ def statements(node: Tree[Any], used: set[str], assigned: list[str], depth: int)
             target = child.children[0]
             assigned.append(name_of(target))
             used.add(name_of(target))
-            yield f"{pad}v[{name_of(target)!r}] = {expression(child.children[-1], used)}"
+            yield f"{pad}{local(name_of(target))} = {expression(child.children[-1], used)}"
         elif child.data == "function_call_statement":
             yield pad + call(next(child.find_data("function_call")), used)
         elif child.data == "if_statement":
@@ -188,7 +207,7 @@ def call(node: Tree[Any], used: set[str]) -> str:
         pin = name_of(parameter.children[0])
         used.add(f"{instance}.{pin}")
         arguments.append(f"{pin!r}: {expression(parameter.children[-1], used)}")
-    return f"v[{instance!r}].call({{{', '.join(arguments)}}}, now)"
+    return f"{local(instance)}.call({{{', '.join(arguments)}}}, now)"
 
 
 def conditional(node: Tree[Any], used: set[str], assigned: list[str], depth: int) -> Iterator[str]:
@@ -218,11 +237,24 @@ class Code:
 
 
 def code_of(unit: Unit) -> Code:
+    """Return ``unit`` as a function: it takes its variables once, and gives back what it changes.
+
+    Nobody else sees them meanwhile. What nobody ever writes is a global of the function.
+    """
     used: set[str] = set()
     assigned: list[str] = []
     assert unit.body is not None
-    lines = ["def run(v, now):", *statements(unit.body, used, assigned, 1)]
-    scope: dict[str, Any] = {}
+    body = list(statements(unit.body, used, assigned, 1))
+    written = dict.fromkeys(assigned)
+    fixed = unit.private - written.keys()
+    taken = sorted(name for name in used - fixed if "." not in name)
+    lines = [
+        "def run(v, now):",
+        *(f"  {local(name)} = v[{name!r}]" for name in taken),
+        *body,
+        *(f"  v[{name!r}] = {local(name)}" for name in written),
+    ]
+    scope: dict[str, Any] = {local(name): unit.declared[name].first for name in fixed}
     exec("\n".join(lines), scope)
     return Code(scope["run"], used, assigned, lines)
 
