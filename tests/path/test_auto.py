@@ -28,13 +28,16 @@ def pieces(path):
 
 def gap_to_polyline(points, vertices):
     """Distance of each point to the nearest chord: brute force, all against all."""
-    best = np.full(len(points), np.inf)
+    columns = np.ascontiguousarray(np.transpose(points))
+    squares = np.full(len(points), np.inf)
     for a, b in pairwise(vertices):
-        square = (b - a) @ (b - a)
-        t = np.clip((points - a) @ (b - a) / square, 0, 1) if square > 0 else 0.0
-        near = a + np.multiply.outer(t, b - a)
-        best = np.minimum(best, np.linalg.norm(points - near, axis=1))
-    return best
+        way, away = b - a, columns - a[:, None]
+        square = way @ way
+        if square > 0:
+            away -= np.multiply.outer(way, (way @ away / square).clip(0.0, 1.0))
+        away *= away
+        np.minimum(squares, away.sum(axis=0), out=squares)
+    return np.sqrt(squares)
 
 
 def sampled(path, count):

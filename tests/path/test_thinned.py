@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.path.test_auto import gap_to_polyline
 from threadline.path.auto import auto_pieces
 from threadline.path.polygon import turns
 from threadline.path.runs import runs
@@ -83,16 +84,6 @@ def noisy(count, beside_m, axes=2, seed=0, step_m=1e-4, radius=0.02):
     return curve + np.random.default_rng(seed).uniform(-beside_m, beside_m, curve.shape)
 
 
-def nearest(points, line):
-    """Distance of each point from the nearest chord, brute force."""
-    best = np.full(len(points), np.inf)
-    for a, b in pairwise(line):
-        square = (b - a) @ (b - a)
-        t = np.clip((points - a) @ (b - a) / square, 0, 1) if square > 0 else 0.0
-        best = np.minimum(best, np.linalg.norm(points - (a + np.multiply.outer(t, b - a)), axis=1))
-    return best
-
-
 @st.composite
 def rough_lines(draw):
     """Noise on curves, random walks, zigzags and reversals, in one to six axes, of any size."""
@@ -139,7 +130,11 @@ def test_chords_stay_within_what_they_say_and_their_share(points, block):
     assert np.array_equal(found["positions"][[0, -1]], read[[0, -1]])
     rounding = 1e-14 * np.abs(points).max() + 2e-10
     if np.abs(np.diff(points, axis=0)).max() < 1e-2:
-        worst = nearest(points, found["positions"]).max() if len(found["positions"]) > 1 else 0.0
+        worst = (
+            gap_to_polyline(points, found["positions"]).max()
+            if len(found["positions"]) > 1
+            else 0.0
+        )
         assert worst <= found["beside_m"].max() + rounding
 
 
@@ -164,8 +159,8 @@ def test_the_spline_stays_within_the_tolerance_of_rough_points(beside_m, degree)
     c = np.concatenate([block.coefficients for block in blocks])
     u = np.linspace(0.0, 1.0, 100_000 // len(c) + 1)
     places = (u[:, None] ** np.arange(degree + 1) @ c).reshape(-1, 3)
-    assert nearest(places, points).max() <= CUT_M
-    assert nearest(points, places[::20]).max() <= CUT_M * 1.001
+    assert gap_to_polyline(places, points).max() <= CUT_M
+    assert gap_to_polyline(points, places[::20]).max() <= CUT_M * 1.001
     assert len(c) < 100
 
 
