@@ -149,8 +149,10 @@ class _Builder:
         )
 
     def _value(self, path: str, quantity: Quantity | None) -> FloatArray:
-        value = self.values.at(path, quantity)
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), (self.count,)).copy()
+        # A machine has a hundred numbers, and ``np.broadcast_to`` takes as long as ten of these.
+        found = np.empty(self.count)
+        found[:] = self.values.at(path, quantity)
+        return found
 
     def _stack(self, rows: list[FloatArray]) -> FloatArray:
         return np.stack(rows, axis=1) if rows else np.zeros((self.count, 0, self.size))

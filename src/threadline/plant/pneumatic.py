@@ -11,6 +11,7 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.boundaries import DOUBLE, size_of, swinging
 from threadline.plant.cylinders import cylinder_equations, network_of
+from threadline.recent import Recent
 
 
 def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
@@ -48,6 +49,14 @@ class StepRinging:
     amplitude_m: complex
 
 
+def _alike(one: tuple[Machine, str], other: tuple[Machine, str]) -> bool:
+    return one[0] is other[0] and one[1] == other[1]
+
+
+# Each run that a cycle is judged by asks for those of the machine that it was planned for.
+_RECENT: Recent[tuple[Machine, str], StepRinging] = Recent(8, _alike)
+
+
 def step_ringing(machine: Machine, axis: str) -> StepRinging:
     """Return the ringing after a step of the level, by the eigenvectors of the sliding cylinder.
 
@@ -59,6 +68,10 @@ def step_ringing(machine: Machine, axis: str) -> StepRinging:
         If the network has no mode that rings, or one so slow beside other rates that rounding
         hides it.
     """
+    return _RECENT.of((machine, axis), lambda: _step_ringing(machine, axis))
+
+
+def _step_ringing(machine: Machine, axis: str) -> StepRinging:
     plant = cylinder_equations(machine, axis)
     matrix = plant.sliding()[0]
     poles, modes = np.linalg.eig(matrix)
