@@ -66,7 +66,8 @@ def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
         If the number of dimensions differs or a value is not a whole number.
     """
     source = np.asarray(values)
-    if source.size and not np.issubdtype(source.dtype, np.integer):
+    whole = source.dtype.kind in "iu" or np.issubdtype(source.dtype, np.integer)
+    if source.size and not whole:
         raise ValueError(f"{name} must hold whole numbers, got {source.dtype}")
     array = _taken(source, np.int64)
     _check_ndim(array.ndim, name, ndim)

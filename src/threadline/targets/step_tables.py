@@ -68,18 +68,23 @@ def step_tables(
     ticks = np.rint(_due(law, steps_per_unit, longest_units) * float(ratio)).astype(np.int64)
     last = ratio.numerator // ratio.denominator
     ticks = np.minimum(ticks, last)
-    tables = []
-    for units, (begin, end) in enumerate(zip(begins.tolist(), ends.tolist(), strict=True), start=1):
-        intervals = np.diff(ticks[begin:end], prepend=0)
-        if not bool(np.all(intervals > 0)):
-            step = int(np.argmin(intervals))
-            raise PlanError(
-                f"step tables: in a move of {units} units steps {step} and {step + 1} fall into "
-                f"one period of the timer of {float(timer_s) * 1e6:g} us",
-                remedy="Take a longer window, a finer timer or a coarser step.",
-            )
-        tables.append(StepTable(units=units, intervals=intervals))
-    return tuple(tables)
+    # Of all tables at once: a design has a hundred and more, and a search cuts them at each speed.
+    intervals = np.diff(ticks, prepend=0)
+    intervals[begins] = ticks[begins]
+    if intervals.min() < 1:
+        units = int(np.searchsorted(ends, int(np.argmax(intervals < 1)), side="right")) + 1
+        step = int(np.argmin(intervals[begins[units - 1] : ends[units - 1]]))
+        raise PlanError(
+            f"step tables: in a move of {units} units steps {step} and {step + 1} fall into "
+            f"one period of the timer of {float(timer_s) * 1e6:g} us",
+            remedy="Take a longer window, a finer timer or a coarser step.",
+        )
+    intervals.flags.writeable = False
+    parts = zip(begins.tolist(), ends.tolist(), strict=True)
+    return tuple(
+        StepTable(units=units, intervals=intervals[begin:end])
+        for units, (begin, end) in enumerate(parts, start=1)
+    )
 
 
 @lru_cache(maxsize=4)

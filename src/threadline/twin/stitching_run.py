@@ -10,6 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.signals import StepPlay, StepTable, StitchBlock
+from threadline.signals.step_play import one_behind_the_other
 from threadline.twin.stitching_machine import Driven
 
 
@@ -37,9 +38,12 @@ class Library:
 @lru_cache(maxsize=1)
 def _joined(tables: tuple[StepTable, ...]) -> Library:
     """Return the tables one behind the other; a proof plays the same ones in all of its runs."""
+    intervals, begins = one_behind_the_other(tables)
+    times = np.cumsum(intervals)
+    before = np.concatenate(([0], times[begins[1:] - 1]))
     return Library(
-        times=np.concatenate([table.times for table in tables]),
-        begins=np.concatenate(([0], np.cumsum([len(table) for table in tables]))).astype(np.int64),
+        times=times - np.repeat(before, np.diff(begins, append=len(times))),
+        begins=np.append(begins, len(times)),
     )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
 from threadline.plan import Plan
+from threadline.signals.step_play import one_behind_the_other
 from threadline.targets.stitched import Stitched
 from threadline.verdict.demands import SLACK
 from threadline.verdict.finding import Finding
@@ -71,7 +72,7 @@ def window_uses(stitched: Stitched) -> FloatArray:
 def step_rates_hz(stitched: Stitched, column: int) -> FloatArray:
     """Return (n,) highest rate of steps of an axis in each turn, Hz; 0 where it stands."""
     commands, turns = stitched.commands, stitched.turns
-    shortest = np.array([t.intervals.min() for t in commands.library], dtype=np.float64)
+    shortest = np.minimum.reduceat(*one_behind_the_other(commands.library)).astype(np.float64)
     tick_s = np.full(len(turns), float(commands.clock.period_s))
     if commands.counted_by == "angle":
         tick_s *= turns.window / commands.window_angle
