@@ -18,12 +18,13 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, ThreadlineError
 from threadline.twin.kernel.layout import Layout, aligned
-from threadline.twin.kernel.names import Field, Row
+from threadline.twin.kernel.names import Field
 from threadline.twin.kernel.tables import NET_GUARD, PlantTables
 
 _PER_RATE = 0.25
 _REMAINDER = 1e-18
 _MOST_BYTES = 1 << 31
+_FEW = 64  # variants: what is done for all rows of a matrix at once takes little memory
 _OF_VARIANTS = (
     "base", "direction", "law", "held_at", "net_scale", "guard_row", "guard_low", "guard_high",
 )  # fmt: skip
@@ -32,10 +33,15 @@ _OF_VARIANTS = (
 def _product(A: FloatArray, B: FloatArray) -> FloatArray:
     """Return A[i, k] B[k, j] summed over k in order; the variants are the last index of both."""
     found = np.zeros((A.shape[0], *B.shape[1:]))
-    for i in range(A.shape[0]):
-        for k in range(A.shape[1]):
-            if A[i, k].any():
-                found[i] += A[i, k] * B[k]
+    there = np.any(A, axis=2)
+    if A.shape[2] > _FEW:
+        for i, k in zip(*np.nonzero(there), strict=True):
+            found[i] += A[i, k] * B[k]
+        return found
+    for k in range(A.shape[1]):
+        # Of few variants a call takes longer than its sums: all rows at once, the same sums.
+        rows = np.flatnonzero(there[:, k])
+        found[rows] += A[rows, k, None] * B[k]
     return found
 
 
@@ -122,6 +128,7 @@ class ModeTables:
         self.tables = np.zeros(count, dtype=np.uint64)
         self.plans = np.zeros(count, dtype=np.uint64)
         self.guards = len(layout.shape.guards)
+        self._lying = _lying(layout)
         self.kept: dict[int, tuple[FloatArray, IntArray]] = {}
         self.failure: ThreadlineError | None = None
         self._lock = Lock()
@@ -169,38 +176,58 @@ class ModeTables:
         for e, m in enumerate(choice):
             if plant.holds[e, m] >= 0:
                 generator[plant.holds[e, m]] = 0.0
-        rows: dict[Row, FloatArray] = {}
-        for w in range(W):
-            rows[Field.LOW, w], rows[Field.HIGH, w] = bounds[w]
-        _put(rows, Field.GUARD, guard)
-        for d, e in enumerate(plant.drive_element):
-            for j, values in enumerate(plant.law[e, choice[e]]):
-                rows[Field.CURRENT, d, j] = values
-        _put(rows, Field.MATRIX, generator)
         table = np.zeros((self.layout.table_rows, self.lanes))
-        self._place(table, rows, 0)
+        self._put(table, Field.LOW, bounds[:, 0])
+        self._put(table, Field.HIGH, bounds[:, 1])
+        self._put(table, Field.GUARD, guard)
+        for d, e in enumerate(plant.drive_element):
+            self._put(table, Field.CURRENT, plant.law[e, choice[e]], of=d)
+        self._put(table, Field.MATRIX, generator)
         propagators = Propagators(generator, self.rate)
         n = len(generator)
         rate = _product(guard[:, :n], generator) if W else guard
         for x, time_s in enumerate(self.lengths_s):
-            rows = {}
+            own = table[x * self.layout.per_length :]
             step = propagators.over(time_s)
-            _put(rows, Field.STEP, step)
+            self._put(own, Field.STEP, step)
             # Of a guard, a third of what its rate makes in that time: to its inner Bezier points.
-            _put(rows, Field.THIRD, rate * (time_s / 3.0))
+            self._put(own, Field.THIRD, rate * (time_s / 3.0))
             if self.layout.shape.nearness():
-                _put_near(rows, bounds, (guard, rate * (time_s / 3.0)), step)
-            self._place(table, rows, x * self.layout.per_length)
+                self._put_near(own, bounds, (guard, rate * (time_s / 3.0)), step)
         table[self.layout.of_mode :] = held_values.reshape(2 * W, self.lanes)
         groups = table.reshape(len(table), -1, self.layout.shape.width)
         found = aligned((groups.shape[1], len(table), groups.shape[2]))
         found[:] = groups.transpose(1, 0, 2)
         return found, plan
 
-    def _place(self, table: FloatArray, rows: dict[Row, FloatArray], offset: int) -> None:
-        for row, at in self.layout.row.items():
-            if row in rows:
-                table[at - self.layout.fixed + offset] = rows[row]
+    def _put(
+        self, table: FloatArray, field: Field, values: FloatArray, *, of: int | None = None
+    ) -> None:
+        """Write the (..., V) values of a field into its rows; ``of``: those of one of its parts."""
+        if (field, of) in self._lying:
+            rows, places = self._lying[field, of]
+            table[rows] = values[places]
+
+    def _put_near(
+        self,
+        table: FloatArray,
+        bounds: FloatArray,
+        guard: tuple[FloatArray, FloatArray],
+        step: FloatArray,
+    ) -> None:
+        """Write the range of a guard's Bezier points, which ``Lanes.may_be_near`` takes."""
+        n, (row, third) = len(step), guard
+        points = [row, row + third]
+        for before in (row - third, row):
+            after = _product(before[:, :n], step)
+            after[:, n:] += before[:, n:]
+            points.append(after)
+        most, least = np.maximum.reduce(points), np.minimum.reduce(points)
+        middle, spread = 0.5 * (most + least), 0.5 * (most - least)
+        self._put(table, Field.MIDDLE, middle)
+        self._put(table, Field.SPREAD, spread)
+        self._put(table, Field.NEAR_LOW, bounds[:, 0] - middle[:, -1] + spread[:, -1])
+        self._put(table, Field.NEAR_HIGH, bounds[:, 1] - middle[:, -1] - spread[:, -1])
 
     def _guards(
         self, mode: int, choice: list[int], generator: FloatArray
@@ -247,29 +274,17 @@ class ModeTables:
         return rows, bounds, values, plan
 
 
-def _put_near(
-    rows: dict[Row, FloatArray],
-    bounds: FloatArray,
-    guard: tuple[FloatArray, FloatArray],
-    step: FloatArray,
-) -> None:
-    """Add what ``Lanes.may_be_near`` takes: the range of the rows of a guard's Bezier points."""
-    n, (row, third) = len(step), guard
-    points = [row, row + third]
-    for before in (row - third, row):
-        after = _product(before[:, :n], step)
-        after[:, n:] += before[:, n:]
-        points.append(after)
-    most, least = np.maximum.reduce(points), np.minimum.reduce(points)
-    middle, spread = 0.5 * (most + least), 0.5 * (most - least)
-    _put(rows, Field.MIDDLE, middle)
-    _put(rows, Field.SPREAD, spread)
-    for w in range(len(row)):
-        rows[Field.NEAR_LOW, w] = bounds[w, 0] - middle[w, -1] + spread[w, -1]
-        rows[Field.NEAR_HIGH, w] = bounds[w, 1] - middle[w, -1] - spread[w, -1]
+def _lying(
+    layout: Layout,
+) -> dict[tuple[Field, int | None], tuple[IntArray, tuple[IntArray, ...]]]:
+    """Return the rows of a mode's table that each field has, and the place of each in the field.
 
-
-def _put(rows: dict[Row, FloatArray], field: Field, values: FloatArray) -> None:
-    for i, row in enumerate(values):
-        for j, numbers in enumerate(row):
-            rows[field, i, j] = numbers
+    Currents are told by their drives, and have a place in those.
+    """
+    found: dict[tuple[Field, int | None], list[tuple[int, ...]]] = {}
+    for (field, *place), row in layout.row.items():
+        if row >= layout.fixed:
+            of = place.pop(0) if field is Field.CURRENT else None
+            found.setdefault((field, of), []).append((row - layout.fixed, *place))
+    columns = {key: np.array(rows, dtype=np.int64).T for key, rows in found.items()}
+    return {key: (rows[0], tuple(rows[1:])) for key, rows in columns.items()}

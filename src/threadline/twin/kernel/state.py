@@ -292,7 +292,7 @@ def _begun(
     uniform = tuple(
         row
         for row, values in numbers.items()
-        if width > 1 and row[0] not in (Field.LOWEST, Field.HIGHEST) and (values == values[0]).all()
+        if width > 1 and row[0] not in (Field.LOWEST, Field.HIGHEST) and _alike(values)
     )
     shape = piece.shape(lanes, width, peak=peak, quantised=quantised, uniform=uniform)
     modes = piece.kept.get(shape)
@@ -303,11 +303,15 @@ def _begun(
     work = aligned((len(which) // width, layout.stride, width))
     for row, values in numbers.items():
         if row in layout.row:
-            full = np.broadcast_to(values, (piece.equations.variants,))[which]
-            work[:, layout[row]] = full.reshape(-1, width)
+            at = layout[row]
+            work[:, at] = values[0] if len(values) == 1 else values[which].reshape(-1, width)
     table = modes.meet(0)
     work[:, layout.fixed : layout.fixed + layout.copied] = table[:, : layout.copied]
     return modes, work
+
+
+def _alike(values: FloatArray) -> bool:
+    return len(values) == 1 or bool((values == values[0]).all())
 
 
 def _standing(piece: Piece, phases: FloatArray) -> dict[Row, FloatArray]:
