@@ -58,9 +58,11 @@ class ArcTable:
         The length at the parameter is exact to 1e-12 m or to the rounding of the parameter. Lengths
         outside the curve are clamped.
         """
-        wanted = np.clip(np.asarray(length_m, dtype=np.float64), 0.0, self.length_m)
+        # Of a few lengths np.clip takes three times as long as both its halves.
+        wanted = np.maximum(np.asarray(length_m, dtype=np.float64), 0.0)
+        wanted = np.minimum(wanted, self.length_m)
         span = np.searchsorted(self.begin_m, wanted, side="right") - 1
-        span = np.clip(span, 0, len(self.piece) - 1)
+        span = np.minimum(np.maximum(span, 0), len(self.piece) - 1)
         p = self.pieces
         u = invert(
             (p.top, p.bottom, p.begin_rad, p.sweep_rad),

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from math import prod
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -77,11 +78,12 @@ class Pieces:
         tuple of FloatArray
             ``derivative + 1`` arrays (m, 2), m.
         """
-        result = [np.empty((len(piece), 2)) for _ in range(derivative + 1)]
         trig = self.sweep_rad[piece] != 0.0
-        if trig.any():
-            for out, part in zip(result, self._arc(piece[trig], u[trig]), strict=False):
-                out[trig] = part
+        if not trig.any():
+            return tuple(self._polynomial(piece, u, derivative))
+        result = [np.empty((len(piece), 2)) for _ in range(derivative + 1)]
+        for out, part in zip(result, self._arc(piece[trig], u[trig]), strict=False):
+            out[trig] = part
         if not trig.all():
             plain = ~trig
             parts = self._polynomial(piece[plain], u[plain], derivative)
@@ -194,7 +196,7 @@ def _horner(coefficients: FloatArray, u: FloatArray, derivative: int) -> FloatAr
     order = coefficients.shape[1]
     value = np.zeros((len(coefficients), coefficients.shape[2]))
     for k in range(order - 1, derivative - 1, -1):
-        factor = float(np.prod(np.arange(k - derivative + 1, k + 1)))
+        factor = float(prod(range(k - derivative + 1, k + 1)))
         value = value * u + factor * coefficients[:, k]
     return value
 

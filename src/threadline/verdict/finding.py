@@ -76,6 +76,8 @@ class Finding:
         """
         if self.value != 0.0 or self.step:
             return self
+        if (self.time_s, self.operation, self.job_line, self.position) == (None,) * 4:
+            return self
         return replace(self, time_s=None, operation=None, job_line=None, position=None)
 
 

@@ -27,7 +27,8 @@ def with_passes(results: Sequence[Result], job: Job) -> Iterator[Result]:
             for step in (0, -1, 1):
                 line, passes = found.get(result.operation + step, (0, ()))
                 if line == result.job_line:
-                    result = replace(result, passes=passes)  # noqa: PLW2901
+                    if passes != result.passes:
+                        result = replace(result, passes=passes)  # noqa: PLW2901
                     break
         yield result
 
