@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.long_turns import LONG_S, ask_for_turns
+
 # As the program has it (cli/start.py): on small matrices threads of OpenBLAS wait for each other
 # longer than they work, on a loaded machine a thousand times as long. Read when numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -72,6 +74,17 @@ def pytest_collection(session: pytest.Session) -> None:
         # What cannot be imported, or is skipped as a whole, is told where it is collected.
         with suppress(Exception, pytest.skip.Exception):
             importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Give tests that compute long turns on their core, which four workers share by twos.
+
+    With the usual turns of some milliseconds they take a fifth more of the processor, for caches
+    that others have filled. Tests at live machines have short turns, which come between.
+    """
+    live = _waits(item) or item.nodeid.startswith("tests/panel/")
+    ask_for_turns(0.0 if live else LONG_S)
 
 
 @pytest.hookimpl(trylast=True)

@@ -1,0 +1,37 @@
+"""Longer turns on a core for tests that compute: those that share it come back to cold caches."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import struct
+import sys
+from contextlib import suppress
+
+_CALL = {"x86_64": 314, "aarch64": 274}.get(platform.machine())
+"""Number of Linux's call ``sched_setattr``; a kernel since 6.12 heeds the turn that it asks for."""
+_SIZE, _USUAL_POLICY, _NOT_FOR_CHILDREN = 48, 0, 1
+LONG_S = 0.04
+
+
+def ask_for_turns(seconds: float) -> bool:
+    """Have the calling thread run so long before another has its turn, and say whether it may.
+
+    Of the core each process gets what it got, and one that was asleep and has short turns still
+    comes between. Processes and threads that are started have the usual turns.
+
+    Parameters
+    ----------
+    seconds
+        0 for the usual turns, some milliseconds.
+    """
+    if sys.platform != "linux" or _CALL is None:
+        return False
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    asked = struct.pack(
+        "=IIQiIQQQ", _SIZE, _USUAL_POLICY, _NOT_FOR_CHILDREN, nice, 0, round(seconds * 1e9), 0, 0
+    )
+    with suppress(OSError, AttributeError):
+        return bool(ctypes.CDLL(None).syscall(_CALL, 0, asked, 0) == 0)
+    return False

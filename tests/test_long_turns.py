@@ -1,0 +1,37 @@
+"""Long turns are asked for as Linux reads them, and are not for processes that are started."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from tests.long_turns import LONG_S, ask_for_turns
+
+
+def slice_ms(process: int | str) -> float:
+    """Return the turn of a process as Linux tells it, ms."""
+    lines = Path(f"/proc/{process}/sched").read_text(encoding="ascii").splitlines()
+    return float(next(line for line in lines if line.startswith("se.slice")).split(":")[1]) * 1e-6
+
+
+def test_a_turn_is_asked_for_and_given_back() -> None:
+    told = Path("/proc/self/sched")
+    if not told.exists() or "se.slice" not in told.read_text(encoding="ascii"):
+        return  # another system, or a Linux that gives all the same turns
+    try:
+        assert ask_for_turns(LONG_S)
+        assert slice_ms("self") == pytest.approx(1e3 * LONG_S)
+        child = os.fork()
+        if child == 0:
+            os._exit(int(slice_ms("self") < 1e3 * LONG_S))
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
+    finally:
+        assert ask_for_turns(0.0)
+    assert slice_ms("self") < 1e3 * LONG_S
+
+
+def test_other_systems_are_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.long_turns._CALL", None)
+    assert not ask_for_turns(LONG_S)
