@@ -80,8 +80,9 @@ def pytest_collection(session: pytest.Session) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Give tests that compute long turns on their core, which four workers share by twos.
 
-    With the usual turns of some milliseconds they take a fifth more of the processor, for caches
-    that others have filled. Tests at live machines have short turns, which come between.
+    Four processes that prove the winder's program take a fifth more of the processor with the usual
+    turns of 1.4 ms, for caches that others have filled. Tests at live machines have short turns,
+    which come between.
     """
     live = _waits(item) or item.nodeid.startswith("tests/panel/")
     ask_for_turns(0.0 if live else LONG_S)

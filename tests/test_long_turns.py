@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,9 @@ def slice_ms(process: int | str) -> float:
 def test_a_turn_is_asked_for_and_given_back() -> None:
     told = Path("/proc/self/sched")
     if not told.exists() or "se.slice" not in told.read_text(encoding="ascii"):
-        return  # another system, or a Linux that gives all the same turns
+        return  # another system
+    if tuple(int(part) for part in platform.release().split(".")[:2]) < (6, 12):
+        return  # a Linux that gives all the same turns
     try:
         assert ask_for_turns(LONG_S)
         assert slice_ms("self") == pytest.approx(1e3 * LONG_S)
