@@ -13,6 +13,7 @@ _CALL = {"x86_64": 314, "aarch64": 274}.get(platform.machine())
 """Number of Linux's call ``sched_setattr``; a kernel since 6.12 heeds the turn that it asks for."""
 _SIZE, _USUAL_POLICY, _NOT_FOR_CHILDREN = 48, 0, 1
 LONG_S = 0.04
+"""The turn of a test that computes, s."""
 
 
 def ask_for_turns(seconds: float) -> bool:

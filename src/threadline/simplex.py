@@ -36,8 +36,8 @@ def solved(
     Parameters
     ----------
     seconds
-        How long the solver may take. A degenerate program can keep the simplex method for minutes;
-        then the interior-point method gets as long.
+        How long the solver may take, each time that it is asked. A degenerate program can keep the
+        simplex method for minutes; then the interior-point method gets as long.
 
     Returns
     -------

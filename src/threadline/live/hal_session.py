@@ -21,12 +21,7 @@ from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError, OptionError
-from threadline.live.hal_fifo import (
-    SAMPLER_KEY,
-    STREAMER_KEY,
-    HalFifo,
-    remove_left,
-)
+from threadline.live.hal_fifo import SAMPLER_KEY, STREAMER_KEY, HalFifo, remove_left
 from threadline.machine import Machine
 from threadline.plant.closed_loop import answers_of
 

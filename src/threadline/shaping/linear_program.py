@@ -40,7 +40,7 @@ def minimise(
     Parameters
     ----------
     seconds
-        How long the solver may take, in each of two ways.
+        How long the solver may take, each time that it is asked.
 
     Raises
     ------
