@@ -66,8 +66,7 @@ def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
         If the number of dimensions differs or a value is not a whole number.
     """
     source = np.asarray(values)
-    whole = source.dtype.kind in "iu" or np.issubdtype(source.dtype, np.integer)
-    if source.size and not whole:
+    if source.size and source.dtype.kind not in "iu":
         raise ValueError(f"{name} must hold whole numbers, got {source.dtype}")
     array = _taken(source, np.int64)
     _check_ndim(array.ndim, name, ndim)

@@ -156,12 +156,12 @@ def shaper(
         raise OptionError(
             f"--band {said_band:g} says nothing of the kind {kind}"
             if own_band is None
-            else f"the band of a --mode, {own_band:.0%}, says nothing of the kind {kind}",
+            else f"the band of a --mode, {own_band * 100:.4g}%, says nothing of the kind {kind}",
             remedy="Add --tick or --move, or choose --kind si or um-si.",
         )
     if band is None and kind in BANDED:
         band = _SI_BAND
-    bands, tolerances = bands_of(asked, band), tolerances_of(asked, tolerance)
+    bands, tolerances = bands_of(asked, band or 0.0), tolerances_of(asked, tolerance)
     if klipper and len(modes) > 1:
         of_one_train = (tick, move, acceleration, report)
         shape_two_axes(kind, asked, tolerances, bands, of_one_train, json)
@@ -184,7 +184,13 @@ def shaper(
             max_impulses=max_impulses,
             amplitudes_free=free,
         )
-        realised = realise(made, modes, limits, relative=bands, tolerance=tolerances)
+        realised = realise(
+            made,
+            modes,
+            limits,
+            relative=[band if one.band is None else one.band for one in asked],
+            tolerance=tolerances,
+        )
         made = realised.shaper
         refuse_worse_than_none(made, modes)
     asked_of = tuple(zip(modes, bands, tolerances, strict=True))
@@ -201,7 +207,7 @@ def shaper(
             studied = study_move(
                 made_for,
                 made,
-                relative=tuple(one or _SI_BAND for one in bands),
+                relative=bands_of(asked, _SI_BAND if band is None else band),
                 tolerance=_STILL if still is None else still,
                 tick_s=tick_s,
                 dwell_s=0.0 if dwell is None else parse_number("--dwell", dwell, "s", "20 ms"),

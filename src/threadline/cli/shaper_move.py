@@ -53,10 +53,10 @@ def study_tables(study: MoveStudy) -> list[Table]:
         [name, f"{took:.6f}", f"{took / best:.3f}", f"{took / robust:.3f}", _percent(worst)]
         for name, took, worst in timed
     ]
-    bands = dict.fromkeys(f"+-{half:.0%}" for half in study.relative)
+    bands = dict.fromkeys(f"+-{half * 100:.4g}%" for half in study.relative)
     band = next(iter(bands)) if len(bands) == 1 else "its band"
     asked = dict.fromkeys(
-        f"{most:.3g} of a step over +-{half:.0%}"
+        f"{most:.3g} of a step over +-{half * 100:.4g}%"
         for most, half in zip(study.tolerance, study.relative, strict=True)
     )
     title = (

@@ -142,9 +142,9 @@ def _refuse_overlaps(asked: Sequence[Asked]) -> None:
             )
 
 
-def bands_of(asked: Sequence[Asked], band: float | None) -> tuple[float, ...]:
-    """Return the half width of every mode's band: that of the mode, else ``band``, else 0."""
-    return tuple((band or 0.0) if one.band is None else one.band for one in asked)
+def bands_of(asked: Sequence[Asked], band: float) -> tuple[float, ...]:
+    """Return the half width of every mode's band: that of the mode, else ``band``."""
+    return tuple(band if one.band is None else one.band for one in asked)
 
 
 def tolerances_of(asked: Sequence[Asked], tolerance: float) -> tuple[float, ...]:
@@ -182,8 +182,9 @@ def missed(made: Shaper, asked: Sequence[tuple[FlexibleMode, float, float]]) -> 
         if left[worst] > tolerance * _ROUNDED:
             yield (
                 f"shaper {made.name!r} leaves {left[worst] * 100:.3g} % at "
-                f"{mode.frequency_hz * parts[worst]:.4g} Hz, within the band of +-{band:.0%} about "
-                f"{mode.frequency_hz:g} Hz, more than the {tolerance * 100:.3g} % that were asked"
+                f"{mode.frequency_hz * parts[worst]:.4g} Hz, within the band of "
+                f"+-{band * 100:.4g}% about {mode.frequency_hz:g} Hz, more than the "
+                f"{tolerance * 100:.3g} % that were asked"
             )
 
 

@@ -139,7 +139,7 @@ def realise(
     modes: Sequence[FlexibleMode],
     limits: ControllerLimits,
     *,
-    relative: float | Sequence[float] = 0.0,
+    relative: float | Sequence[float | None] | None = None,
     tolerance: float | Sequence[float] = DEFAULT_TOLERANCE,
 ) -> Realised:
     """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
@@ -159,7 +159,8 @@ def realise(
         The controller's.
     relative
         Half width of the band of frequency that counts, in [0, 1), one for all modes or one each;
-        0 for the band in which the designed train stays within the tolerance.
+        0 for the frequency alone, None for the band in which the designed train stays within the
+        tolerance.
     tolerance
         Of the band, in (0, 1); likewise.
 
@@ -175,7 +176,8 @@ def realise(
     _check_times(shaper, modes, limits)
     amplitudes, times = _thinned(shaper, limits)
     gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
-    asked = zip(modes, _each(relative, modes), _each(tolerance, modes), strict=True)
+    halves = relative if isinstance(relative, Sequence) else (relative,) * len(modes)
+    asked = zip(modes, halves, _each(tolerance, modes), strict=True)
     bands = [_band(shaper, *one) for one in asked]
     exact = times / limits.tick_s
     nearest = _merged(amplitudes, np.rint(exact).astype(np.int64), gap)
@@ -225,8 +227,8 @@ def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: Controll
         )
 
 
-def _band(shaper: Shaper, mode: FlexibleMode, relative: float, tolerance: float) -> Band:
-    if relative:
+def _band(shaper: Shaper, mode: FlexibleMode, relative: float | None, tolerance: float) -> Band:
+    if relative is not None:
         f = mode.frequency_hz
         return Band(mode, f * (1.0 - relative), f * (1.0 + relative), tolerance)
     own = insensitivity(shaper, mode, tolerance)

@@ -42,7 +42,7 @@ class AxisShaping:
     modes
         What the train is judged by when it is moved onto the scan; the worst counts.
     relative
-        Half width of the band of frequency that counts then; 0 for the band in which the exact
+        Half width of the band of frequency that counts then; None for the band in which the exact
         train stays within the tolerance.
     tolerance
         Of that band.
@@ -50,7 +50,7 @@ class AxisShaping:
 
     shaper: Shaper
     modes: tuple[FlexibleMode, ...]
-    relative: float = 0.0
+    relative: float | None = None
     tolerance: float = DEFAULT_TOLERANCE
 
 

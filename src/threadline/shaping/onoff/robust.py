@@ -181,7 +181,7 @@ def robust_optimum(
     else:
         raise ShaperError(
             f"robust move: no command within {high:.4g} s keeps the ringing below {most:g} over "
-            f"{max(per_mode(relative, move.modes)):.0%} of the frequency",
+            f"{max(per_mode(relative, move.modes)) * 100:.4g}% of the frequency",
             remedy="Narrow the band or allow more ringing.",
         )
     duration = float(brentq(missing, low, high, xtol=2e-6, rtol=2e-6))
