@@ -1,4 +1,4 @@
-"""The shortest cycle of the letter placer, and the closed form that leads to it."""
+"""The shortest cycle of the letter placer, as the command finds it and proves it again."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from tests.search.test_switched_commands import SCAN_S
 
 from threadline.cli import fastest_cycle as of_command
 from threadline.cli.main import main
@@ -19,20 +19,15 @@ from threadline.jobs.operations import Move
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, plan_job, prove, prove_plan, write
+from threadline.pipeline import NOMINAL, plan_job, prove, prove_plan
 from threadline.search import mismatch
 from threadline.search.cycle import FastestCycle, fastest_cycle
-from threadline.search.levels import gapped, left_ringing, stepped, time_optimal_s
 from threadline.search.move_list import move_list, overlapped
 from threadline.targets.schedule import Scheduled
-from threadline.targets.schedule_moves import AT_ONCE
-from threadline.verdict import Spec, Status, load_spec
+from threadline.verdict import Spec, load_spec
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
 PLACER = "letter-placer+whole-scans+own-damping"
-SCAN_S = 0.01
-POLE = -0.15 + 18.3j
-TURN = complex(np.exp(POLE * SCAN_S))
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, str]:
@@ -40,90 +35,6 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[int, str, s
         main([str(word) for word in words])
     out, err = capsys.readouterr()
     return int(ended.value.code or 0), out, err
-
-
-def integrated(ticks: tuple[int, ...], levels: tuple[float, ...]) -> float:
-    """Return the amplitude behind a command by DOP853, over that of one step.
-
-    q'' - 2 Re(p) q' + |p|^2 q = |p|^2 u: q rests at u, and a step leaves an envelope of its own
-    that the same equation gives; both envelopes are taken from q - u and its rate.
-    """
-
-    def rates(u: float) -> Any:
-        return lambda _, x: [x[1], abs(POLE) ** 2 * (u - x[0]) + 2.0 * POLE.real * x[1]]
-
-    def envelope(state: np.ndarray, u: float) -> float:
-        away, rate = state[0] - u, state[1]
-        return float(np.hypot(away, (rate - POLE.real * away) / POLE.imag))
-
-    state = np.zeros(2)
-    for begin, end, level in zip(ticks, ticks[1:], levels, strict=False):
-        span = (0.0, (end - begin) * SCAN_S)
-        done = solve_ivp(rates(level), span, state, "DOP853", rtol=1e-11, atol=1e-13)
-        state = done.y[:, -1]
-    return envelope(state, levels[-1]) / envelope(np.zeros(2), 1.0)
-
-
-@pytest.mark.parametrize(
-    ("ticks", "levels"),
-    [
-        ((0, 47), (1.0, 0.0)),
-        ((0, 11, 15, 42, 48, 57), (1.0, 0.0, 1.0, 0.0, 1.0, 0.0)),
-        ((0, 14, 50, 64), (0.63, 1.0, 0.37, 0.0)),
-    ],
-)
-def test_closed_form_is_what_an_integrator_finds(
-    ticks: tuple[int, ...], levels: tuple[float, ...]
-) -> None:
-    assert abs(left_ringing(ticks, levels, TURN, AT_ONCE)) == pytest.approx(
-        integrated(ticks, levels), abs=1e-8
-    )
-
-
-def test_candidates_cover_the_distance_and_keep_the_dwell() -> None:
-    made = [
-        *gapped(47, 2, TURN, 0.1, 10, AT_ONCE),
-        *stepped(47, 2, TURN, 0.1, [(0.507, 0.493)], AT_ONCE),
-    ]
-    assert {c.levels[0] for c in made} == {1.0, 0.507}
-    for command in made:
-        spans = np.diff(command.ticks)
-        assert spans.min() >= 2
-        assert float(spans @ command.levels[:-1]) == pytest.approx(47.0, abs=1e-9)
-        assert abs(command.left) <= 0.1
-        assert command.left == pytest.approx(
-            left_ringing(command.ticks, command.levels, TURN, AT_ONCE), abs=1e-12
-        )
-
-
-def symmetric(on_s: float, omega: float) -> float:
-    """Return the shortest duration of on, gap, on, gap, on that leaves an undamped mode at rest.
-
-    About the middle the ringing has one quadrature: sin(w T/2) - sin(w (b/2 + g)) + sin(w b/2) = 0
-    with b the middle stretch and g a gap, T = on + 2 g. Every b is tried, with its first root g.
-    """
-    best = np.inf
-    for b in np.linspace(0.02, 0.98, 400) * on_s:
-        g = np.linspace(0.0, 0.5 * np.pi / omega, 4000)
-        left = np.sin(0.5 * omega * on_s + omega * g) - np.sin(omega * (0.5 * b + g))
-        left += np.sin(0.5 * omega * b)
-        crossed = np.flatnonzero(np.diff(np.sign(left)) != 0)
-        if len(crossed):
-            best = min(best, on_s + 2.0 * float(g[crossed[0]]))
-    return best
-
-
-def test_time_optimal_commands() -> None:
-    """Excited for whole periods an undamped mode is at rest behind: nothing is faster.
-
-    Else the optimum switches, symmetric about its middle as undamped optima are; found here by
-    its own equation. The grid of the program is 1/800 of the duration: 2 ms with margin.
-    """
-    omega = 18.3
-    period_s = 2.0 * np.pi / omega
-    assert time_optimal_s(2.0 * period_s, omega * 1j) == pytest.approx(2.0 * period_s, abs=1e-9)
-    for on_s in (0.47, 0.5, 1.5 * period_s):
-        assert time_optimal_s(on_s, omega * 1j) == pytest.approx(symmetric(on_s, omega), abs=2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -379,14 +290,6 @@ def test_a_rest_that_a_list_writes_is_the_one_that_passes(tmp_path: Path) -> Non
     assert spans == [34 + 1, 1 + 1, 200 + 1]
 
 
-def test_every_tenth_scan_of_a_quick_controller_is_looked_at() -> None:
-    """The same commands as on a scan ten times as long, ten times as many scans each."""
-    coarse = gapped(47, 2, TURN, 0.1, 10, AT_ONCE)
-    fine = gapped(470, 20, TURN**0.1, 0.1, 100, AT_ONCE, step=10)
-    assert [tuple(10 * t for t in c.ticks) for c in coarse] == [c.ticks for c in fine]
-    assert coarse
-
-
 def test_a_vacuum_is_drawn_while_its_cylinder_comes_to_rest() -> None:
     """At the switch behind the descent: 0.25 s sooner, and the knife no sooner than at rest.
 
@@ -409,137 +312,3 @@ def test_a_vacuum_is_drawn_while_its_cylinder_comes_to_rest() -> None:
     assert on(cut, "knife") - down[1] == pytest.approx(34, abs=1)
     assert on(cut, "knife") - down[1] >= 34
     assert list(overlapped(free, machine)) == list(free), "once is enough"
-
-
-TOGETHER = """
-[[operation]]
-step = "start"
-valve = "main_air"
-
-[[operation]]
-step = "out"
-move = { X = "200 mm", Z = "100 mm" }
-
-[[operation]]
-step = "back"
-move = { Z = "0 mm" }
-
-[[operation]]
-move = { X = "0 mm" }
-"""
-
-
-def unlocked() -> Machine:
-    """Return the letter placer as one whose slide may move with the lift anywhere."""
-    machine = load_machine("letter-placer")
-    slide = replace(machine.cylinders["X"], needs=())
-    return replace(machine, cylinders={**machine.cylinders, "X": slide})
-
-
-@pytest.fixture(scope="module")
-def together(tmp_path_factory: pytest.TempPathFactory) -> tuple[Job, FastestCycle]:
-    machine = unlocked()
-    file = tmp_path_factory.mktemp("together") / "both.toml"
-    file.write_text(TOGETHER, encoding="utf-8")
-    job = read_job(file, machine)
-    return job, fastest_cycle(job, machine, load_spec(None, machine))
-
-
-def test_cylinders_that_set_out_together_have_a_command_each(
-    together: tuple[Job, FastestCycle], tmp_path: Path
-) -> None:
-    """In spec on the twin, both from the same scan on, and the list that is written says so."""
-    machine = unlocked()
-    _, found = together
-    assert found.job is not None
-    assert found.proof.verdict.passed
-    x, z, *_ = found.proof.plan.scheduled.moves
-    assert (x.axis, z.axis) == ("X", "Z")
-    assert x.operation == z.operation
-    assert x.first_tick == z.first_tick
-    assert x.levels.levels != (1.0, 0.0) or z.levels.levels != (1.0, 0.0), "unshaped it rings"
-    file = tmp_path / "written.toml"
-    file.write_text(move_list(found.job, machine), encoding="utf-8")
-    assert "levels = { X = " in file.read_text(encoding="utf-8")
-    again = plan_job(read_job(file, machine), machine, Options())
-    assert again.scheduled.commands.ticks.tolist() == (
-        found.proof.plan.scheduled.commands.ticks.tolist()
-    )
-    out = tmp_path / "written.st"
-    write(again, "st", out)
-    assert out.exists()
-
-
-def test_together_is_as_short_as_the_longer_of_both(together: tuple[Job, FastestCycle]) -> None:
-    """And shorter than one after the other, by the whole of the shorter stroke with its rest."""
-    machine = unlocked()
-    job, found = together
-    apart = read_job_text(TOGETHER.replace('X = "200 mm", Z', "Z"), machine, job)
-    alone = fastest_cycle(apart, machine, load_spec(None, machine))
-    assert alone.job is not None
-    saved = 0.5 + machine.cylinders["Z"].rest_s(forward=True)
-    assert found.cycle_s is not None
-    assert alone.cycle_s is not None
-    assert alone.cycle_s - found.cycle_s > 0.9 * saved
-
-
-def read_job_text(text: str, machine: Machine, beside: Job) -> Job:
-    """Return a job of text, with the slide sent out behind the lift."""
-    file = Path(beside.file).with_name("apart.toml")
-    after = text.replace(
-        'move = { Z = "100 mm" }',
-        'move = { Z = "100 mm" }\n\n[[operation]]\nmove = { X = "200 mm" }',
-    )
-    file.write_text(after, encoding="utf-8")
-    return read_job(file, machine)
-
-
-@pytest.mark.parametrize(
-    ("levels", "words"),
-    [
-        ('{ X = "1 for 470 ms", Y = "1 for 500 ms" }', "levels are given for 'Y', which this"),
-        ('{ X = "1 for 470 ms", Z = 7 }', "levels of Z: 7 is no text of levels"),
-        ('{ X = "1 for 470 ms", Z = "1 for 100 ms" }', "move the piston by 20.00 mm of 100.00 mm"),
-        ("[1, 2]", "levels = [1, 2] is no text"),
-    ],
-)
-def test_levels_of_each_that_are_wrong_are_refused(
-    levels: str, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "both.toml"
-    both = 'move = { X = "200 mm", Z = "100 mm" }'
-    file.write_text(TOGETHER.replace(both, f"{both}\nlevels = {levels}"), encoding="utf-8")
-    code, out, err = run(capsys, "prove", file, "-m", "letter-placer")
-    assert (code, out, err.count("\n")) == (2, "", 1)
-    assert words in err
-    assert "both.toml:" in err
-
-
-AT_ONCE_BACK = """
-[[operation]]
-step = "start"
-valve = "main_air"
-
-[[operation]]
-step = "out"
-move = { X = "200 mm" }
-
-[[operation]]
-wait = "x_is_right"
-
-[[operation]]
-step = "back"
-move = { X = "0 mm" }
-"""
-
-
-def test_a_cycle_is_found_where_a_cylinder_goes_back_at_once(tmp_path: Path) -> None:
-    """What rings after the first stroke is measured, and learned from: every step is in spec."""
-    machine = load_machine("letter-placer")
-    file = tmp_path / "back.toml"
-    file.write_text(AT_ONCE_BACK, encoding="utf-8")
-    found = fastest_cycle(read_job(file, machine), machine, load_spec(None, machine))
-    assert found.job is not None
-    told = [r for r in found.proof.verdict.results if r.name == "residual_vibration"]
-    assert {r.step for r in told} == {"start", "out", "back"}
-    assert all(r.status is Status.PASSED for r in told)

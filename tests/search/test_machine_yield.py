@@ -1,57 +1,28 @@
-"""The yield over the tolerances: intervals, distributions, the worst machine, what it hangs on."""
+"""The yield over the tolerances: each machine as it is alone, the worst of them, the command."""
 
 from __future__ import annotations
 
 import json
-import re
 import shlex
-import zlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binom, sobol_indices, uniform
+from tests.search.plans import JOB
 
 from threadline import pipeline
 from threadline.cli.main import main
-from threadline.errors import OptionError, RecordingError
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
 from threadline.options import Options
 from threadline.pipeline import open_job, plan_job
 from threadline.plan import Plan
 from threadline.search import judge_runs, machine_yield
-from threadline.search.influence import influence
 from threadline.search.machine_yield import MachineYield
-from threadline.search.yield_state import YieldState
 from threadline.signals import tick_table
 from threadline.twin import simulate
 from threadline.verdict import Spec, judge, load_spec
-from threadline.verdict.binomial import clopper_pearson
-
-JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
-
-
-@pytest.fixture(scope="module")
-def asked() -> tuple[Plan, Spec]:
-    machine = load_machine("lathe-winder")
-    plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
-    return plan, load_spec(None, machine)
-
-
-@pytest.mark.parametrize(("passed", "tried"), [(1, 10), (37, 50), (9_990, 10_000)])
-def test_the_interval_leaves_each_tail_its_share(passed: int, tried: int) -> None:
-    """Against the binomial distribution itself: 2.5 % at either end."""
-    low, high = clopper_pearson(passed, tried)
-    assert binom.sf(passed - 1, tried, low) == pytest.approx(0.025, rel=1e-9)
-    assert binom.cdf(passed, tried, high) == pytest.approx(0.025, rel=1e-9)
-
-
-def test_all_of_them_say_at_least_so_much() -> None:
-    """p^n = 2.5 %, in closed form."""
-    assert clopper_pearson(10_000, 10_000) == (pytest.approx(0.025 ** (1 / 10_000)), 1.0)
-    assert clopper_pearson(0, 10) == (0.0, pytest.approx(1.0 - 0.025**0.1))
 
 
 def test_each_machine_is_judged_as_it_is_alone(asked: tuple[Plan, Spec], monkeypatch) -> None:
@@ -230,84 +201,6 @@ def test_half_a_tolerance_of_what_matters_helps_most(asked: tuple[Plan, Spec]) -
     assert max(halves.values()) > own
 
 
-def test_indices_are_those_of_ishigami() -> None:
-    """sin x1 + a sin^2 x2 + b x3^4 sin x1 on [-pi, pi]^3, a = 7, b = 0.1.
-
-    Closed form (Ishigami and Homma, 1990): V1 = (1 + b pi^4 / 5)^2 / 2, V2 = a^2 / 8,
-    V13 = b^2 pi^8 (1 / 18 - 1 / 50), and nothing else. 1 % is what 2^12 samples give.
-    """
-    a, b = 7.0, 0.1
-
-    def ishigami(parts: np.ndarray) -> np.ndarray:
-        x = np.pi * parts
-        return np.sin(x[:, 0]) * (1.0 + b * x[:, 2] ** 4) + a * np.sin(x[:, 1]) ** 2
-
-    found = influence(ishigami, [False] * 3, 2**12, 1)
-    one = 0.5 * (1.0 + b * np.pi**4 / 5.0) ** 2
-    two, both = a**2 / 8.0, b**2 * np.pi**8 * (1.0 / 18.0 - 1.0 / 50.0)
-    whole = one + two + both
-    assert found.first == pytest.approx([one / whole, two / whole, 0.0], abs=0.01)
-    assert found.total == pytest.approx([(one + both) / whole, two / whole, both / whole], abs=0.01)
-    for values, ends in (
-        (found.first, found.first_interval),
-        (found.total, found.total_interval),
-    ):
-        assert (ends[0] <= values).all() and (values <= ends[1]).all()
-    # The same seed gives the same bits, ends of the intervals included.
-    again = influence(ishigami, [False] * 3, 2**6, 1)
-    other = influence(ishigami, [False] * 3, 2**6, 1)
-    np.testing.assert_array_equal(again.first_interval, other.first_interval)
-    np.testing.assert_array_equal(again.total_interval, other.total_interval)
-    # The true shares lie in most of the intervals of other seeds, and none is a matter of course.
-    within = []
-    for seed in range(12):
-        few = influence(ishigami, [False] * 3, 2**7, seed)
-        for ends, true in (
-            (few.first_interval, [one / whole, two / whole, 0.0]),
-            (few.total_interval, [(one + both) / whole, two / whole, both / whole]),
-        ):
-            within += ((ends[0] <= true) & (true <= ends[1])).tolist()
-            assert (ends[1] - ends[0] < 0.8).all()
-    assert np.mean(within) >= 0.8
-
-
-def test_a_normal_number_is_cut_off_at_three_deviations() -> None:
-    seen: list[np.ndarray] = []
-
-    def result(parts: np.ndarray) -> np.ndarray:
-        seen.append(parts)
-        return parts.sum(axis=1)
-
-    influence(result, [True, False], 2**8, 1)
-    parts = np.concatenate(seen)
-    assert np.abs(parts[:, 0]).max() <= 1.5 < 10 * np.abs(parts[:, 0]).max()
-    assert parts[:, 0].std() == pytest.approx(0.4933, abs=0.02)  # of a normal cut off at 3
-    assert np.abs(parts[:, 1]).max() <= 1.0
-
-
-def test_shares_are_those_of_scipy() -> None:
-    """Its own estimates, of samples of the same seed."""
-
-    def bowl(parts: np.ndarray) -> np.ndarray:
-        return parts[:, 0] ** 2 + parts[:, 0] * parts[:, 1] + 0.3 * parts[:, 2]
-
-    own = influence(bowl, [False] * 3, 2**6, 5)
-    theirs = sobol_indices(
-        func=lambda x: bowl(x.T)[None], n=2**6, dists=[uniform(-1.0, 2.0)] * 3,
-        rng=np.random.default_rng(5),
-    )  # fmt: skip
-    np.testing.assert_allclose(own.first, theirs.first_order, rtol=1e-12)
-    np.testing.assert_allclose(own.total, theirs.total_order, rtol=1e-12)
-
-
-def test_a_number_that_does_nothing_has_no_share_and_no_spread() -> None:
-    """Its interval was NaN, which is no number of JSON, with a warning of scipy."""
-    found = influence(lambda x: x[:, 0], [False, False], 2**6, 1)
-    assert found.first[1] == found.total[1] == 0.0
-    assert found.first_interval[:, 1].tolist() == found.total_interval[:, 1].tolist() == [0.0, 0.0]
-    assert np.isfinite(found.first_interval).all() and np.isfinite(found.total_interval).all()
-
-
 @pytest.mark.parametrize(
     ("job", "name", "measure"),
     [
@@ -380,88 +273,6 @@ def test_machines_over_tolerances_of_a_frame_are_proved() -> None:
     trials = pipeline.Trials(repeats=1, machines=2)
     proof = pipeline.prove_plan(plan, load_spec(None, machine), trials=trials)
     assert proof.verdict.machines == 2
-
-
-def test_a_yield_that_was_broken_off_goes_on_to_the_same_bits(
-    asked: tuple[Plan, Spec], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan, spec = asked
-    file, identity = tmp_path / "deep" / "state", {"seed": "3"}
-    whole = MachineYield(plan, spec).drawn(40, 3)
-    monkeypatch.setattr(machine_yield, "AT_ONCE", 16)
-
-    def interrupted(through: int) -> None:
-        if state.known is not None and state.known.runs == 16:
-            raise KeyboardInterrupt
-
-    state = YieldState(file, identity)
-    with pytest.raises(KeyboardInterrupt):
-        MachineYield(plan, spec, threads=1).drawn(40, 3, interrupted, state)
-    again = YieldState(file, identity)
-    assert again.known is not None and again.known.runs == 16 and not again.cut
-    through: list[int] = []
-    found = MachineYield(plan, spec).drawn(40, 3, through.append, again)
-    assert through[0] == 16 and sum(through) == 40
-    for own, other in zip(found.found.rows, whole.found.rows, strict=True):
-        np.testing.assert_array_equal(own.values, other.values)
-        np.testing.assert_array_equal(own.failed, other.failed)
-        assert (own.name, own.axis, own.limit, own.unit) == (
-            other.name, other.axis, other.limit, other.unit,
-        )  # fmt: skip
-    # Fewer than are known, and none of them anew.
-    few = MachineYield(plan, spec).drawn(10, 3, None, YieldState(file, identity))
-    np.testing.assert_array_equal(few.found.passed, whole.found.passed[:10])
-    # A line that was cut short is left out, and only that.
-    content = file.read_bytes()
-    file.write_bytes(content[:-9])
-    cut = YieldState(file, identity)
-    assert cut.cut and cut.known is not None and cut.known.runs == 32
-    assert content.startswith(file.read_bytes()) and file.read_bytes().count(b"\n") == 3
-
-
-def summed(body: bytes) -> bytes:
-    """Return a line whose check sum is right, whatever it says."""
-    return b"%08x %s\n" % (zlib.crc32(body), body)
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "said"),
-    [
-        (lambda text: b"not a state\n", RecordingError, "state:1: the state of a yield"),
-        (lambda text: text.replace(b'"runs":5', b'"runs":4'), RecordingError, "state:2:"),
-        (lambda text: text + summed(b"[1, 2]"), RecordingError, "state:3: the state of a"),
-        (lambda text: text + summed(b"{"), RecordingError, "state:3: '{' is not JSON"),
-        (lambda text: text + summed(b"\xff"), RecordingError, "state:3:"),
-        (lambda text: text + text.splitlines(True)[1], RecordingError, "state:3: the state of a"),
-        (lambda text: text, OptionError, "was begun with another seed"),
-    ],
-)
-def test_a_state_that_is_damaged_or_of_another_yield_is_refused(
-    asked: tuple[Plan, Spec], tmp_path: Path, change, error: type[Exception], said: str
-) -> None:
-    plan, spec = asked
-    file = tmp_path / "state"
-    MachineYield(plan, spec).drawn(5, 3, None, YieldState(file, {"seed": "3"}))
-    changed = change(file.read_bytes())
-    file.write_bytes(changed)
-    seed = "4" if error is OptionError else "3"
-    with pytest.raises(error, match=re.escape(said)):
-        YieldState(file, {"seed": seed})
-    assert file.read_bytes() == changed
-
-
-def test_the_file_to_resume_is_no_other_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Neither an input nor an output: what is in it must be there the next time."""
-    words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "2"]
-    both = str(tmp_path / "both")
-    for more in (["--resume", str(JOB)], ["--resume", both, "--worst", both], ["--resume", "/"]):
-        with pytest.raises(SystemExit) as ended:
-            main([*words, *more])
-        told = capsys.readouterr()
-        assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
-    assert JOB.read_text().startswith(("%", "(", "N", "G", ";", "O"))
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from random_machines import Maker
-from reference_twin import reference_run
+from tests.twin.random_machines import Maker
+from tests.twin.reference_twin import reference_run
 
 from threadline.machine.load import load_machine
 from threadline.signals import Stream, TickBlock, TickTable
@@ -102,7 +102,7 @@ def test_the_example_can_be_followed(tmp_path: Path) -> None:
             file.write_text(text, "utf-8")
     assert made > 15
     (tmp_path / "try_it.py").write_text(TRY_IT, "utf-8")
-    where = os.pathsep.join(str(tmp_path / folder) for folder in ("src", "tests/twin"))
+    where = os.pathsep.join((str(tmp_path / "src"), str(tmp_path)))
     done = subprocess.run(
         [sys.executable, "try_it.py"], cwd=tmp_path, text=True, capture_output=True, check=False,
         env={**os.environ, "PYTHONPATH": where},

@@ -1,0 +1,274 @@
+"""Cycles that were recorded in part, or by hand: what is measured of them, and what is not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.onoff.cycles import TRIMMED, altered, run
+from threadline.errors import RecordingError
+from threadline.jobs import read_job
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import Proof, plan_job, prove, prove_plan
+from threadline.signals import Recording, RecordingBlock, Stream
+from threadline.verdict import Criterion, Status, judge, load_spec
+from threadline.verdict.switch_run import SwitchRun
+
+
+def test_a_table_made_by_hand_is_judged_as_the_recording_is(
+    cycle: Path, shaped: Proof, tmp_path: Path
+) -> None:
+    """Outputs, an input and frames as columns of a spreadsheet: what was proved comes out."""
+    switched = shaped.plan.commands.outputs
+    columns = {f"{name}.output": shaped.recording.samples(name)[1] for name in switched}
+    columns["x_is_left.input"] = shaped.recording.samples("x_is_left")[1]
+    for axis in "XZ":
+        columns[f"{axis}.frame [um]"] = 1e6 * shaped.recording.samples(f"{axis}.frame")[1]
+    times_s, _ = shaped.recording.samples("X.frame")
+    trace = tmp_path / "trace.csv"
+    table = np.column_stack([times_s, *columns.values()])
+    head = ";".join(["time [s]", *columns])
+    np.savetxt(trace, table, fmt="%.6g", delimiter=";", header=head, comments="")
+    words = ["judge", str(trace), "--job", str(cycle), "-m", TRIMMED, "--json"]
+    code, text = run(*words, "--shaper", "zv")
+    assert code == 0
+    found = {(c["name"], c["axis"], c.get("step")): c for c in json.loads(text)["criteria"]}
+    for result in shaped.verdict.results:
+        if result.name in ("residual_vibration", "cycle_time", "switching_order"):
+            made = found[result.name, result.axis, result.step or None]
+            assert made["measured"] == pytest.approx(result.measured, abs=1e-8), result
+    code, text = run(*words)  # a plan without the shaper is not what this machine was told
+    assert code == 1
+    criteria = json.loads(text)["criteria"]
+    assert [c["name"] for c in criteria if c["status"] == "failed"] == ["switching_order"]
+
+
+def test_how_long_the_cycle_waits_at_its_end_is_not_known_without_the_contact(
+    shaped: Proof,
+) -> None:
+    """The last switching begins the way back; the cycle ends when x_is_left says so."""
+    criterion = Criterion(name="cycle_time", limit=1e3, required=True)
+    spec = replace(shaped.spec, criteria=(criterion,))
+    assert judge([shaped.recording], shaped.plan, spec).passed
+
+    bare = [c for c in shaped.recording.channels if c.name != "x_is_left"]
+    without = judge([replace(shaped.recording, channels=tuple(bare))], shaped.plan, spec)
+    assert without.result("cycle_time").status is Status.NOT_MEASURED
+    assert "no input channel x_is_left" in without.result("cycle_time").note
+    assert not without.passed
+
+    def never(samples: dict[str, Any]) -> None:
+        samples["x_is_left"][len(samples["x_is_left"]) // 2 :] = 0.0
+
+    held = judge([altered(shaped.recording, never)], shaped.plan, spec).result("cycle_time")
+    assert held.status is Status.NOT_MEASURED
+    assert "ends while the cycle waits for x_is_left" in held.note
+
+
+def test_frames_and_pistons_without_a_sample_are_not_measured(shaped: Proof) -> None:
+    """A channel that is named and empty is as good as none."""
+
+    def empty(samples: dict[str, Any]) -> None:
+        samples["Z.frame"] = samples["Z.load"] = np.empty(0)
+
+    verdict = judge([altered(shaped.recording, empty)], shaped.plan, shaped.spec)
+    for name in ("residual_vibration", "end_position_error", "travel"):
+        assert verdict.result(name, "Z").status is Status.NOT_MEASURED
+        assert verdict.result(name, "X").status is not Status.NOT_MEASURED
+    assert verdict.result("settling_time").status is Status.NOT_MEASURED
+
+
+def cut(recording: Recording, name: str, begin: int, end: int) -> Recording:
+    """Return a recording in three blocks, in the second of which a channel has no samples."""
+    (whole,) = recording
+
+    def part(first: int, last: int | None, *, without: bool) -> RecordingBlock:
+        samples = {k: v[first:last] for k, v in whole.samples.items()}
+        if without:
+            samples = {k: v[:0] if name in (k, "") else v for k, v in samples.items()}
+        return RecordingBlock(first_tick={"twin": first}, samples=samples)
+
+    blocks = [
+        part(0, begin, without=False),
+        part(begin, end, without=True),
+        part(end, None, without=False),
+    ]
+    return replace(recording, blocks=Stream.of(blocks))
+
+
+@pytest.mark.parametrize("axis", ["X", "Z"])
+def test_ringing_that_was_cut_out_is_not_measured(shaped: Proof, axis: str) -> None:
+    """3 mm at 3 Hz on one frame for 0.2 s; those 0.2 s are cut out of its channel, or of all."""
+    run = SwitchRun(shaped.recording, shaped.plan)
+    step = max(run.steps, key=lambda s: np.subtract(*run.quiet_s(s, axis)[::-1]))
+    begin = round(1e3 * run.quiet_s(step, axis)[0]) + 50
+    end = begin + 200
+
+    def ring(samples: dict[str, Any]) -> None:
+        time = np.arange(end - begin) * 1e-3
+        samples[f"{axis}.frame"][begin:end] += 3e-3 * np.sin(2 * np.pi * 3.0 * time)
+
+    rung = altered(shaped.recording, ring)
+    assert not judge([rung], shaped.plan, shaped.spec).passed
+    verdict = judge([cut(rung, f"{axis}.frame", begin, end)], shaped.plan, shaped.spec)
+    other = "Z" if axis == "X" else "X"
+    found = [r for r in verdict.results if r.name == "residual_vibration"]
+    assert {r.status for r in found if r.axis == axis} == {Status.NOT_MEASURED}
+    assert all(f"{axis}.frame has no samples from" in r.note for r in found if r.axis == axis)
+    assert Status.PASSED in {r.status for r in found if r.axis == other}
+    assert verdict.result("settling_time").status is Status.NOT_MEASURED
+
+    with pytest.raises(RecordingError, match=r"has no samples from .*when the valves switched"):
+        judge([cut(rung, "", begin, end)], shaped.plan, shaped.spec)
+
+
+def test_blocks_of_a_cycle_that_go_back_are_refused(shaped: Proof) -> None:
+    (block,) = altered(shaped.recording, lambda samples: None)
+    again = RecordingBlock(first_tick={"twin": 100}, samples=block.samples)
+    with pytest.raises(RecordingError, match=r"begins at 0\.1 s, and the blocks before it"):
+        judge(
+            [replace(shaped.recording, blocks=Stream.of([block, again]))], shaped.plan, shaped.spec
+        )
+    late = {k: v[4000:] for k, v in block.samples.items()}
+    on = next(i for i in range(4000, 9000) if block.samples["z_down"][i])
+    late = {k: v[on:] for k, v in block.samples.items()}
+    begun = [RecordingBlock(first_tick={"twin": on}, samples=late)]
+    with pytest.raises(RecordingError, match=r"begins at .* s, the motion before: nobody knows"):
+        judge([replace(shaped.recording, blocks=Stream.of(begun))], shaped.plan, shaped.spec)
+
+
+@pytest.mark.parametrize("name", ["", "X.frame", "X.load"])
+def test_a_recording_that_ends_before_the_cycle_measures_what_it_came_to(
+    shaped: Proof, name: str
+) -> None:
+    """Cut off 0.1 s before its end: the last step of X is not known, those before it are."""
+    run = SwitchRun(shaped.recording, shaped.plan)
+    count = round(1e3 * (run.end_s - 0.1))
+
+    def shorter(samples: dict[str, Any]) -> None:
+        for key in samples:
+            if name in (key, ""):
+                samples[key] = samples[key][:count]
+
+    verdict = judge([altered(shaped.recording, shorter)], shaped.plan, shaped.spec)
+    whole = judge([shaped.recording], shaped.plan, shaped.spec)
+    assert all(r.status is not Status.FAILED for r in verdict.results)
+    gone = [
+        (a.name, a.axis, a.step)
+        for a, b in zip(verdict.results, whole.results, strict=True)
+        if a.status is Status.NOT_MEASURED and b.status is not Status.NOT_MEASURED
+    ]
+    assert gone
+    expected = {
+        "": {"cycle_time", "valve_conflict", "over_level", "travel"},
+        "X.frame": {"residual_vibration", "settling_time"},
+        "X.load": {"end_position_error", "travel"},
+    }[name]
+    assert expected <= {measure for measure, _, _ in gone}
+    if name:
+        assert {measure for measure, _, _ in gone} == expected
+    steps = {step for measure, _, step in gone if measure not in ("travel", "cycle_time")}
+    assert len(steps - {""}) == 1 or not name  # only the last of them
+    assert "the recording ends at" in next(
+        r.note for r in verdict.results if (r.name, r.axis, r.step) == gone[0]
+    )
+
+
+def test_the_travel_of_a_cylinder_is_no_angle(shaped: Proof) -> None:
+    """A frame that is said to turn by 5 mrad would pass for one that moves by 5 mm."""
+    turned = replace(
+        shaped.recording,
+        channels=tuple(
+            replace(c, unit="rad") if c.name == "Z.frame" else c for c in shaped.recording.channels
+        ),
+    )
+    machine = shaped.plan.machine
+    with pytest.raises(RecordingError, match=r"'Z.frame' is in rad.*Z of .* is linear.*mm"):
+        judge([turned], shaped.plan, load_spec(None, machine))
+
+
+def test_the_end_of_a_move_is_looked_at_before_its_step_moves_on(tmp_path: Path) -> None:
+    """One step goes down and up again: neither end is missed by the other's 30 mm."""
+    machine = load_machine("letter-placer")
+    file = tmp_path / "dip.toml"
+    file.write_text(
+        '[[operation]]\nvalve = "main_air"\n[[operation]]\nstep = "dip"\nmove = { Z = "30 mm" }\n'
+        '[[operation]]\ndwell = "200 ms"\n[[operation]]\nmove = { Z = "0 mm" }\n',
+        encoding="utf-8",
+    )
+    proof = prove(file, machine, load_spec(None, machine), Options())
+    found = [r.measured for r in proof.verdict.results if r.name == "end_position_error"]
+    assert found
+    assert max(value for value in found if value is not None) < 0.002
+
+
+MEASURED = "residual_vibration"
+PICK = """
+[[operation]]
+step = "start"
+valve = "main_air"
+
+[[operation]]
+step = "out"
+move = { X = "200 mm" }
+
+[[operation]]
+wait = "x_is_right"
+
+[[operation]]
+step = "there"
+dwell = "LASTS ms"
+
+[[operation]]
+step = "back"
+move = { X = "0 mm" }
+"""
+
+
+def of_pick(folder: Path, lasts_ms: int, rest: str = "", shaper: str = "none") -> Proof:
+    machine = load_machine("letter-placer+whole-scans+own-damping")
+    text = PICK.replace("LASTS", str(lasts_ms))
+    file = folder / "pick.toml"
+    file.write_text(text.replace('"200 mm" }\n', f'"200 mm" }}\n{rest}'), encoding="utf-8")
+    plan = plan_job(read_job(file, machine), machine, Options(shaper=shaper))
+    return prove_plan(plan, load_spec(None, machine))
+
+
+@pytest.mark.parametrize("shaper", ["none", "um-zv"])
+def test_what_rings_is_measured_though_the_cylinder_moves_again_at_once(
+    shaper: str, tmp_path: Path
+) -> None:
+    """By place and speed in 20 ms, against half the peak-to-peak of a second: 3 % and 8 um.
+
+    A piston at rest still has 2 % of its speed, and what slows it pushes the frame by 17 um at
+    most. A live machine may wait there for an input that on the simulated one comes at once.
+    """
+
+    def out_of(proof: Proof) -> float:
+        (found,) = [
+            r for r in proof.verdict.results if (r.name, r.axis, r.step) == (MEASURED, "X", "out")
+        ]
+        assert found.measured is not None
+        return found.measured
+
+    soon, later = of_pick(tmp_path, 10, "", shaper), of_pick(tmp_path, 1000, "", shaper)
+    assert out_of(later) > 3e-5
+    assert out_of(soon) == pytest.approx(out_of(later), rel=0.03, abs=8e-6)
+    notes = [r.note for r in soon.verdict.results if (r.name, r.step) == (MEASURED, "out")]
+    assert any("by its place and speed" in note for note in notes)
+
+
+def test_what_is_required_and_cannot_be_measured_is_not_proven(tmp_path: Path) -> None:
+    """X goes back before it has come to rest: nobody knows what would ring there."""
+    proof = of_pick(tmp_path, 10, 'rest = "100 ms"\n', "zv")
+    told = [r for r in proof.verdict.results if (r.name, r.axis, r.step) == (MEASURED, "X", "out")]
+    assert [r.status for r in told] == [Status.NOT_MEASURED]
+    assert told[0].note == "it moves again before it has come to rest"
+    assert told[0].required
+    assert not proof.verdict.passed

@@ -1,0 +1,19 @@
+"""The plan whose yield is asked, and the specification that it is judged by."""
+
+from __future__ import annotations
+
+import pytest
+from tests.search.plans import JOB
+
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job
+from threadline.plan import Plan
+from threadline.verdict import Spec, load_spec
+
+
+@pytest.fixture(scope="module")
+def asked() -> tuple[Plan, Spec]:
+    machine = load_machine("lathe-winder")
+    plan = plan_job(open_job(JOB, machine, Options()), machine, Options())
+    return plan, load_spec(None, machine)

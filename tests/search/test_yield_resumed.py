@@ -1,0 +1,101 @@
+"""A yield that was broken off: it goes on to the same bits, or its file is refused."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.search.plans import JOB
+
+from threadline.cli.main import main
+from threadline.errors import OptionError, RecordingError
+from threadline.plan import Plan
+from threadline.search import machine_yield
+from threadline.search.machine_yield import MachineYield
+from threadline.search.yield_state import YieldState
+from threadline.verdict import Spec
+
+
+def test_a_yield_that_was_broken_off_goes_on_to_the_same_bits(
+    asked: tuple[Plan, Spec], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, spec = asked
+    file, identity = tmp_path / "deep" / "state", {"seed": "3"}
+    whole = MachineYield(plan, spec).drawn(40, 3)
+    monkeypatch.setattr(machine_yield, "AT_ONCE", 16)
+
+    def interrupted(through: int) -> None:
+        if state.known is not None and state.known.runs == 16:
+            raise KeyboardInterrupt
+
+    state = YieldState(file, identity)
+    with pytest.raises(KeyboardInterrupt):
+        MachineYield(plan, spec, threads=1).drawn(40, 3, interrupted, state)
+    again = YieldState(file, identity)
+    assert again.known is not None and again.known.runs == 16 and not again.cut
+    through: list[int] = []
+    found = MachineYield(plan, spec).drawn(40, 3, through.append, again)
+    assert through[0] == 16 and sum(through) == 40
+    for own, other in zip(found.found.rows, whole.found.rows, strict=True):
+        np.testing.assert_array_equal(own.values, other.values)
+        np.testing.assert_array_equal(own.failed, other.failed)
+        assert (own.name, own.axis, own.limit, own.unit) == (
+            other.name, other.axis, other.limit, other.unit,
+        )  # fmt: skip
+    # Fewer than are known, and none of them anew.
+    few = MachineYield(plan, spec).drawn(10, 3, None, YieldState(file, identity))
+    np.testing.assert_array_equal(few.found.passed, whole.found.passed[:10])
+    # A line that was cut short is left out, and only that.
+    content = file.read_bytes()
+    file.write_bytes(content[:-9])
+    cut = YieldState(file, identity)
+    assert cut.cut and cut.known is not None and cut.known.runs == 32
+    assert content.startswith(file.read_bytes()) and file.read_bytes().count(b"\n") == 3
+
+
+def summed(body: bytes) -> bytes:
+    """Return a line whose check sum is right, whatever it says."""
+    return b"%08x %s\n" % (zlib.crc32(body), body)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "said"),
+    [
+        (lambda text: b"not a state\n", RecordingError, "state:1: the state of a yield"),
+        (lambda text: text.replace(b'"runs":5', b'"runs":4'), RecordingError, "state:2:"),
+        (lambda text: text + summed(b"[1, 2]"), RecordingError, "state:3: the state of a"),
+        (lambda text: text + summed(b"{"), RecordingError, "state:3: '{' is not JSON"),
+        (lambda text: text + summed(b"\xff"), RecordingError, "state:3:"),
+        (lambda text: text + text.splitlines(True)[1], RecordingError, "state:3: the state of a"),
+        (lambda text: text, OptionError, "was begun with another seed"),
+    ],
+)
+def test_a_state_that_is_damaged_or_of_another_yield_is_refused(
+    asked: tuple[Plan, Spec], tmp_path: Path, change, error: type[Exception], said: str
+) -> None:
+    plan, spec = asked
+    file = tmp_path / "state"
+    MachineYield(plan, spec).drawn(5, 3, None, YieldState(file, {"seed": "3"}))
+    changed = change(file.read_bytes())
+    file.write_bytes(changed)
+    seed = "4" if error is OptionError else "3"
+    with pytest.raises(error, match=re.escape(said)):
+        YieldState(file, {"seed": seed})
+    assert file.read_bytes() == changed
+
+
+def test_the_file_to_resume_is_no_other_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither an input nor an output: what is in it must be there the next time."""
+    words = ["yield", str(JOB), "-m", "lathe-winder", "--variants", "2"]
+    both = str(tmp_path / "both")
+    for more in (["--resume", str(JOB)], ["--resume", both, "--worst", both], ["--resume", "/"]):
+        with pytest.raises(SystemExit) as ended:
+            main([*words, *more])
+        told = capsys.readouterr()
+        assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
+    assert JOB.read_text().startswith(("%", "(", "N", "G", ";", "O"))
