@@ -56,9 +56,9 @@ bench: $(BENCH_STAMP)  ## Compare with peers in one run; writes benchmarks/resul
 	.venv-bench/bin/python -m benchmarks
 
 fuzz: $(STAMP)  ## A million hostile inputs, two hours of hostile command lines, 400 interrupts
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz.py --cases 1000000
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz_commands.py --minutes 120
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python tools/fuzz_interrupts.py --cases 400
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz --cases 1000000
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz_commands --minutes 120
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.fuzz_interrupts --cases 400
 
 soak: $(STAMP)  ## A day of simulated running at 100 times real time, and 200 kills
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.soak

@@ -11,6 +11,7 @@ import numpy as np
 
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
+from threadline.machine.parts import DcMotor
 from threadline.signals import Stream, TickBlock, TickTable
 
 H, COUNTS, R, KT = 5e-3, 4000 / (2 * np.pi), 0.4, 0.082
@@ -31,6 +32,7 @@ def machine_of(case: str, *, reversal: bool = True) -> Machine:
     """
     whole = load_machine("lathe-winder" + ("+stiction" if case == "contact" else ""))
     drive = whole.drives["x"]
+    assert isinstance(drive, DcMotor)
     if case != "saturated":
         amplifier = dataclasses.replace(drive.amplifier, current_limit=None)
         drive = dataclasses.replace(drive, amplifier=amplifier)

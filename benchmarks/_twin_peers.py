@@ -62,7 +62,7 @@ def _slip(x: np.ndarray, sign: int, volts: float, rtol: float) -> tuple[np.ndarr
             return [y[1], (KT * (volts - KE * y[1]) / R - s * SLIDE) / J]
 
         def stops(_t: float, y: np.ndarray, s: int = sign) -> float:
-            return s * y[1]
+            return float(s * y[1])
 
         stops.terminal, stops.direction = True, -1  # type: ignore[attr-defined]
         done = solve_ivp(slope, (0, left), x, rtol=rtol, atol=1e-10, events=stops)

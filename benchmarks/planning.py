@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -45,10 +46,10 @@ def against_toppra() -> list[dict[str, Any]]:
     path = plan_path(programmed_path(job, MACHINE, AS_FAST_AS_THE_LIMITS), MACHINE, "auto")
     path = replace(path, blocks=Stream.of(path))  # planned once, for both
     ours_s, duration_s = timed(lambda: plan_trajectory(path, MACHINE).duration_s)
-    try:
+    peer_s: float | None = None
+    bound_s: float | None = None
+    with suppress(ImportError):
         peer_s, bound_s = timed(follower(path))
-    except ImportError:
-        peer_s = bound_s = None
     deviation = path.summary["largest_deviation_m"] * 1e3
     return [
         entry(
@@ -80,7 +81,7 @@ def follower(path: PlannedPath) -> Callable[[], float]:
     span = size * np.concatenate([[1.0], np.cumprod(ratio)])
     knots = np.concatenate([[0.0], np.cumsum(span)])
 
-    class Pieces(toppra.interpolator.AbstractGeometricPath):
+    class Pieces(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
         dof = c.shape[2]
         path_interval = np.array([0.0, knots[-1]])
         waypoints = None

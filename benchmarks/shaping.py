@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -87,7 +88,7 @@ def run() -> list[dict[str, Any]]:
     """Return the entries of this comparison."""
     results = []
     for kind in ShaperKind:
-        took = best_s(lambda kind=kind: design(kind, MODE))
+        took = best_s(partial(design, kind, MODE))
         results.append(alone(f"shaper design, {kind}", took, "proved by a simulated oscillator"))
     took = best_s(lambda: specified_insensitivity(MODE, 0.2), 1)
     results.append(alone("shaper design, si over 20 %", took, "linear programs, then exact"))

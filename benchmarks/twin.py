@@ -202,7 +202,7 @@ def stitchers() -> dict[str, Any]:
     for model in linear_model(machine):
         A, B = model.A, model.B[:, 0]
 
-        def slope(_t: float, x: np.ndarray, A: Any = A, B: Any = B) -> np.ndarray:
+        def slope(_t: float, x: np.ndarray, A: Any = A, B: Any = B) -> Any:
             return A @ x + B * 0.5
 
         def one(A: Any = A, slope: Any = slope) -> None:

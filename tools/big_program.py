@@ -1,4 +1,4 @@
-"""Write a part program of any length: ``python tools/big_program.py BLOCKS FILE``.
+"""Write a part program of any length: ``python -m tools.big_program BLOCKS FILE``.
 
 A mandrel that turns for ever under a carriage that goes to and fro: what a long winding is.
 """

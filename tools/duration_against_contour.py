@@ -121,7 +121,7 @@ def made(
     for share in SHARES:
         place, chord = timed(points, derate(machine, share))
         block = TrajectoryBlock(
-            start_s=STEP_S * np.arange(len(place) - 1),
+            start_s=STEP_S * np.arange(len(place) - 1, dtype=np.float64),
             duration_s=np.full(len(place) - 1, STEP_S),
             coefficients=np.stack([place[:-1], np.diff(place, axis=0)], axis=1),
             operation=owner[chord[:-1] + 1],

@@ -1,6 +1,6 @@
 """Hostile input for every reader: mutated files, and programs that are grammatical but odd.
 
-    python tools/fuzz.py --cases 1000000 --processes 2
+    python -m tools.fuzz --cases 1000000 --processes 2
 
 A reader may refuse anything, but only with a ``ThreadlineError`` in one line. Everything else, a
 warning, a second line in the message, or more than ten seconds of the processor, is a failure; it
@@ -29,12 +29,12 @@ from pathlib import Path
 from types import FrameType
 
 import ezdxf.filemanagement  # noqa: F401 - a case must not wait for it
-from fuzz_bytes import NUMBERS, TOKENS, UNITS, mutate
-from fuzz_designs import fuzz_designs
-from fuzz_drawings import fuzz_drawings
-from fuzz_files import fuzz_targets
-from fuzz_programs import fuzz_programs
-from fuzz_recordings import fuzz_recordings
+from tools.fuzz_bytes import NUMBERS, TOKENS, UNITS, mutate
+from tools.fuzz_designs import fuzz_designs
+from tools.fuzz_drawings import fuzz_drawings
+from tools.fuzz_files import fuzz_targets
+from tools.fuzz_programs import fuzz_programs
+from tools.fuzz_recordings import fuzz_recordings
 
 from threadline.errors import ThreadlineError
 from threadline.jobs import read_job

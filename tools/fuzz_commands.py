@@ -1,6 +1,6 @@
 """Hostile command lines: extreme numbers, odd names, pairs of options, outputs that are inputs.
 
-    python tools/fuzz_commands.py --minutes 10 --seed 1
+    python -m tools.fuzz_commands --minutes 10 --seed 1
 
 Every case runs the whole program in this process. It may end with 0, 1 or 2 and, from 2 on, with
 one line on standard error and nothing on standard output. Everything else is a failure: a
@@ -27,8 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import short_jobs
-from fuzz_cases import (
+from tools import short_jobs
+from tools.fuzz_cases import (
     JOBS,
     LIBRARY,
     PLAIN,
@@ -36,8 +36,8 @@ from fuzz_cases import (
     answer_alarms,
     run_case,
 )
-from fuzz_live import options, store
-from fuzz_odd import odd_file, study
+from tools.fuzz_live import options, store
+from tools.fuzz_odd import odd_file, study
 
 from threadline.machine import overlay_names
 
@@ -200,7 +200,7 @@ def shaper_numbers(rng: random.Random, _index: int) -> Case:
     words = ["shaper", "--kind", rng.choice(KINDS)]
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
         words += ["--mode", number(rng, "Hz", rng.choice(("3.04", "0.1", "25", "645")))]
-    options = {
+    options: dict[str, Callable[[], str]] = {
         "--damping": lambda: number(rng, "", "0.17"),
         "--tolerance": lambda: number(rng, "", "0.05"),
         "--band": lambda: number(rng, "", "0.2"),
@@ -234,7 +234,7 @@ def option_pairs(rng: random.Random, _index: int) -> Case:
     if verb == "fastest":
         low = 10.0 ** rng.uniform(-4, 1)
         words += ["--low", f"{low} m/s", "--high", f"{low * rng.choice((0.5, 1.0, 1.001))} m/s"]
-    options = {
+    options: dict[str, Callable[[], str | None]] = {
         "--feed": lambda: number(rng, rng.choice(("mm/s", "count/tick")), "10"),
         "--tolerance": lambda: number(rng, "mm", "0.1"),
         "--limits": lambda: number(rng, "%", "50"),
@@ -277,7 +277,7 @@ def names(rng: random.Random, _index: int) -> Case:
     elif rng.random() < 0.5 and len(name) < 200 and "/" not in name:
         ending = JOBS[machine].removeprefix("short")
         job = f"./{name}{ending}"
-        texts = {".prg": short_jobs.PROGRAM, ".dst": short_jobs.DESIGN}
+        texts: dict[str, str | bytes] = {".prg": short_jobs.PROGRAM, ".dst": short_jobs.DESIGN}
         files[job] = texts.get(ending, short_jobs.DRAWN_SEAM)
     verb = rng.choice(("prove", "compile", "compile", "report"))
     if verb == "report":

@@ -1,6 +1,6 @@
 """Embroidery designs of every format, and measured cams, damaged.
 
-``python tools/fuzz_designs.py FILE`` damages a file of one's own.
+``python -m tools.fuzz_designs FILE`` damages a file of one's own.
 """
 
 from __future__ import annotations

@@ -52,7 +52,8 @@ WORDS = """
 """.split()  # noqa: SIM905 - a table of words
 EVENTS = ['"[[""stop"",0,"""",0]]"', '"[[""stop"",0,"""",0,-1]]"']
 CELLS = [*WORDS, *EVENTS, "", " ", '"', '""', "\t"]
-VALUES = [None, True, 0, -1, 1.5, 1e308, 10**40, "", "X", "0/1", "1/0", "9" * 30 + "/7", [], {}]
+NUMBERS = (True, 0, -1, 1.5, 1e308, 10**40)
+VALUES: list[object] = [None, *NUMBERS, "", "X", "0/1", "1/0", "9" * 30 + "/7", [], {}]
 TRACE = "# a comment\ntime [s],X [mm],A.load [deg],operation\n" + "".join(
     f"{k * 0.005:.4f},{k * 0.25},{-k},{k // 9}\n" for k in range(30)
 )

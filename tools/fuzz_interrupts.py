@@ -1,6 +1,6 @@
 """Interrupts at any moment of every command that writes, and disks that are full at any byte.
 
-    python tools/fuzz_interrupts.py --cases 300 --seed 1
+    python -m tools.fuzz_interrupts --cases 300 --seed 1
 
 Every case is a process of its own, forked from this one, that runs one command in a folder of its
 own. One in eleven is forked before anything else ran and has to import and load what its command
@@ -25,11 +25,12 @@ import tempfile
 import time
 import traceback
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
-import short_jobs
-from fuzz_cases import WORD
-from fuzz_odd import ODD
+from tools import short_jobs
+from tools.fuzz_cases import WORD
+from tools.fuzz_odd import ODD
 
 from threadline.cli.interrupt import leaving_on_interrupt
 from threadline.cli.main import main as run_program
@@ -128,7 +129,7 @@ def start(words: list[str], folder: Path, told: Path, most_bytes: int) -> int:
 def run(
     words: list[str],
     wanted: tuple[str, ...],
-    at: list[tuple[float, int]],
+    at: Sequence[tuple[float, int]],
     most_bytes: int = 0,
 ) -> tuple[int, str]:
     """Run a case; return its status and what is wrong with it."""
@@ -161,8 +162,8 @@ def run(
         if "cannot use standard output" in err and {*fresh, *changed} == {*wanted}:
             return status, ""  # its files are whole; what it says of them found no room
         if "what it wrote is there, and whole" in err and {*wanted} <= {*fresh, *changed}:
-            before = err.splitlines()[:-1]  # it may have begun to tell its warnings
-            if all(line.startswith("warning: ") for line in before):
+            earlier = err.splitlines()[:-1]  # it may have begun to tell its warnings
+            if all(line.startswith("warning: ") for line in earlier):
                 return status, ""
             return status, f"more than one line: {err[-600:]!r}"
         if fresh or changed:
@@ -224,8 +225,8 @@ def main() -> int:
                 print(f"{name}\nuninterrupted: {status} {problem}\n", file=sys.stderr, flush=True)
         number = rng.choice((signal.SIGINT, signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
         at = [(rng.uniform(0.0, 1.1) * lasts[name], number)]
-        again = rng.choice((0, 0, 1, 5))
-        at += [(rng.choice((0.0, 1e-4, 1e-3, 2e-2)), number) for _ in range(again)]
+        more = rng.choice((0, 0, 1, 5))
+        at += [(rng.choice((0.0, 1e-4, 1e-3, 2e-2)), number) for _ in range(more)]
         most_bytes = 0
         if rng.random() < given.full:
             at, most_bytes = [], int(10.0 ** rng.uniform(3.0, 6.0))

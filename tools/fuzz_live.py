@@ -45,7 +45,6 @@ def _good_index() -> bytes:
                 threadline="0",
             )
         )  # fmt: skip
-        index.close()
         return file.read_bytes()
 
 

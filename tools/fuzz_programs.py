@@ -8,7 +8,7 @@ from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
-from fuzz_parametric import parametric_program
+from tools.fuzz_parametric import parametric_program
 
 from threadline.jobs import read_job
 from threadline.jobs.gcode.dialects import DIALECTS

@@ -22,11 +22,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from fuzz_runs import Seed, plan_measured_once, seeds  # it puts the root on the path
 from tests.verdict.interpreter import Channel, asked, cannot_pass, refused
+from tools.fuzz_runs import Seed, plan_measured_once, seeds
 
 from threadline.errors import Place
-from threadline.signals import Recording, RecordingBlock, Stream
+from threadline.signals import Recording, RecordingBlock, Stream, SwitchSchedule
 from threadline.signals.files import read_recording, write_recording
 from threadline.signals.files.channel_units import in_si
 from threadline.verdict import judge, load_spec, verdict_json
@@ -122,7 +122,8 @@ def channels_taken_away(rng: random.Random, seed: Seed) -> dict[str, Channel]:
     """Take away channels, one or many, and give others in other units."""
     samples = _with_fault(rng, seed)
     share = rng.choice((0.05, 0.3, 0.8))
-    outputs = set(seed.proof.plan.commands.outputs) if seed.facts.switched else set()
+    commands = seed.proof.plan.commands
+    outputs = set(commands.outputs if isinstance(commands, SwitchSchedule) else ())
     kept = {n: v for n, v in samples.items() if n in outputs or rng.random() > share}
     channels = _described(seed, kept or samples)
     _other_units(rng, channels)

@@ -14,11 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
-import short_jobs
 from tests.verdict.interpreter import Facts, Stitch
+from tools import short_jobs
 
 from threadline.jobs.operations import Move, OperationStream
 from threadline.machine import load_machine
@@ -118,7 +115,8 @@ def _facts(proof: Proof) -> Facts:
     own, planned = {}, {}
     for name, rows in measure_demands(plan).items():
         for row in rows:
-            planned[name, row.axis] = row.value
+            if row.value is not None:
+                planned[name, row.axis] = row.value
     for axis in axes:
         of = machine.axes[axis]
         for name, limit in (("velocity", of.velocity), ("acceleration", of.acceleration)):

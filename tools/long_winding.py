@@ -1,4 +1,4 @@
-"""Write a winding program of half a day: ``python tools/long_winding.py FILE [MOVES]``.
+"""Write a winding program of half a day: ``python -m tools.long_winding FILE [MOVES]``.
 
 Circuits of 55 degrees on a tube of 100 mm by 300 mm, each turned on from the one before by a
 band; 14 moves along the tube and five about each of its ends. Positions have three

@@ -1,6 +1,6 @@
 """Peak memory, time and silence of inputs that are out of all proportion.
 
-    python tools/memory_bounds.py [--only NAME] [--folder DIR]
+    python -m tools.memory_bounds [--only NAME] [--folder DIR]
 
 Every case is one command of its own process. It may be refused, but in one line; it may take long,
 but never says nothing for a minute; and it never holds more than 1 GB. The table is that of

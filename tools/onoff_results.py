@@ -1,6 +1,6 @@
 """Print the tables of docs/results-onoff.md: a broken beam, the cycle step by step, and its levels.
 
-Run as ``python tools/onoff_results.py [break | cycle | levels ...]``; without a name all of them.
+Run as ``python -m tools.onoff_results [break | cycle | levels ...]``; without a name all of them.
 """
 
 from __future__ import annotations
@@ -112,7 +112,8 @@ def levels() -> None:
 
 
 def _most(verdict: Verdict) -> str:
-    return f"{verdict.result('residual_vibration').measured * MICRO:.0f}"
+    measured = verdict.result("residual_vibration").measured
+    return "-" if measured is None else f"{measured * MICRO:.0f}"
 
 
 def _left(proof: Proof, axis: str, step: str) -> float:

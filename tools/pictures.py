@@ -1,4 +1,4 @@
-"""Draw the pictures of the documents anew: ``python tools/pictures.py``."""
+"""Draw the pictures of the documents anew: ``python -m tools.pictures``."""
 
 from __future__ import annotations
 

@@ -21,6 +21,9 @@ import numpy as np
 
 from threadline.errors import BudgetError, ThreadlineError
 from threadline.machine import Machine, load_machine
+from threadline.machine.model import Drive
+from threadline.machine.parts import DcMotor
+from threadline.machine.quantity import Quantity
 from threadline.path import plan_path
 from threadline.path.runs import COINCIDENT_M
 from threadline.path.types import ProgrammedPath, VertexBlock
@@ -49,6 +52,11 @@ class Tally:
         """Take a case into the failures."""
         self.failed.append(f"case {number}: {what}")
         print(self.failed[-1], flush=True)
+
+
+def _with(quantity: Quantity | None, si: float) -> Quantity:
+    assert quantity is not None
+    return replace(quantity, si=si)
 
 
 def drawn_points(random: np.random.Generator, axes: int, scales: np.ndarray) -> np.ndarray:
@@ -105,7 +113,7 @@ def on_machine(random: np.random.Generator, machine: Machine, tally: Tally, numb
             machine.axes[axis],
             velocity=replace(machine.axes[axis].velocity, si=float(velocity[j])),
             acceleration=replace(machine.axes[axis].acceleration, si=float(acceleration[j])),
-            jerk=replace(machine.axes[axis].jerk, si=float(jerk[j])),
+            jerk=_with(machine.axes[axis].jerk, float(jerk[j])),
         )
         for j, axis in enumerate(axes)
     }
@@ -262,9 +270,10 @@ def main() -> int:
 
 def without_drives(machine: Machine) -> Machine:
     """Return a machine whose drives give whatever its axes may do, as ``auto`` takes it."""
-    drives = {
+    drives: dict[str, Drive] = {
         name: replace(drive, amplifier=replace(drive.amplifier, current_limit=None))
         for name, drive in machine.drives.items()
+        if isinstance(drive, DcMotor)
     }
     controllers = {
         name: replace(

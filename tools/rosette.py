@@ -1,6 +1,6 @@
 """Makes ``examples/rosette.dst``: a small design with all that an embroidery frame has to do.
 
-    python tools/rosette.py examples/rosette.dst
+    python -m tools.rosette examples/rosette.dst
 
 Petals in satin, an outline in running stitches, a second colour, a trim, and one stitch of 16.5 mm
 that the format holds as a jump and a stitch. A few hundred stitches: proved in a second or two.

@@ -1,6 +1,6 @@
 """How fast a schiffli frame can be moved, law by law: the table and the figure of the results.
 
-    python tools/schiffli_claim.py
+    python -m tools.schiffli_claim
 
 16.5 mm, at most 0.05 mm left swinging over +-10 % of a mode of damping ratio 0.02, for modes from
 6 to 40 Hz, at the peak acceleration of modified sine in 120 ms and at 1.5 times that. A law that is

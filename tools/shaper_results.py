@@ -1,6 +1,6 @@
 """Print every figure of the shapers beside what the sources print, for docs/results-shaping.md.
 
-Run as ``python tools/shaper_results.py [section ...]``; without a name all sections are printed.
+Run as ``python -m tools.shaper_results [section ...]``; without a name all sections are printed.
 """
 
 from __future__ import annotations

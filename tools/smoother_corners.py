@@ -68,7 +68,7 @@ def time_s(degree: int, angle_deg: float, limits: Limits) -> tuple[float, int]:
 def main() -> None:
     """Print the table."""
     print("turn  jerk m/s^3  cubic s  quartic s  quintic s")
-    spent, elements, corners = dict.fromkeys(CUTS, 0.0), dict.fromkeys(CUTS, 0), 0
+    spent, cuts, corners = dict.fromkeys(CUTS, 0.0), dict.fromkeys(CUTS, 0), 0
     time_s(3, 90.0, _limits(2000.0))  # so that nothing is compiled or read by the clock
     for jerk in (200.0, 2000.0, 20000.0):
         for angle in (30.0, 90.0, 150.0):
@@ -77,13 +77,13 @@ def main() -> None:
                 begun = process_time()
                 taken_s, count = time_s(degree, angle, _limits(jerk))
                 spent[degree] += process_time() - begun
-                elements[degree] += count
+                cuts[degree] += count
                 found.append(taken_s)
             corners += 1
             print(f"{angle:4.0f}  {jerk:10.0f}  " + "  ".join(f"{value:.5f}" for value in found))
     for degree in CUTS:
-        each_ms, count = 1e3 * spent[degree] / corners, elements[degree] / corners
-        print(f"degree {degree}: {each_ms:.0f} ms and {count:.0f} elements for a corner")
+        each_ms, mean = 1e3 * spent[degree] / corners, cuts[degree] / corners
+        print(f"degree {degree}: {each_ms:.0f} ms and {mean:.0f} elements for a corner")
 
 
 def _limits(jerk: float) -> Limits:

@@ -29,6 +29,7 @@ from threadline.live import sim_process
 from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.sim_process import sim_link
+from threadline.live.simulated import simulated_of
 from threadline.live.supervised import run_commands
 from threadline.live.ways import way_of
 from threadline.live.wire import Connection, Message
@@ -96,8 +97,9 @@ class Memory:
         self.seen: list[tuple[float, float, float]] = []
         self._due_s = 0.0
 
-    def look(self, time_s: float) -> None:
+    def look(self, executor: Executor) -> None:
         """Look at it where that is due."""
+        time_s = executor.time_s
         if time_s >= self._due_s:
             self._due_s = time_s + _EACH_S
             machine = sum(resident_mib(pid) for pid in children())
@@ -149,7 +151,7 @@ def run_a_day(hours: float, speed: float, folder: Path, *, inside: bool) -> Iter
             ended, text, late = run_commands(
                 plan.commands, plan.machine, link_to(plan, speed, inside=inside), desk, kept,
                 speed=0.0 if inside else speed,
-                watch=lambda one, memory=memory: memory.look(one.time_s),
+                watch=memory.look,
             )  # fmt: skip
         desk.close()
         used_s += processor_s() - before_s
@@ -234,7 +236,8 @@ def kill(count: int, folder: Path) -> Iterator[str]:
     ]  # fmt: skip
     for plan, _ in jobs:  # every fork has the twin then
         way = way_of(plan.machine)
-        way.simulated(plan.machine, way.start(plan.commands), lambda _: None).play(10)
+        made = simulated_of(plan.machine)
+        made(plan.machine, way.start(plan.commands), lambda _: None).play(10)
     chance, kept, wrong = random.Random(1994), folder / "kills", 0
     for number in range(count):
         plan, known = jobs[number % len(jobs)]
@@ -282,7 +285,6 @@ def _one_kill(plan: Plan, known: ProofFile, folder: Path, whom: str, tick: int) 
     told_s = tick * float(plan.machine.command_clock.period_s)
     if told_s - last * float(clock.period_s) > LOST_S:
         yield f"the trace ends at {last * float(clock.period_s):.2f} s, {told_s:.2f} s were told"
-    store.index.close()
     (kept / "trace.mcap").unlink()
 
 

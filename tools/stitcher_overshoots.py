@@ -17,6 +17,8 @@ import numpy as np
 
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
+from threadline.machine.model import Drive
+from threadline.machine.parts import DcMotor
 from threadline.plant.analysis import loop_figures
 from threadline.plant.loop import axis_loops
 from threadline.plant.values import Values
@@ -91,11 +93,12 @@ def overshoots(
 
 def clipped_output(machine: Machine) -> Machine:
     """Return the machine with the thesis's form of the current limit."""
-    drives = {
+    drives: dict[str, Drive] = {
         name: dataclasses.replace(
             drive, amplifier=dataclasses.replace(drive.amplifier, limits="output")
         )
         for name, drive in machine.drives.items()
+        if isinstance(drive, DcMotor)
     }
     return dataclasses.replace(machine, drives=drives)
 
@@ -122,10 +125,10 @@ def margins(machine: Machine, axis: str, filters: np.ndarray) -> list[tuple[floa
         values = Values.of(machine, {f"{path}.{n}": np.array([v]) for n, v in numbers.items()})
         figures = loop_figures(axis_loops(machine, values)[axis], "sampled")
         worst = figures.margins.worst_phase
-        stable = figures.stable and worst is not None
-        found.append(
-            (worst.phase_margin_deg, worst.omega_rad_s / (2 * np.pi)) if stable else (-np.inf, 0.0)
-        )
+        if figures.stable and worst is not None:
+            found.append((worst.phase_margin_deg, worst.omega_rad_s / (2 * np.pi)))
+        else:
+            found.append((-np.inf, 0.0))
     return found
 
 
@@ -210,8 +213,8 @@ def main() -> None:
     }
     print("\n| machine | X | Y |\n|---|---|---|")
     for name, form in forms.items():
-        over = {a: overshoots(form, np.array([f])).overshoot[a][0] for a, f in chosen.items()}
-        print(f"| {name} | {over['X']:.2f} mm | {over['Y']:.2f} mm |")
+        beyond = {a: overshoots(form, np.array([f])).overshoot[a][0] for a, f in chosen.items()}
+        print(f"| {name} | {beyond['X']:.2f} mm | {beyond['Y']:.2f} mm |")
     widths = np.array([0.0, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6])
     played = play_table(load_machine("stitcher+backlash"), chosen, widths)
     print("\n| play at the head | X | Y |\n|---|---|---|")
@@ -223,15 +226,15 @@ def main() -> None:
     print("\n| change | X | Y |\n|---|---|---|")
     for name, (path, values, factor) in {**changes, "all three": ("", (0, 0), 0.0)}.items():
         which = changes.values() if not path else [(path, values, factor)]
-        over = {}
+        beyond = dict[str, float]()
         for axis, lead in chosen.items():
             others = {
                 p.format(a): np.array([f * v])
                 for p, pair, f in which
                 for a, v in zip("xy", pair, strict=True)
             }
-            over[axis] = overshoots(machine, np.array([lead]), others).overshoot[axis][0]
-        print(f"| {name} | {over['X']:.2f} mm | {over['Y']:.2f} mm |")
+            beyond[axis] = overshoots(machine, np.array([lead]), others).overshoot[axis][0]
+        print(f"| {name} | {beyond['X']:.2f} mm | {beyond['Y']:.2f} mm |")
     if len(sys.argv) > 1:
         draw(tried, sys.argv[1])
 

@@ -12,7 +12,10 @@ import numpy as np
 from scipy.signal import TransferFunction, step
 
 from threadline.machine import Machine
+from threadline.machine.controllers import Controller, PdController
 from threadline.machine.load import load_machine
+from threadline.machine.model import Drive
+from threadline.machine.parts import DcMotor
 from threadline.machine.quantity import Quantity
 from threadline.plant.linear_model import linear_model
 from threadline.signals import Stream, TickBlock, TickTable
@@ -40,15 +43,17 @@ def changed(
     def scaled(quantity: Quantity, value: float | None) -> Quantity:
         return quantity if value is None else dataclasses.replace(quantity, si=value)
 
-    controllers = {
+    controllers: dict[str, Controller] = {
         name: dataclasses.replace(c, kp=scaled(c.kp, kp), kd=scaled(c.kd, kd))
         for name, c in machine.controllers.items()
+        if isinstance(c, PdController)
     }
-    drives = {
+    drives: dict[str, Drive] = {
         name: dataclasses.replace(
             d, amplifier=dataclasses.replace(d.amplifier, gain=scaled(d.amplifier.gain, gain))
         )
         for name, d in machine.drives.items()
+        if isinstance(d, DcMotor)
     }
     clocks = dict(machine.clocks)
     if tick_ms is not None:
@@ -102,7 +107,7 @@ def twin_step(
 def figure_7_5() -> list[Row]:
     """Return the step response of X for three amplifier gains, continuous and on the twin."""
     printed = {0.2: "> 500 ms", 0.45: "125 ms, no overshoot", 2.0: "50 ms, overshoot"}
-    rows = []
+    rows: list[Row] = []
     times = np.linspace(0.0, 1.0, 20_001)
     for gain, said in printed.items():
         machine = changed(load_machine("lathe-winder"), gain=gain)
@@ -115,7 +120,7 @@ def figure_7_5() -> list[Row]:
             [velocity_gain * DERIVATIVE_S, velocity_gain],
             [1.0, pole + velocity_gain * DERIVATIVE_S, velocity_gain],
         )
-        _, response = step(closed, T=times)
+        _, response = step((closed.num, closed.den), T=times)
         over, settled_half = overshoot_and_settling(times, response, 0.005)
         _, settled_2 = overshoot_and_settling(times, response, 0.02)
         poles = np.sort_complex(closed.poles)
@@ -158,7 +163,7 @@ def turning_point(feed: int, machine: Machine) -> tuple[float, float, int]:
 
 def figure_10_3() -> list[Row]:
     """Return how X turns under linear interpolation, for both amplifiers and both supplies."""
-    rows = []
+    rows: list[Row] = []
     for mode in ("", "+8A", "+current", "+physical", "+physical+current"):
         machine = load_machine("lathe-winder" + mode)
         for feed in (10, 20, 30, 80):
@@ -173,7 +178,7 @@ def figure_10_3() -> list[Row]:
 
 def proportional_only() -> list[Row]:
     """Return the step response under P alone: 5.8 says that it oscillates heavily."""
-    rows = []
+    rows: list[Row] = []
     for mode in ("", "+current", "+stiction", "+current+stiction"):
         for kp in (0.5, 1.0, 2.0, 4.0):
             machine = changed(load_machine("lathe-winder" + mode), kp=kp, kd=0.0)
@@ -209,7 +214,8 @@ def serves_all(axes: dict[str, tuple[float, float]]) -> bool:
 
 def claim_5_8() -> tuple[list[Row], list[Row]]:
     """Return where one set of gains serves all axes: details at 2, 4, and counts over a grid."""
-    detail, summary = [], []
+    detail: list[Row] = []
+    summary: list[Row] = []
     grid_p, grid_d = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0), (0.0, 1.0, 2.0, 4.0, 8.0, 12.0, 16.0)
     for mode in ("", "+current"):
         for tick in (5, 10):

@@ -20,12 +20,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from threadline.machine import Machine, load_machine
+from threadline.machine.parts import DcMotor
 from threadline.plant.loop import axis_loops
 from threadline.trajectory.optimal.drives import RESERVE, demands_of
 
@@ -48,6 +50,7 @@ def answers(machine: Machine) -> tuple[float, np.ndarray, np.ndarray, np.ndarray
     load = answer[:, closed.outputs.index("X.load")]
     volts = answer[:, closed.outputs.index("controllers.x")]
     drive, inertia = machine.drives["x"], machine.bodies["x"].inertia.si
+    assert isinstance(drive, DcMotor)
     emf, ohms, torque = drive.back_emf.si, drive.resistance.si, drive.torque_constant.si
     kept = np.exp(-torque * emf / (ohms * inertia) * closed.period_s)
     gain = drive.amplifier.gain.si
@@ -76,13 +79,15 @@ def farthest_m(
     period_s, load, volts, amperes = answers(machine)
     steps = 1 if kept == "free" else STEPS
     last, free, step_s = -(-count // steps) + AFTER, count - 1, period_s / steps
-    told = sp.vstack(
-        [sp.csr_matrix((4, free)), sp.eye(free), sp.csr_matrix((last * steps - free, free))]
-    ).tocsr()
+    told: Any = sp.csr_matrix(
+        sp.vstack(
+            [sp.csr_matrix((4, free)), sp.eye(free), sp.csr_matrix((last * steps - free, free))]
+        )
+    )
 
     def answered(taps: np.ndarray) -> sp.csr_matrix:
         memory = sp.diags_array(
-            [np.full(last + 1, tap) for tap in taps],
+            [np.full(last + 1, tap).tolist() for tap in taps],
             offsets=[-k for k in range(len(taps))],
             shape=(last + 1, last + 1),
         )
@@ -93,6 +98,9 @@ def farthest_m(
     for _ in range(3):
         rates.append((rates[-1][1:] - rates[-1][:-1]) / step_s)
     axis, drive = machine.axes["X"], machine.drives["x"]
+    assert isinstance(drive, DcMotor)
+    assert drive.amplifier.current_limit is not None
+    assert axis.jerk is not None
     most = [q.si for q in (axis.velocity, axis.acceleration, axis.jerk)]
     rows = [rate / limit for rate, limit in zip(rates[1:], most, strict=True)]
     if kept == "rigid":
@@ -106,7 +114,7 @@ def farthest_m(
         rows += [answered(volts) / ((1.0 - reserve) * clamp_v)]
         rows += [answered(amperes) / ((1.0 - reserve) * clamp_a)]
     all_rows = sp.vstack(rows)
-    matrix = sp.vstack([all_rows, -all_rows, where * MM, -where * MM])
+    matrix: Any = sp.vstack([all_rows, -all_rows, where * MM, -where * MM])
     ones, places = np.ones(2 * all_rows.shape[0]), np.ones(where.shape[0])
     bound = [ones, (WAY_M + within_m) * MM * places, within_m * MM * places]
     room_m = np.inf if kept == "free" else TOLERANCE_M
@@ -117,7 +125,7 @@ def farthest_m(
         bounds=(-room_m, WAY_M + room_m),
         method="highs",
     )
-    return -found.fun / MM if found.status == 0 else -np.inf
+    return -np.inf if found.status or found.fun is None else -found.fun / MM
 
 
 def fewest(comes: Callable[[int], bool], low: int, high: int) -> int:

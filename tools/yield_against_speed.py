@@ -32,7 +32,7 @@ FEEDS_MM_S = (5, 10, 15, 20, 25, 30, 32, 34, 36, 38, 40, 45, 50)
 NEEDLES_HZ = (30, 34, 38, 42, 46, 50, 54, 58, 62, 66, 70, 73)
 Row = tuple[float, float, float, float]  # speed, share in spec, its interval
 FEWER_MM_S = (20, 25, 30, 36, 40, 45, 50)  # a long job, and its plans take seconds
-METHODS = {
+METHODS: dict[str, dict[str, Sequence[int]]] = {
     "x-180": {"linear": FEEDS_MM_S, "optimal": FEEDS_MM_S},
     "cone-dome-cylinder": {"linear": FEEDS_MM_S, "optimal": FEWER_MM_S},
 }

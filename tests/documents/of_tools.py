@@ -21,14 +21,14 @@ class ToolTable:
 
 SHAPING, RESULTS = "results-shaping.md", "tools.shaper_results"
 TABLES = [
-    ToolTable(SHAPING, "python tools/shaper_results.py facts", RESULTS, "facts", 1),
-    ToolTable(SHAPING, "python tools/shaper_results.py robustness", RESULTS, "robustness", 2),
-    ToolTable(SHAPING, "python tools/shaper_results.py optimal", RESULTS, "optimal", 2),
-    ToolTable(SHAPING, "python tools/shaper_results.py rounding", RESULTS, "rounding", 1),
-    ToolTable(SHAPING, "python tools/shaper_results.py moves", RESULTS, "moves", 1),
+    ToolTable(SHAPING, "python -m tools.shaper_results facts", RESULTS, "facts", 1),
+    ToolTable(SHAPING, "python -m tools.shaper_results robustness", RESULTS, "robustness", 2),
+    ToolTable(SHAPING, "python -m tools.shaper_results optimal", RESULTS, "optimal", 2),
+    ToolTable(SHAPING, "python -m tools.shaper_results rounding", RESULTS, "rounding", 1),
+    ToolTable(SHAPING, "python -m tools.shaper_results moves", RESULTS, "moves", 1),
     ToolTable(
         "results-onoff.md",
-        "python tools/onoff_results.py break",
+        "python -m tools.onoff_results break",
         "tools.onoff_results",
         "broken",
         1,

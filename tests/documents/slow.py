@@ -19,20 +19,22 @@ SLOW: dict[str, dict[str, str]] = {
             "a quarter of a minute to a minute each"
         ),
         "threadline fastest examples/cone-dome-cylinder.prg -m lathe-winder": "51 s",
-        "python tools/long_winding.py LONG.nc": "writes the job of the command beside it",
+        "python -m tools.long_winding LONG.nc": "writes the job of the command beside it",
         "threadline fastest LONG.nc -m lathe-winder": "a minute; tests/search/test_long_jobs.py",
         "make demo": "the command beside it is quick",
         "make bench": BENCH,
         "make fuzz": "hours",
-        "python tools/fuzz.py --seed 317 --reader READER --cases N": "an hour for all readers",
-        "python tools/fuzz.py --seed 1301 --reader NAME --cases 100000": "600 000 cases",
+        "python -m tools.fuzz --seed 317 --reader READER --cases N": "an hour for all readers",
+        "python -m tools.fuzz --seed 1301 --reader NAME --cases 100000": "600 000 cases",
+        "python -m tools.fuzz_commands --kind machine-number --seed 316": "14 291 commands",
+        "python -m tools.fuzz_interrupts": "a second for each of 200 cases",
         "python -m tools.duration_against_contour": "four minutes, and toppra",
         "python -m tools.x_180_bound": "half a minute",
-        "python tools/big_program.py 5000000 BIG.prg": "writes 197 MB",
+        "python -m tools.big_program 5000000 BIG.prg": "writes 197 MB",
         "/usr/bin/time -v threadline prove BIG.prg -m lathe-winder --interpolation NAME --json": (
             "253 s"
         ),
-        "python tools/memory_bounds.py": "half an hour",
+        "python -m tools.memory_bounds": "half an hour",
         "python -m tools.points_growth 3 5 --every-point "
         "--picture docs/pictures/points-growth.png": ("times and memory of one computer"),
         "python -m tools.points_growth 3 7 --picture docs/pictures/points-growth-chords.png": (
@@ -83,8 +85,8 @@ SLOW: dict[str, dict[str, str]] = {
         "make bench": BENCH,
         "pytest tests/shaping/test_bands.py": OF_TESTS,
         "pytest tests/shaping/test_direct_unit.py": OF_TESTS,
-        "python tools/shaper_results.py SECTION": "each section but `front` is quick",
-        "python tools/shaper_results.py front": "integer programs, minutes",
+        "python -m tools.shaper_results SECTION": "each section but `front` is quick",
+        "python -m tools.shaper_results front": "integer programs, minutes",
         'threadline shaper --mode 3.04Hz --kind zv --move "200 mm" --acceleration "1 m/s^2" '
         '--tick "10 ms"': "a minute",
         "threadline shaper": NO_FIGURES,
@@ -100,8 +102,8 @@ SLOW: dict[str, dict[str, str]] = {
         "python -m tests.plc.scan_table": "minutes",
         "python -m tests.plc.stuck": "tests/plc/test_stuck.py",
         "python -m tests.plc.breaks --compiled FOLDER": "needs matiec; tests/plc/test_breaks.py",
-        "python tools/onoff_results.py cycle": "a minute",
-        "python tools/onoff_results.py levels": "minutes",
+        "python -m tools.onoff_results cycle": "a minute",
+        "python -m tools.onoff_results levels": "minutes",
         "threadline compare examples/letter-cycle.toml -m letter-placer": "a minute",
         "threadline compile examples/letter-cycle.toml -m letter-placer --target st --shaper zv "
         '--mode "3.04 Hz" --damping 0.17 -o cycle.st': "tests/plc run what it writes",
@@ -122,8 +124,8 @@ SLOW: dict[str, dict[str, str]] = {
         "threadline fastest tree.dst -m schiffli-frame --nominal": THEIRS,
         "threadline fastest examples/rosette.dst -m schiffli-frame": "a minute",
         "OPENBLAS_NUM_THREADS=1 threadline prove CARD -m schiffli-frame": "random cards, minutes",
-        "python tools/fuzz.py --reader design-hus --cases 100000": "minutes",
-        "python tools/schiffli_claim.py": "tests/stitching/test_claim.py",
+        "python -m tools.fuzz --reader design-hus --cases 100000": "minutes",
+        "python -m tools.schiffli_claim": "tests/stitching/test_claim.py",
     },
     "yield.md": {
         "python -m tools.yield_against_speed winder": "ten minutes",

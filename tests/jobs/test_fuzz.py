@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 import warnings
-from collections.abc import Iterator
-from pathlib import Path
-from types import ModuleType
 
 import pytest
+from tools import fuzz
 
 from threadline.errors import UnitError
 from threadline.units import parse_exact_time_s, parse_quantity
 
 CASES = {"part-program": 300, "units": 300, "par": 100, "radii": 150, "program-winder": 150}
 JUDGED = ("judge-channels", "judge-blocks", "judge-axes")  # tests/verdict has cases of them
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "fuzz.py"
 
 
-@pytest.fixture(scope="module")
-def fuzz() -> Iterator[ModuleType]:
-    spec = importlib.util.spec_from_file_location("fuzz", TOOL)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(TOOL.parent)  # where it finds its own parts
-        patch.setitem(sys.modules, "fuzz", module)
-        spec.loader.exec_module(module)
-        yield module
-
-
-def test_no_reader_answers_with_a_traceback(fuzz: ModuleType) -> None:
+def test_no_reader_answers_with_a_traceback() -> None:
     """Every reader refuses or accepts; some of each, or the cases would prove nothing."""
     for name in fuzz.READERS.keys() - set(JUDGED):
         with warnings.catch_warnings():
@@ -40,7 +23,7 @@ def test_no_reader_answers_with_a_traceback(fuzz: ModuleType) -> None:
         assert 0 < tally.accepted[name] < tally.cases[name]
 
 
-def test_a_traceback_is_counted(fuzz: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_traceback_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     """A reader that divides by zero is a failure, with the command that repeats it."""
     bad = fuzz.Reader("x", lambda rng: b"", lambda path: 1 / 0, 1)
     monkeypatch.setitem(fuzz.READERS, "bad", bad)

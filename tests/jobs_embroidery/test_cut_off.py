@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 import io
-import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 from pystitch import EmbPattern, HusReader
 from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
+from tools import fuzz_designs as made
 
 from threadline.errors import JobError, Place
 from threadline.jobs import read_job
@@ -22,20 +19,7 @@ from threadline.machine import load_machine
 
 MACHINE = load_machine("schiffli-frame")
 SAMPLES = SHARED_SAMPLES / "embroidery"
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "fuzz_designs.py"
 WHERE = Place("a.hus")
-
-
-@pytest.fixture(scope="module")
-def made() -> Iterator[ModuleType]:
-    """The tool that makes sound designs in every format."""
-    spec = importlib.util.spec_from_file_location("fuzz_designs", TOOL)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "fuzz_designs", module)
-        spec.loader.exec_module(module)
-        yield module
 
 
 def last_stitch(content: bytes, suffix: str) -> int:
@@ -48,9 +32,7 @@ def last_stitch(content: bytes, suffix: str) -> int:
 
 
 @pytest.mark.parametrize("suffix", ["dst", "pes", "jef", "vp3", "xxx", "u01", "hus", "t15"])
-def test_a_design_that_is_cut_off_is_refused_wherever_that_is(
-    suffix: str, made: ModuleType, tmp_path: Path
-) -> None:
+def test_a_design_that_is_cut_off_is_refused_wherever_that_is(suffix: str, tmp_path: Path) -> None:
     """EXP alone cannot tell: it has no header, and no mark of its end."""
     content = made.seeds()[suffix]
     file = tmp_path / f"a.{suffix}"
@@ -70,7 +52,7 @@ def records_of_peer(content: bytes) -> np.ndarray:
     return np.array(pattern.stitches)
 
 
-def test_hus_is_read_as_another_library_reads_it(made: ModuleType) -> None:
+def test_hus_is_read_as_another_library_reads_it() -> None:
     """That one tells a trim that moves as a jump and a trim; places and stitches are the same."""
     content = made.hus_seed()
     ours, theirs = read_hus(content, WHERE), records_of_peer(content)
@@ -99,7 +81,7 @@ def test_a_real_hus_is_read_as_another_library_reads_it() -> None:
     ],
 )
 def test_a_hus_that_asks_for_more_than_it_has_is_refused_at_once(
-    at: int, put: bytes, said: str, made: ModuleType
+    at: int, put: bytes, said: str
 ) -> None:
     """The peer's reader would fill the memory with some of these."""
     content = bytearray(made.hus_seed())

@@ -1,7 +1,7 @@
 """Every number of every machine file of the library, one by one, at all kinds of odd values.
 
 A file with one such number is proved, analysed or compiled, or refused in one line.
-``tools/fuzz_commands.py --kind machine-number`` goes through all of them.
+``python -m tools.fuzz_commands --kind machine-number`` goes through all of them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import random
 import signal
-import sys
 import tomllib
 import warnings
 from collections.abc import Iterator
@@ -17,9 +16,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from tools import fuzz_commands
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
-LIBRARY = TOOLS.parent / "src" / "threadline" / "machine" / "library"
+LIBRARY = Path(__file__).resolve().parents[2] / "src" / "threadline" / "machine" / "library"
 CASES = 14
 
 
@@ -27,14 +26,8 @@ CASES = 14
 def commands() -> Iterator[ModuleType]:
     watches = (signal.SIGALRM, signal.SIGPROF)
     before = [signal.getsignal(watch) for watch in watches]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(TOOLS)
-        import fuzz_commands
-
-        fuzz_commands.answer_alarms()
-        yield fuzz_commands
-        for name in ("fuzz_commands", "fuzz_cases", "fuzz_odd", "short_jobs"):
-            sys.modules.pop(name, None)
+    fuzz_commands.answer_alarms()
+    yield fuzz_commands
     for watch, answer in zip(watches, before, strict=True):
         signal.signal(watch, answer)
 

@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.signal import StateSpace, lsim
+from tools import stitcher_overshoots as tool
 
 from threadline.machine.load import load_machine
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-import stitcher_overshoots as tool
 
 FITTING = np.array([[1.25, 0.952, 0.6]])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 from tests.jobs.made_machines import made_machine
 from tests.search.test_fastest import verdict
+from tools import long_winding
 
 from threadline.cli.controller_settings import settings_words
 from threadline.cli.main import main
@@ -44,11 +44,7 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
 
 def winding_blocks(moves: int) -> list[str]:
     """Of the tool that writes the benchmark."""
-    named = importlib.util.spec_from_file_location("long_winding", ROOT / "tools/long_winding.py")
-    assert named is not None and named.loader is not None
-    tool = importlib.util.module_from_spec(named)
-    named.loader.exec_module(tool)
-    return list(islice(tool.blocks(), moves))
+    return list(islice(long_winding.blocks(), moves))
 
 
 def written(folder: Path, blocks: list[str], machine: Machine) -> Job:

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import random
-import sys
 import warnings
-from pathlib import Path
 
 import pytest
+from tools.fuzz_files import fuzz_targets, seeds
 
 from threadline.errors import RecordingError
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-from fuzz_files import fuzz_targets, seeds
 
 
 def mutate(rng: random.Random, data: bytes) -> bytes:

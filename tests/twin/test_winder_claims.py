@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
+from tools import winder_claims
 
 from threadline.machine.load import load_machine
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "tools"))
-import winder_claims
 
 
 def test_figure_7_5():

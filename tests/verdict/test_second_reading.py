@@ -3,19 +3,17 @@
 Random subsets of channels are taken away from runs of a winder, a stitcher, an on/off placer and
 an embroidery machine, their units changed, their blocks cut, overlapped and reordered, and single
 axes named.
-``tools/fuzz.py`` runs the same classes for long.
+``python -m tools.fuzz`` runs the same classes for long.
 """
 
 from __future__ import annotations
 
 import random
-import sys
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from tools import fuzz_recordings as cases
 
 from threadline.errors import ThreadlineError
 from threadline.verdict import spec
@@ -23,22 +21,10 @@ from threadline.verdict.coverage import Coverage
 from threadline.verdict.motion_run import MotionRun
 from threadline.verdict.stitch_run import StitchRun
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
 CASES = 25
 
 
-@pytest.fixture(scope="module")
-def cases() -> Iterator[ModuleType]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(TOOLS)
-        import fuzz_recordings
-
-        yield fuzz_recordings
-        for name in ("fuzz_recordings", "fuzz_runs", "short_jobs"):
-            sys.modules.pop(name, None)
-
-
-def run(cases: ModuleType, kind: str, folder: Path, count: int, seed: int = 11) -> tuple[int, int]:
+def run(kind: str, folder: Path, count: int, seed: int = 11) -> tuple[int, int]:
     """Return how many cases were judged, and how many were passed that cannot pass."""
     judged = wrong = 0
     path = folder / "case.seed"
@@ -57,8 +43,8 @@ def run(cases: ModuleType, kind: str, folder: Path, count: int, seed: int = 11) 
 
 
 @pytest.mark.parametrize("kind", ["judge-channels", "judge-blocks", "judge-axes"])
-def test_nothing_passes_that_cannot(cases: ModuleType, kind: str, tmp_path: Path) -> None:
-    judged, wrong = run(cases, kind, tmp_path, CASES)
+def test_nothing_passes_that_cannot(kind: str, tmp_path: Path) -> None:
+    judged, wrong = run(kind, tmp_path, CASES)
     assert wrong == 0
     assert judged > CASES // 4
 
@@ -75,7 +61,7 @@ def test_nothing_passes_that_cannot(cases: ModuleType, kind: str, tmp_path: Path
     ],
 )
 def test_a_careless_judge_is_found_out(
-    cases: ModuleType, kind, owner, name, careless, found, tmp_path: Path, monkeypatch
+    kind, owner, name, careless, found, tmp_path: Path, monkeypatch
 ) -> None:
     """By its verdict: a judge that stumbles over what it does not heed is not found out by that."""
     monkeypatch.setattr(owner, name, careless)
