@@ -30,6 +30,7 @@ def test_a_criterion_of_every_step_is_named_once(tmp_path: Path) -> None:
     write_proof(proof, file)
     with pytest.raises(ProofError) as refused:
         check_runnable(file, plan, load_spec(None, machine), None)
-    _, _, named = str(refused.value).partition("out of specification: ")
+    job, _, named = str(refused.value).partition(" is out of specification: ")
+    assert job.endswith(f"] {plan.job.name}")  # no proof file that nobody wrote
     words = named.partition(". Lower")[0].split(", ")
     assert words == [" ".join(one).strip() for one in dict.fromkeys(failed)][:4]

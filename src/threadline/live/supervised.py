@@ -57,8 +57,7 @@ def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | Non
         )
     if not proof.passed and not override:
         raise ProofError(
-            f"the job is out of specification: {_failed(proof)}",
-            place=place,
+            f"{plan.job.name} is out of specification: {_failed(proof)}",
             remedy="Lower the feed (threadline fastest finds it), or run it all the same with "
             '--override "why", which is kept with the run.',
         )

@@ -71,7 +71,8 @@ def write_plt(
     channels = [c for axis in _ORDER if (c := recording.find(kind, axis)) is not None]
     if not channels:
         raise RecordingError(
-            f"the recording has no {kind.value} position", remedy="Give another kind of channel."
+            f"the recording has no {kind.value} position, which .plt is made of",
+            remedy="Write it as .csv or .npz.",
         )
     strange = [c for c in channels if c.unit not in _UNITS]
     if strange:
