@@ -86,6 +86,7 @@ def test_an_embroidery_is_sewn(browser: Browser, plant: Plant) -> None:
 def test_a_seam(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant, "stitcher")
     ready(page)
+    page.locator("#program").select_option("strap.seam.toml")
     press(page, "Calculate")
     expect(page.locator("#figures")).to_contain_text("IN SPEC")
     press(page, "Simulate")

@@ -18,6 +18,7 @@ const STALE_S = 0.5;
 const USUAL_S = 0.2;
 const TELLS_MS = 250;
 let bare: Mandrel | null = null; // of the machine, before anything is planned
+let toldEnd = "", toldFault = ""; // what was told last of the end of a run, and of a fault
 let toldMs = -Infinity, toldUsual = false; // when the age of the data was told last, and whether it was usual
 
 const curves = new Curves(by("position"), by("deviation"));
@@ -36,6 +37,7 @@ function heard(message: FromPanel): void {
   if (message.type === "welcome") {
     session.me = message.client;
     session.axes = message.axes;
+    session.figuresAt = 0; // states of this panel are numbered anew, and it sends the figures that it has
     by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
     hands.build();
     program.build();
@@ -92,6 +94,8 @@ function shownIn3d(): View3d | null {
 function open(part: string): void {
   for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button")) tab.setAttribute("aria-selected", String(tab.dataset.part === part));
   for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== part;
+  by("said").textContent = "";
+  by("said").hidden = part === "operate";
   if (part !== "operate" && part !== "teach-in") hands.disarm();
   if (part === "runs") void traces.list();
   if (part === "guide") void guide.open();
@@ -113,6 +117,15 @@ function tellAge(age: number, stale: boolean): void {
   tell("age", stale ? `no data for ${age.toFixed(1)} s` : `data ${Math.round(age * 1000)} ms old`);
 }
 
+/** Keep in the list of what happened how a run has ended, and why the machine is in fault. */
+function tellEnds(state: State): void {
+  const run = state.progress, wrong = ["fault", "gone"].includes(state.state);
+  const fault = wrong ? `${state.state}: ${state.why}` : "", end = run?.ended && run.verdict ? `${run.program}: ${run.ended}. ${run.verdict}` : "";
+  if (end !== toldEnd && end) say(end, !run!.verdict.startsWith("IN SPEC"));
+  if (fault !== toldFault && fault) say(fault, true);
+  [toldEnd, toldFault] = [end, fault];
+}
+
 function show(state: State | null): void {
   const silent = (performance.now() - session.link.heardMs) / 1000;
   const age = state ? state.age_s + silent : silent;
@@ -121,14 +134,16 @@ function show(state: State | null): void {
   tellAge(age, stale);
   tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : "no connection");
   put(by("state"), "className", !state || ["fault", "gone"].includes(state.state) ? "wrong" : "");
-  const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (what === "teach" ? teach.can(state) : session.can(what));
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned)));
+  const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (["teach", "zero-here"].includes(what) ? teach.can(state) : session.can(what));
+  const changed = state !== null && program.changed(state);
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned) || (changed && ["start", "approach"].includes(one.dataset.what!))));
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;
   tell("control", mine ? (asked ? `${held.asks_name} asks for control; it passes in ${held.passes_in_s.toFixed(0)} s` : "you have control") : held.client === null ? "nobody has control" : `${held.name} (${held.client}) has control${held.asks === session.me ? `; it passes in ${held.passes_in_s.toFixed(0)} s` : ""}`);
   tell("take", mine ? (asked ? "Give control" : "Release control") : held.client === null ? "Take control" : "Ask for control");
   put(by("keep"), "hidden", !asked);
+  tellEnds(state);
   hands.show(state);
   program.show(state);
   traces.show(state);

@@ -5,15 +5,23 @@ import type { Criterion, Figures, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { say, unitOf } from "./session";
 
+/** What is typed and chosen for a calculation, besides the program; priority and feed with it. */
+const FIELDS = ["interpolation", "priority", "feed", "shaper", "radius", "smoothing", "offset"];
+/** Factors and units in which a verdict is shown, as the reports have them; a number without a unit is a share. */
+const UNITS: Record<string, [number, string]> = { m: [1000, "mm"], "m/s": [1000, "mm/s"], s: [1000, "ms"], "": [100, "%"] };
 const PLACED = ["path_deviation", "contour_error", "placement_error", "stitch_residual", "residual_vibration"];
 
 export class Program {
+  private asked = ""; // the fields of the calculation that was asked for here
+  private calculated = ""; // those of the figures that are shown; empty where another page asked for them
+
   constructor(private readonly session: Session) {
     by("calculate").dataset.what = "calculate";
     by("calculate").onclick = () => this.calculate();
+    by("zero-here").dataset.what = "zero-here";
     by("zero-here").onclick = () => this.zeroHere();
     by("cancel").dataset.what = "cancel";
-    by("cancel").onclick = () => session.link.act({ what: "cancel" });
+    by("cancel").onclick = () => { this.asked = ""; session.link.act({ what: "cancel" }); };
     by<HTMLSelectElement>("priority").onchange = () => { by<HTMLInputElement>("feed").disabled = value("priority") !== "programmed"; };
     by<HTMLInputElement>("file").onchange = () => { const file = by<HTMLInputElement>("file").files?.[0]; if (file) void this.load(file.name, file); };
   }
@@ -25,7 +33,15 @@ export class Program {
     void this.list();
   }
 
+  private fields(): string { return JSON.stringify([...FIELDS.map(value), by<HTMLInputElement>("feed-forward").checked]); }
+
+  /** Whether program or fields are others than those of what was calculated, so that something else would run than is chosen. */
+  changed(state: State): boolean {
+    return !!state.proven && (state.proven.program !== value("program") || (this.calculated !== "" && this.calculated !== this.fields()));
+  }
+
   private calculate(): void {
+    this.asked = this.fields();
     const priority = value("priority");
     this.session.link.act({
       what: "calculate", program: value("program"), priority, interpolation: value("interpolation"),
@@ -68,11 +84,14 @@ export class Program {
     if (!answer.ok) { say(await answer.text(), true); return; }
     const chosen = by<HTMLSelectElement>("program"), before = chosen.value;
     chosen.replaceChildren(...((await answer.json()) as string[]).map((name) => made("option", name)));
-    if (before) chosen.value = before;
+    const now = before || this.session.figures?.program;
+    if (now) chosen.value = now;
   }
 
   tell(found: Figures): void {
-    const measured = (one: Criterion) => { const [by_, unit] = one.unit === "m" ? [1000, "mm"] : [1, one.unit]; return `${(one.measured! * by_).toFixed(3)} ${unit}${one.limit === null ? "" : ` of ${(one.limit * by_).toFixed(3)} ${unit}`}`; };
+    [this.calculated, this.asked] = [this.asked, ""];
+    if (this.calculated === "") by<HTMLSelectElement>("program").value = found.program; // it was chosen on another page, or before this one was loaded anew
+    const measured = (one: Criterion) => { const [by_, unit] = UNITS[one.unit] ?? [1, one.unit]; return `${(one.measured! * by_).toFixed(3)} ${unit}${one.limit === null ? "" : ` of ${(one.limit * by_).toFixed(3)} ${unit}`}`; };
     const shown = found.criteria.filter((one) => one.measured !== null && (one.status === "failed" || PLACED.includes(one.name)));
     const names = [...new Set(shown.map((one) => `${one.name.replaceAll("_", " ")}${one.axis ? ` ${one.axis}` : ""}`))];
     const worst = names.map((name) => shown.filter((one) => `${one.name.replaceAll("_", " ")}${one.axis ? ` ${one.axis}` : ""}` === name).reduce((a, b) => (b.measured! > a.measured! ? b : a)));
@@ -94,6 +113,7 @@ export class Program {
     put(by<HTMLInputElement>("file"), "disabled", !this.session.mine());
     put(by("cancel"), "hidden", state.calculating === null);
     put(by("override-row"), "hidden", !state.proven || state.proven.passed);
+    put(by("changed"), "hidden", !this.changed(state) || this.session.machineMoves());
     const run = state.progress;
     put(by<HTMLProgressElement>("progress"), "value", state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0));
     tell("progress-text", state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? `${run.program}: ${run.ended}${run.why ? `, ${run.why}` : ""}. ${run.verdict}` : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`);

@@ -62,10 +62,13 @@ export class Session {
   }
 }
 
+/** Say something in the list of what happened, and above the other parts of the page. */
 export function say(text: string, wrong = false): void {
   const line = made("li", `${new Date().toLocaleTimeString()}  ${text}`);
   line.className = wrong ? "wrong" : "";
   by("log").prepend(line);
+  by("said").textContent = text; // the list is on one part of the page
+  by("said").className = line.className;
   while (by("log").childElementCount > MOST_LINES) by("log").lastElementChild!.remove();
 }
 

@@ -74,6 +74,7 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
     starts = way_of(machine).start(plan.commands).tolist()
     return {
         **figures(proof),
+        "program": str(told["program"]),
         "feed": {**told, **words}["feed"],
         "starts": starts,
         "words": words,

@@ -1,0 +1,87 @@
+"""The page in a browser: what starts is what is chosen, and what is said is seen on every part."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from tests.panel.browsing import Browser, expect, opened, part, press, press_until, ready, state
+from tests.panel.test_panel_killed import Plant
+
+
+def test_what_is_not_chosen_any_more_does_not_start(
+    browser: Browser, plant: Plant, tmp_path: Path
+) -> None:
+    there = tmp_path / "there.prg"
+    (tmp_path / "other.prg").write_bytes(there.read_bytes())
+    page = opened(browser, plant)
+    ready(page)
+    chosen, changed = page.locator("#program"), page.locator("#changed")
+    motions = [page.get_by_role("button", name=name, exact=True) for name in ("Start", "Approach")]
+    chosen.select_option("there.prg")
+    press(page, "Calculate")
+    for one in motions:
+        expect(one).to_be_enabled()
+    expect(changed).to_be_hidden()
+
+    chosen.select_option("other.prg")
+    for one in motions:
+        expect(one).to_be_disabled()
+    expect(changed).to_contain_text("calculate again")
+    chosen.select_option("there.prg")
+    page.get_by_label("Feed", exact=True).fill("80 count/tick")
+    for one in motions:
+        expect(one).to_be_disabled()
+    page.get_by_label("Feed", exact=True).fill("")
+    page.get_by_text("Shaper, radius").click()
+    page.get_by_label("Loads follow").check()
+    for one in motions:
+        expect(one).to_be_disabled()
+    page.get_by_label("Loads follow").uncheck()
+    for one in motions:
+        expect(one).to_be_enabled()
+
+    page.reload()  # it forgets what was chosen, and chooses what was calculated
+    expect(page.locator("#figures")).to_contain_text("there.prg")
+    expect(chosen).to_have_value("there.prg")
+    press(page, "Take control")
+    for one in motions:
+        expect(one).to_be_enabled()
+    page.close()
+
+
+def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(
+    browser: Browser, plant: Plant
+) -> None:
+    page = opened(browser, plant)
+    said = page.locator("#said")
+    part(page, "Draw")
+    press(page, "Use as mandrel")
+    expect(said).to_have_text(re.compile("^a profile is one chosen line"))
+    expect(said).to_be_visible()
+    part(page, "Runs")
+    expect(said).to_have_text("")
+    part(page, "Operate")
+    expect(said).to_be_hidden()
+
+    ready(page)
+    press(page, "Calculate")
+    press_until(page, "Start", "running")
+    press(page, "STOP")
+    state(page, "idle")
+    expect(page.locator("#log")).to_contain_text("there.prg: stopped. NOT PROVEN")
+    page.close()
+
+
+def test_a_place_that_is_not_known_is_not_the_programs_zero(browser: Browser, plant: Plant) -> None:
+    page = opened(browser, plant)
+    page.get_by_text("Shaper, radius").click()
+    here = page.get_by_role("button", name="Program's zero is here")
+    expect(here).to_be_disabled()  # nobody has control
+    press(page, "Take control")
+    press_until(page, "Enable", "enabled")
+    expect(here).to_be_disabled()  # where the axes are is not known
+    press_until(page, "Home all", "homing|idle")
+    state(page, "idle")
+    expect(here).to_be_enabled()
+    page.close()
