@@ -42,12 +42,15 @@ def laid_out(
         header, rows = header[:-1], [row[:-1] for row in rows]
     # Text, not str: rich would take "[/b]" for its own markup, and ":x:" for a picture.
     table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
+    # What does not fit is cut where it may not be wrapped, and 0.5 mm would be read as 0.5 m.
+    wide = [max(len(line[k]) for line in [header, *rows]) + 3 for k in range(len(header))]
+    whole = sum(wide) + 1 <= console.width
     for index, name in enumerate(header):
         text = index == 0 or name == "note"
         table.add_column(
             Text(name),
             justify="left" if text else "right",
-            no_wrap=name != "note",
+            no_wrap=name != "note" and (whole or (index == 0 and 2 * wide[0] <= console.width)),
             overflow="fold",
         )
     for row in rows:

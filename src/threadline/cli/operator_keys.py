@@ -48,6 +48,7 @@ class AtTheKeys:
         self._desk, self._progress, self._terminal = desk, progress, terminal
         self._duration_s = max(duration_s, 1e-9)
         self._state = State.RUNNING
+        self._told = terminal is None
 
     def confirmed(self) -> bool | None:
         """Return whether ``c`` was pressed, False for any other key; None for no key."""
@@ -57,6 +58,9 @@ class AtTheKeys:
 
     def step(self, executor: Running) -> None:
         """Pass the keys to the desk; tell the progress of the run, and that it holds."""
+        if not self._told:
+            self._told = True
+            note("h holds, r goes on, any other key stops; none of them is the emergency stop")
         if self._terminal is not None and select.select([self._terminal], [], [], 0.0)[0]:
             for key in os.read(self._terminal, 16).decode("utf-8", "replace"):
                 self._desk.ask(_KEYS.get(key, Cause.STOP))
