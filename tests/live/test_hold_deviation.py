@@ -79,6 +79,9 @@ def test_a_hold_then_stands_at_the_next_rest_and_goes_on_from_there() -> None:
     bench.desk.ask(Cause.HOLD)
     bench.go_on(900)
     assert bench.executor.state is State.HOLDING
+    assert [text for *_, cause, text in bench.kept.log if cause is Cause.HOLD] == [
+        "it goes on to the next rest"
+    ]
     counts = bench.commanded()
     # It has played the first half as it is, and stands in the rest behind it.
     half = np.cumsum(rows[: len(rows) // 2], axis=0)

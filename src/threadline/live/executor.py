@@ -243,7 +243,8 @@ class Executor(AtRest):
 
     def _command(self, cause: Cause) -> None:
         moving = self.state in MOVING
-        self._go(cause)
+        waits = cause is Cause.HOLD and self._hold_at_rest
+        self._go(cause, "it goes on to the next rest" if waits else "")
         if cause is Cause.STOP and moving:
             self._homed = self._homed and (self._ahead is None or self._ahead.keeps_home)
             self.ended = self.ended or (Ended.STOPPED, f"stopped by {self.stopped_by}")
