@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Sequence
 
@@ -10,13 +11,14 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
 from threadline.live.grbl_port import Port
-from threadline.live.grbl_words import RESET, STATUS, Status, settings_of, status_of
+from threadline.live.grbl_words import RESET, STATUS, Status, numbers, settings_of, status_of
 from threadline.machine import Machine
 
 _ANSWER_S = 3.0
 _HOMING_S = 120.0
 _LISTEN_S = 0.05  # to the controller while the operator may stop it
 _SAME = 1e-3  # relative, of a setting and the number in the machine file
+_QUIET_S = 5.0  # by which a controller that was reset has said all that it says of itself
 _TRAVEL_M = 1e-3  # by which a report may lie beyond the travel
 
 
@@ -36,11 +38,13 @@ class Controller:
         As given.
     blocks
         Blocks that its planner holds: 15, unless it has told another number when it was met.
+    brakes_s
+        Time in s in which every axis comes to rest from its highest speed, by its settings.
     """
 
     def __init__(self, port: Port, machine: Machine) -> None:
         self.port, self.machine = port, machine
-        self.blocks = 15
+        self.blocks, self.brakes_s = 15, 0.0
         self._letters: tuple[str, ...] = ()
         self._homes = False
 
@@ -104,7 +108,7 @@ class Controller:
             self.ask(b"$H\n", _HOMING_S, stopped)
         for line in self.ask(b"$#\n", _ANSWER_S):
             name, _, values = line.strip("[]").partition(":")
-            if name in {"G54", "G92"} and any(float(value) for value in values.split(",")):
+            if name in {"G54", "G92"} and numbers(values).any():
                 raise LinkFaultError(
                     f"the controller shifts its coordinates: {line}",
                     remedy="Clear it (G10 L2 P1 X0 Y0 Z0, G92.1), then home again.",
@@ -153,9 +157,12 @@ class Controller:
         until = time.monotonic() + _ANSWER_S
         while (left_s := until - time.monotonic()) > 0.0 and not self.port.lost:
             self.port.send(STATUS)
-            while (heard := self.port.receive(min(left_s, 0.5))) is not None:
-                found = status_of(heard)
-                if found is not None:
+            again = time.monotonic() + min(left_s, 0.5)
+            while (wait_s := again - time.monotonic()) > 0.0:
+                heard = self.port.receive(wait_s)
+                if heard is None:
+                    break
+                if (found := status_of(heard)) is not None:
                     return found
         raise LinkFaultError(
             "the controller did not answer",
@@ -163,18 +170,23 @@ class Controller:
         )
 
     def _quiet(self) -> None:
-        """Read what comes until nothing comes any more."""
+        """Read what comes until nothing comes any more; a LinkFaultError where it has no end."""
+        until = time.monotonic() + _QUIET_S
         while self.port.receive(0.5) is not None:
-            pass
+            if time.monotonic() >= until:
+                raise LinkFaultError(
+                    f"the controller was reset, and has not been quiet for {_QUIET_S:g} s",
+                    remedy="Look whether it speaks grbl, and sends no reports by itself.",
+                )
 
     def _ask_letters(self) -> tuple[str, ...]:
         """Return the letters of its axes, in the order of its reports."""
         for line in self.ask(b"$I\n", _ANSWER_S):
-            if line.startswith("[AXS:"):
+            if line.startswith("[AXS:") and line.count(":") > 1:
                 return tuple(line.strip("[]").split(":")[2])
             if line.startswith("[OPT:"):
-                told = line.strip("[]").split(",")
-                self.blocks = int(told[1]) if len(told) > 1 and told[1].isdigit() else self.blocks
+                told = re.fullmatch(r"\[OPT:[^,]*,(\d{1,6})(,.*)?\]", line)
+                self.blocks = self.blocks if told is None else int(told[1])
         return ("X", "Y", "Z")
 
     def _columns(self) -> Sequence[int]:
@@ -207,13 +219,15 @@ class Controller:
             ):
                 number = first + letter
                 has = settings.get(number, np.nan)
-                high = has <= wanted * (1.0 + _SAME)
+                high = 0.0 < has <= wanted * (1.0 + _SAME)
                 if not high or (exact and has < wanted * (1.0 - _SAME)):
                     raise CommandError(
                         f"${number}={has:g} of the controller: the {what} of {name} in "
                         f"{machine.name} is {wanted:.6g}",
                         remedy=f"Set ${number}={wanted:.6g}, or correct the machine file.",
                     )
+            brakes_s = settings[110 + letter] / 60.0 / settings[120 + letter]
+            self.brakes_s = max(self.brakes_s, brakes_s)
 
     def position(self, found: Status) -> FloatArray:
         """Return the (axes,) place in a status report, m or rad; a LinkFaultError if it is none."""

@@ -145,8 +145,8 @@ class GrblOperated(GrblRun):
         self._go(Cause.FAULT, text)
 
     def _note(self, found: Status) -> None:
-        self._heard_s = time.monotonic()
         self._at = self.controller.position(found)
+        self._heard_s = time.monotonic()
         self._keep_latest()
 
     def _keep_latest(self) -> None:

@@ -122,6 +122,8 @@ class Port:
             if not select.select([self._number], [], [], left)[0]:
                 return None
             self._read()
+            if not self._lines and time.monotonic() >= until:  # what comes may never be a line
+                return None
         return self._lines.popleft() if self._lines else None
 
     def _read(self) -> None:

@@ -12,12 +12,12 @@ import time
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
 from threadline.live.at_rest import OPERATOR
 from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_trace import ReportTrace
+from threadline.live.grbl_trace import ReportTrace, way_passed
 from threadline.live.grbl_words import (
     HOLD,
     RESET,
@@ -41,6 +41,9 @@ SILENCE_S = 1.0
 _SETTLE_S = 0.5
 _RESUMES_S = 1.0  # after which a controller that was told to go on and still holds does not go on
 _OFF_PATH_M = 1e-3
+_STANDS_S = 1.0  # at a place before the end of its program, after which it does not go on
+_LISTENS_S = 0.05  # at once: the operator may have asked for something meanwhile
+_HOLDS_S = 2.0  # beyond twice the time that it brakes for, after which it does not hold
 
 
 class GrblRun:
@@ -91,6 +94,7 @@ class GrblRun:
         self._begun_s = 0.0
         self._settled_s: float | None = None
         self._braking = False
+        self._brakes_until_s = self._stood_s = np.inf
         self._resumed_s = -np.inf
 
     @property
@@ -209,9 +213,12 @@ class GrblRun:
 
     def _listen(self) -> None:
         """Act on what the controller has said, or on its silence."""
+        until = time.monotonic() + _LISTENS_S
         try:
             while not self.over and (line := self._port.receive(0.0)) is not None:
                 self._hear(line)
+                if time.monotonic() >= until:
+                    break
         except LinkFaultError as error:
             self._fault(error.message)
         if self._port.lost and not self.over:
@@ -232,8 +239,10 @@ class GrblRun:
             self._resumed_s = time.monotonic()
 
     def _brake(self) -> None:
-        """Hold the feed; when it stands, a reset drops what the controller still has."""
+        """Hold the feed; when it stands, or will not, a reset drops what it still has."""
         self._braking = True
+        most_s = 2.0 * self.controller.brakes_s + _HOLDS_S
+        self._brakes_until_s = min(self._brakes_until_s, time.monotonic() + most_s)
         self._port.send(HOLD)
 
     def _feed(self) -> None:
@@ -267,17 +276,20 @@ class GrblRun:
             self._fault("the controller was reset")
 
     def _report(self, found: Status) -> None:
-        self._heard_s = time.monotonic()
         was_at, was = self._at, self.executed
         self._at = self.controller.position(found)
+        self._heard_s = time.monotonic()
         if self._settled_s is None:
             self._pass_lines()
-        self._trace.record(self._heard_s - self._begun_s, self._at, *self._passed(was_at, was))
+        passed = way_passed(self._program, self._machine, (was_at, self._at), (was, self.executed))
+        self._trace.record(self._heard_s - self._begun_s, self._at, *passed)
         if self._settled_s is not None:
             self.over = self._heard_s >= self._settled_s
             if self.over:
                 self._leave()
             return
+        if found.state != "Idle":
+            self._stood_s = np.inf
         if name := self.controller.beyond(self._at):
             self._fault(f"axis {name} is beyond its travel")
         if found.state == "Alarm" and not self._braking:
@@ -285,33 +297,36 @@ class GrblRun:
         elif self._braking and found.state in {"Hold", "Idle", "Alarm"} and found.detail <= 0:
             self._port.send(RESET)
             self._end()
+        elif self._heard_s > self._brakes_until_s:
+            self._fault(f"the controller was told to hold, tells {found.state}, and was reset")
+            self._port.send(RESET)
+            self._end()
         elif found.state in {"Hold", "Door"} and self.state is State.RUNNING:
             # Of its own accord (M0, its own button), unless the report is older than our resume.
             if self._heard_s - self._resumed_s > _RESUMES_S:
                 self._go(Cause.HOLD, f"the controller tells {found.state}")
         elif self.state is State.RUNNING and found.state == "Idle" and self._all_answered:
+            self._stand_at_end()
+
+    def _stand_at_end(self) -> None:
+        """End a run whose lines were all answered where the controller stands at their end.
+
+        It stands elsewhere for a moment where it was asked before it set out.
+        """
+        ends = self._program.ends
+        away = (ends[-1] if len(ends) else self._sent_from) - self._at
+        away_m = float(np.linalg.norm(away * self._machine.radius_m))
+        if away_m <= _OFF_PATH_M:
             self.executed = self.acknowledged
             self.ended = (Ended.COMPLETED, "")
             self._end()
-
-    def _passed(self, was_at: FloatArray, was: int) -> tuple[FloatArray, IntArray]:
-        """Return where on the way from the report before lines began, and what was under way.
-
-        Parameters
-        ----------
-        was_at, was
-            The place of that report, and how many lines were executed then.
-
-        Returns
-        -------
-        tuple
-            (n,) shares of that way at which another line began, and (n + 1,) operations.
-        """
-        ends, of = self._program.ends[was : self.executed], self._program.operations
-        places = np.vstack([was_at, *ends, self._at]) * self._machine.radius_m
-        gone = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
-        lines = np.minimum(np.arange(was, self.executed + 1), len(of) - 1)
-        return gone[:-1] / max(gone[-1], 1e-12), of[lines]
+            return
+        self._stood_s = min(self._stood_s, self._heard_s)
+        if self._heard_s - self._stood_s > _STANDS_S:
+            self._fault(
+                f"the controller has taken every line, and stands {1e3 * away_m:.3g} mm from "
+                "the end of the last"
+            )
 
     def _pass_lines(self) -> None:
         """Move on along the lines that were answered to where the reports say that it is."""
@@ -358,10 +373,9 @@ class GrblRun:
     def _lost(self, text: str) -> None:
         """Note that nothing can be sent any more: the controller runs out what it holds."""
         left = int(self._count.open)
-        self.ended = (
-            Ended.FAULT,
-            f"{text}; the controller runs out by itself {left} lines and what its planner holds",
-        )
+        told = [] if self.ended is None else [self.ended[1]]
+        left_over = f"the controller runs out by itself {left} lines and what its planner holds"
+        self.ended = (Ended.FAULT, "; ".join([*filter(None, told), text, left_over]))
         self._trace.end(*self.ended)
         self._go(Cause.FAULT, text)
         self.over = True

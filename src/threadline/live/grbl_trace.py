@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.live.grbl_words import Program
 from threadline.live.kept import Sink
 from threadline.machine import Machine
 from threadline.signals import Channel, ChannelKind, Clock, Ended, Event, RecordingBlock
@@ -97,3 +98,30 @@ class ReportTrace:
     def _put(self, samples: dict[str, FloatArray], *events: Event) -> None:
         first = {_CLOCK.name: self.tick}
         self._sink.block(RecordingBlock(first_tick=first, samples=samples, events=events))
+
+
+def way_passed(
+    program: Program,
+    machine: Machine,
+    places: tuple[FloatArray, FloatArray],
+    executed: tuple[int, int],
+) -> tuple[FloatArray, IntArray]:
+    """Return where on the way from a report to the next lines began, and what was under way.
+
+    Parameters
+    ----------
+    program, machine
+        What is run, on what.
+    places, executed
+        Of the two reports: the (axes,) place, and how many lines were executed.
+
+    Returns
+    -------
+    tuple
+        (n,) shares of that way at which another line began, and (n + 1,) operations.
+    """
+    was, now = executed
+    ways = np.vstack([places[0], *program.ends[was:now], places[1]]) * machine.radius_m
+    gone = np.cumsum(np.linalg.norm(np.diff(ways, axis=0), axis=1))
+    lines = np.minimum(np.arange(was, now + 1), len(program.operations) - 1)
+    return gone[:-1] / max(gone[-1], 1e-12), program.operations[lines]

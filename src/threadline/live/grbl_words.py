@@ -21,7 +21,8 @@ STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 RX_BYTES = 128
 """Characters that grbl's receive buffer holds."""
 _REALTIME = re.compile(rb"[?!~\x00-\x1f\x7f-\xff]")
-_REPORT = re.compile(r"<([A-Za-z]+)(?::(\d+))?\|(.*)>")
+_REPORT = re.compile(r"<([A-Za-z]+)(?::(\d{1,4}))?\|(.*)>")
+_SETTING = re.compile(r"\$(\d{1,5})=([^\s(]*).*")
 _WORD = re.compile(r"([A-Z])(-?\d+\.?\d*|-?\.\d+)")
 
 
@@ -217,10 +218,16 @@ def runs_out(program: Program, blocks: int) -> tuple[float, float]:
 
 
 def settings_of(lines: Iterable[str]) -> dict[int, float]:
-    """Return the settings that ``$$`` has listed, by their numbers."""
+    """Return the settings that ``$$`` has listed, by their numbers; NaN for one that is no number.
+
+    Some controllers list texts among them, such as the address of their network.
+    """
     found = {}
     for line in lines:
-        form = re.fullmatch(r"\$(\d+)=(-?[\d.]+).*", line)
+        form = _SETTING.fullmatch(line)
         if form is not None:
-            found[int(form.group(1))] = float(form.group(2))
+            try:
+                found[int(form.group(1))] = float(form.group(2))
+            except ValueError:
+                found[int(form.group(1))] = np.nan
     return found
