@@ -216,6 +216,8 @@ BAD = {
     "a list": ("[]", "does not say that it is a 'threadline proof 1'"),
     "no number": ('{"format": NaN}', "is no JSON"),
     "another version": ('{"format": "threadline proof 99"}', "does not say"),
+    "half a character": ('{"format": "threadline proof 1", "level": "\\ud800"}', "is no JSON"),
+    "no end": ('{"format": "threadline proof 1", "runs": 1e400}', "is no JSON"),
     "no hash": ('{"format": "threadline proof 1"}', "was changed since it was written"),
 }
 
@@ -228,6 +230,38 @@ def test_what_is_no_proof_is_refused_in_one_line(tmp_path: Path, name: str) -> N
     with pytest.raises(ProofError, match=message) as caught:
         read_proof(file)
     assert "\n" not in str(caught.value)
+
+
+OF_ANOTHER_FORM = [
+    ("level", None), ("job", "x-180.prg"), ("job.file", 1), ("machine", []),
+    ("machine.par", False), ("actual", {"sha256": ""}), ("spec.file", {}),
+    ("commands.sha256", None), ("options.given", None), ("options.given.limits", 1.0),
+    ("verdict", None), ("verdict.passed", "no"), ("verdict.passed", 1),
+    ("verdict.criteria", [1]), ("threadline", ...), ("verdict.simulated", ...), ("actual", ...),
+]  # fmt: skip
+
+
+def test_a_proof_of_another_form_is_refused_in_one_line(shop: Path) -> None:
+    """Its hash says that it was written so: what wrote it was another program."""
+    file = proved(shop, *WINDER)
+    proof = file.read_text("utf-8")
+    for entry, value in OF_ANOTHER_FORM:
+        content = json.loads(proof)
+        *parts, last = entry.split(".")
+        part = content
+        for name in parts:
+            part = part[name]
+        part.pop(last)
+        if value is not ...:
+            part[last] = value
+        content.pop("sha256")
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+        content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
+        file.write_text(json.dumps(content), "utf-8")
+        status, said = run("verify", str(file))
+        assert status == 2, (entry, said)
+        assert f"'{entry}" in said, (entry, said)
+        assert "\n" not in said
 
 
 def test_a_changed_verdict_is_noticed(shop: Path) -> None:

@@ -23,6 +23,7 @@ from threadline.machine.load import split_reference
 from threadline.machine.par import read_parameters
 from threadline.pipeline import Proof, open_job, plan_job, with_shaping
 from threadline.plan import Plan
+from threadline.proof_form import misformed
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.rendering import criteria_json
@@ -193,6 +194,7 @@ def read_proof(path: str | Path) -> ProofFile:
     text = read_text(path, _MAX_BYTES, ProofError, "proof")
     try:
         content = json.loads(text, parse_constant=_refuse_constant)
+        _canonical_sha256(content)  # which numbers without end and half characters have none of
     except (ValueError, RecursionError) as error:
         raise ProofError("the file is no JSON", place=place, remedy="Give a proof.") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
@@ -207,6 +209,12 @@ def read_proof(path: str | Path) -> ProofFile:
             "the file was changed since it was written: it does not have the sha256 that it says",
             place=place,
             remedy="Prove the job again.",
+        )
+    if where := misformed(content):
+        raise ProofError(
+            f"{where!r} is not there, or is not what a proof has there",
+            place=place,
+            remedy="Write one with threadline prove --proof FILE.",
         )
     return ProofFile(path=path, content=content)
 
