@@ -94,7 +94,7 @@ def continued_run(
         return None, {}
     folder, record = unfinished_run(store, run)
     refuse_other_rows(record, plan)
-    operation = operation_at(plan, last_executed(folder / TRACE), at or "block")
+    operation = operation_at(plan, last_executed(folder / TRACE), "block" if at is None else at)
     again = continued_by(plan, rest_of(operation))
     for line in again.told:
         note(line)

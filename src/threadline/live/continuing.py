@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,8 @@ from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.signals import ChannelKind
 from threadline.signals.files import read_recording
+
+_NUMBER = re.compile(r"[0-9]{1,12}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +88,7 @@ def operation_at(plan: Plan, executed: int, at: str) -> int:
         f"--at {at[:40]!r} is no place of a job",
         remedy='Give "block", "circuit", "circuit 12" or "line 40".',
     )
-    if word not in {"circuit", "line"} or (number and not number.isdecimal()):
+    if word not in {"circuit", "line"} or (number and not _NUMBER.fullmatch(number)):
         raise wrong
     if word == "line" and not number:
         raise wrong
