@@ -291,7 +291,15 @@ def test_places_are_circuits_lines_and_blocks() -> None:
     began = operation_at(plan, executed, f"line {line}")
     assert sources[began].line == line
     assert not began or sources[began - 1].line != line
-    for wrong in ("nowhere", "line", "line x", "circuit 1.5", "line 99999", "line " + "1" * 5000, ""):
+    for wrong in (
+        "nowhere",
+        "line",
+        "line x",
+        "circuit 1.5",
+        "line 99999",
+        "line " + "1" * 5000,
+        "",
+    ):
         with pytest.raises(OptionError, match="--at"):
             operation_at(plan, executed, wrong)
 

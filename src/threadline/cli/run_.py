@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing as closed
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -51,7 +52,7 @@ from threadline.cli.shared_options import (
 from threadline.cli.told import note
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
-from threadline.errors import LinkFaultError, OptionError, RecordingError
+from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
 from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
 from threadline.live.hold_deviation import hold_waits, hold_words
@@ -228,6 +229,7 @@ def run(
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
         kept = RunStore(store).begin(plan, known, told, speed, inputs, over.sent)
         with (
+            _moved(kept),
             closed(Desk()) as desk,
             at_the_keys(desk, plan.duration_s, progress) as keys,
             kept,
@@ -248,7 +250,7 @@ def run(
         "hold_deviation_m": finite(leaves_m),
         **({"judged_with": before} if before else {}),
     }
-    kept.judged(content, ended.value, text)
+    _judged(kept, content, ended, text)
     if recording is not None:
         write_recording(happened, recording, plot_every=plot_every(chosen))
     if ended is Ended.FAULT or not json:
@@ -280,11 +282,34 @@ def _verdict(
         if ended is Ended.COMPLETED and whole:
             raise
         text = text or f"NOT PROVEN: the rest of a job alone is not judged ({error.message})"
-    kept.unjudged(ended.value, text)
+    with _moved(kept):
+        kept.unjudged(ended.value, text)
     if ended is Ended.FAULT:
         raise _fault(kept, text, over)
     note(text if ended is Ended.COMPLETED else f"{text}: nothing was recorded to be judged")
     raise typer.Exit(1)
+
+
+def _judged(kept: OpenRun, content: Mapping[str, Any], ended: Ended, text: str) -> None:
+    with _moved(kept):
+        kept.judged(content, ended.value, text)
+
+
+@contextmanager
+def _moved(kept: OpenRun) -> Iterator[None]:
+    """Raise what keeps a run from being written as a fault: it is no input, and the machine moved.
+
+    What the executor refuses before anything moves stays what it is.
+    """
+    try:
+        yield
+    except (OSError, StoreError) as error:
+        why = error.message if isinstance(error, StoreError) else error.strerror or str(error)
+        raise LinkFaultError(
+            f"the run could not be kept in {kept.path}: {why}",
+            remedy="The machine may have moved: look at it, then home it. Make room, or give "
+            "another folder with --store.",
+        ) from error
 
 
 def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:

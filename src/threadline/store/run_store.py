@@ -22,7 +22,7 @@ from typing import IO, Any, Self
 from threadline import __version__
 from threadline.errors import InputError, StoreError, ThreadlineError
 from threadline.foreign_messages import nearest
-from threadline.input_files import naming
+from threadline.input_files import naming, refuse_special
 from threadline.plan import Plan
 from threadline.proof_file import ProofFile, copy_proof
 from threadline.signals import Channel, Recording, RecordingBlock, Stream
@@ -94,17 +94,42 @@ class RunStore:
         """
         now = datetime.now().astimezone()
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
-        for number in range(1, 1000):
-            name = f"{now:%Y%m%d-%H%M%S}-{stem}" + (f"-{number}" if number > 1 else "")
-            path = self.folder / name
+        path = self._made(f"{now:%Y%m%d-%H%M%S}-{stem}")
+        try:
+            return self._begun(path, plan, proof, told, speed, inputs, sent or {}, now)
+        except BaseException:  # nothing has moved, and there is no row of it
+            shutil.rmtree(path, ignore_errors=True)
+            raise
+
+    def _made(self, name: str) -> Path:
+        """Return a new folder of that name, or with a number behind it."""
+        number = 1
+        while True:
+            path = self.folder / (name if number == 1 else f"{name}-{number}")
             with suppress(FileExistsError):
                 path.mkdir()
-                break
+                return path
+            number += 1
+
+    def _begun(
+        self,
+        path: Path,
+        plan: Plan,
+        proof: ProofFile,
+        told: Mapping[str, str],
+        speed: float,
+        inputs: Iterable[Path],
+        sent: Mapping[str, bytes],
+        now: datetime,
+    ) -> OpenRun:
+        """Fill the folder of a run, and make its row; see ``begin``."""
         kept = copy_proof(proof, path / PROOF)
         for file in inputs:
-            shutil.copyfile(file, _free(path / INPUTS, file.name))
-        for file_name, content in (sent or {}).items():
-            _free(path / SENT, file_name).write_bytes(content)
+            _copy(file, _free(path / INPUTS, file.name))
+        for file_name, content in sent.items():
+            with naming(path, path):
+                _free(path / SENT, file_name).write_bytes(content)
+        name = path.name
         record = RunRecord(
             run=name,
             started=now.isoformat(timespec="microseconds"),
@@ -121,8 +146,13 @@ class RunStore:
             proof_sha256=str(kept.content["sha256"]),
             threadline=__version__,
         )
-        self.index.add(record)
-        return OpenRun(path, plan, {**told, "run": name}, self.index)
+        run = OpenRun(path, plan, {**told, "run": name}, self.index)
+        try:
+            self.index.add(record)
+        except BaseException:
+            run.close()
+            raise
+        return run
 
     def find(self, run: str) -> Path:
         """Return the folder of a run by its name; ``last`` stands for the latest one.
@@ -152,9 +182,10 @@ def _told_url(folder: Path) -> str | None:
         If the file cannot be read, or holds no URL.
     """
     file = folder / INDEX_URL
-    if not file.exists():
+    if not os.path.lexists(file):  # a link that leads nowhere is no store of its own
         return None
     try:
+        refuse_special(file)
         url = file.read_text("utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise StoreError(
@@ -176,6 +207,12 @@ def _free(folder: Path, name: str) -> Path:
     while (path := folder / (name if number == 1 else f"{number}-{name}")).exists():
         number += 1
     return path
+
+
+def _copy(file: Path, to: Path) -> None:
+    """Copy an input; where the copy cannot be written, the error names the copy."""
+    with file.open("rb") as source, naming(to, to), to.open("wb") as target:
+        shutil.copyfileobj(source, target)
 
 
 def check_folder(folder: Path) -> None:
@@ -203,7 +240,7 @@ def opened(folder: Path) -> RunStore | None:
         If it is no folder, or the index cannot be used.
     """
     check_folder(folder)
-    kept = any((folder / name).exists() for name in (INDEX, INDEX_URL))
+    kept = any(os.path.lexists(folder / name) for name in (INDEX, INDEX_URL))
     return RunStore(folder) if kept else None
 
 
@@ -228,6 +265,12 @@ class OpenRun:
     def trace(self) -> Path:
         """Path of the recording's file."""
         return self.path / TRACE
+
+    def close(self) -> None:
+        """Close the files of a run that does not begin."""
+        self._disk.shutdown()
+        self._trace.close()
+        self._events.close()
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
         """Write the head of the recording: its channels, and what it is a recording of."""
@@ -295,7 +338,8 @@ class OpenRun:
         if isinstance(error, InputError):  # by the executor, at the start: nothing has moved
             self.unjudged(REFUSED, text)
         else:
-            self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
+            with suppress(StoreError):  # the error that ended it is the one to tell
+                self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
 
     def unjudged(self, ended: str, text: str) -> None:
         """Write that a run ended before there was anything to judge."""
