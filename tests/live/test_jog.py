@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from contextlib import closing
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +13,11 @@ from hypothesis import strategies as st
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline.errors import CommandError
 from threadline.live.braking import CountLimits
+from threadline.live.desk import Desk
+from threadline.live.executor import Executor
 from threadline.live.jogging import JogAhead, manual_feed
+from threadline.live.kept import Kept
+from threadline.live.sim_process import REAL_TIME, sim_link
 from threadline.live.states import Cause, State
 from threadline.live.wire import Message
 from threadline.signals import Ended
@@ -239,3 +246,24 @@ def test_who_lets_go_twice_has_let_go(tick: int, between: bool) -> None:
     assert executor.state is State.IDLE
     assert executor.ended == (Ended.COMPLETED, "")
     assert bench.wire.machine.position[1] * MM <= 1e3 * FAST * 0.005 * (tick + 10) + 0.5
+
+
+@pytest.mark.parametrize("how", ["move", "jog"])
+def test_a_first_motion_to_where_it_stands_ends_in_real_time(how: str) -> None:
+    """As "all axes to 0" behind a homing: its rows are none, and it was never over."""
+    machine, desk = winder(), Desk()
+    with sim_link(machine, np.zeros(3, np.int64), REAL_TIME) as link, closing(desk):
+        executor = Executor(link, machine, desk, Kept(), speed=REAL_TIME)
+        executor.connect()
+        executor.enable()
+        executor.home()
+        if how == "move":
+            executor.move("X", 0)
+        else:
+            executor.jog("X", 0.0)
+        ends = time.monotonic() + 30.0
+        while not executor.over:
+            assert time.monotonic() < ends, executor.state
+            desk.ask(Cause.HOLD)  # impossible now; it wakes the executor, which waits for reports
+            executor.step()
+        assert (executor.state, executor.ended) == (State.IDLE, (Ended.COMPLETED, ""))

@@ -124,7 +124,8 @@ def _in_real_time(
             _home(connection, simulated, message)
         elif message is not None:
             simulated.take(message)
-            if due is None and simulated.begun and not simulated.standing:
+            # Rows that are none are a motion too: one to where it stands, which is over at once.
+            if due is None and simulated.begun and message.kind == "refill":
                 due = time.monotonic()
             continue
         if due is None or connection.lost:
