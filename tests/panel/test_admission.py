@@ -175,6 +175,30 @@ def test_uploads_need_control_and_stay_in_the_folder(tmp_path: Path) -> None:
     assert sorted(file.name for file in tmp_path.rglob("*") if file.is_file()) == ["a.prg"]
 
 
+@pytest.mark.parametrize("path", ["/api/programs/a.prg", "/api/drawing/shapes"])
+def test_what_breaks_off_is_no_error_of_the_panel(tmp_path: Path, path: str) -> None:
+    with served(tmp_path) as client, operator(client) as anna:
+        anna.take()
+        came = iter([{"type": "http.request", "body": b"G1", "more_body": True}])
+        answers: list[Any] = []
+
+        async def receive() -> dict[str, Any]:
+            return next(came, {"type": "http.disconnect"})
+
+        async def send(message: Any) -> None:
+            answers.append(message)
+
+        headers = [(b"host", b"127.0.0.1"), (b"x-lease", anna.lease.encode())]
+        scope = {
+            "type": "http", "http_version": "1.1", "path": path, "query_string": b"name=a.dxf",
+            "method": "PUT" if path.endswith(".prg") else "POST", "headers": headers,
+        }  # fmt: skip
+        assert client.portal is not None
+        client.portal.call(client.app, scope, receive, send)
+        assert not [*tmp_path.iterdir()]
+    assert [one["status"] for one in answers if "status" in one] in ([], [400])
+
+
 @pytest.mark.parametrize("byte", [*b"?!~\x18\x00\x7f\x80\x84\x90\xa0\xff"])
 def test_bytes_that_act_at_once_are_refused_with_their_line(tmp_path: Path, byte: int) -> None:
     content = b"G1 X1\nG1 X2 (" + bytes([byte]) + b")\n"

@@ -8,6 +8,7 @@ from typing import Any
 from fastapi import FastAPI, Request, Response
 from fastapi.responses import JSONResponse, PlainTextResponse
 from pydantic import ValidationError
+from starlette.requests import ClientDisconnect
 
 from threadline.errors import InputError
 from threadline.panel.drawn import SHAPES, Lettering, dxf, opened, outlines
@@ -19,7 +20,7 @@ _TELLS: dict[int | str, dict[str, Any]] = {
 }
 
 
-class _TooLongError(Exception):
+class TooLongError(Exception):
     """More was sent than is taken."""
 
 
@@ -48,10 +49,12 @@ def add_drawing(app: FastAPI) -> None:
 async def _answered(request: Request, answer: Any) -> Response:
     """Return what is made of the body of a request, or why nothing is."""
     try:
-        sent = await _body(request)
+        sent = await whole_body(request)
         made: Response = await asyncio.to_thread(answer, sent)
-    except _TooLongError:
+    except TooLongError:
         return PlainTextResponse(f"more than {MOST_UPLOAD} bytes\n", 413)
+    except ClientDisconnect:  # nobody reads the answer
+        return PlainTextResponse("the request broke off\n", 400)
     except InputError as error:
         return PlainTextResponse(f"{error}\n", 422)
     except ValidationError as error:
@@ -61,10 +64,19 @@ async def _answered(request: Request, answer: Any) -> Response:
     return made
 
 
-async def _body(request: Request) -> bytes:
+async def whole_body(request: Request) -> bytes:
+    """Return the body of a request.
+
+    Raises
+    ------
+    TooLongError
+        If it is longer than a program may be.
+    ClientDisconnect
+        If it breaks off.
+    """
     content = bytearray()
     async for part in request.stream():
         content += part
         if len(content) > MOST_UPLOAD:
-            raise _TooLongError
+            raise TooLongError
     return bytes(content)

@@ -15,13 +15,14 @@ from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 from fastapi.staticfiles import StaticFiles
 from pydantic import ValidationError
 from starlette.background import BackgroundTask
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp
 
 from threadline.errors import InputError, StoreError
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
 from threadline.panel.clients import Client
-from threadline.panel.drawing_requests import add_drawing
+from threadline.panel.drawing_requests import TooLongError, add_drawing, whole_body
 from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
 from threadline.panel.machine_guide import MachineGuide, add_guide
 from threadline.panel.panel import Panel
@@ -107,13 +108,14 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
     async def upload(name: str, request: Request) -> PlainTextResponse:
         if not panel.may_change(request.headers.get("x-lease", "")):
             return PlainTextResponse("you are not in control\n", 409)
-        content = bytearray()
-        async for part in request.stream():
-            content += part
-            if len(content) > MOST_UPLOAD:
-                return PlainTextResponse(f"more than {MOST_UPLOAD} bytes\n", 413)
         try:
-            await asyncio.to_thread(take_program, folder, name, bytes(content))
+            content = await whole_body(request)
+        except TooLongError:
+            return PlainTextResponse(f"more than {MOST_UPLOAD} bytes\n", 413)
+        except ClientDisconnect:  # nobody reads the answer
+            return PlainTextResponse("the request broke off\n", 400)
+        try:
+            await asyncio.to_thread(take_program, folder, name, content)
         except InputError as error:
             return PlainTextResponse(f"{error}\n", 422)
         panel.calculation.forget()
