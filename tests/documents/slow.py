@@ -63,14 +63,15 @@ SLOW: dict[str, dict[str, str]] = {
         "threadline analyse stitcher --axis X --report DIR": "a root locus, drawn",
         'threadline design examples/stitcher-steep.seam.toml -m stitcher --needle "75 stitch/s" '
         '--feed-forward --smoothing "20 ms, 22 ms, 24 ms"': "59 s",
-        "threadline design examples/stitcher-test-path.seam.toml -m stitcher --nominal --corners "
-        "-o found.toml --report DIR": "103 s",
-        "threadline design examples/stitcher-test-path.seam.toml -m stitcher --nominal "
-        "-o found.toml --report DIR": "54 s",
+        "threadline design examples/stitcher-test-path.seam.toml -m stitcher "
+        "-s examples/stitcher-place.spec.toml --nominal --corners -o found.toml "
+        "--report DIR": "103 s",
+        "threadline design examples/stitcher-test-path.seam.toml -m stitcher "
+        "-s examples/stitcher-place.spec.toml --nominal -o found.toml --report DIR": "54 s",
         "threadline fastest SEAM -m stitcher": "34 s",
         "threadline fastest SEAM -m stitcher --feed-forward": "minutes",
-        'threadline fastest SEAM -m stitcher --feed-forward --low "20 stitch/s" --mismatch '
-        "--report DIR": "nine searches",
+        "threadline fastest SEAM -m stitcher -s examples/stitcher-place.spec.toml --feed-forward "
+        '--low "20 stitch/s" --mismatch --report DIR': "nine searches",
         "threadline prove SEAM -m found.toml": "of what design found",
         "threadline prove examples/stitcher-test-path.seam.toml -m examples/stitcher-75-place.toml "
         "--tolerances": "half a minute, 220 runs",

@@ -12,6 +12,7 @@ from matplotlib import image as plt_image
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
+from threadline.cli.mismatch import show_mismatch
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.option_words import parse_feed
@@ -27,6 +28,7 @@ from threadline.report.publish import write_document
 from threadline.report.style import AXES, LIMIT, figure_style, headed
 from threadline.report.traces import collect
 from threadline.search import Mismatch, compare
+from threadline.search.edges import Interval
 from threadline.search.mismatch import CYCLE, NEEDLE
 from threadline.verdict import Status, Verdict, load_spec
 from threadline.verdict.rendering import closing_of_all
@@ -185,6 +187,20 @@ def test_the_speeds_over_tolerances_are_a_line_for_each_mass() -> None:
     assert heights["loads: lower end"] == 41.0
     assert math.isnan(heights["loads: upper end"])
     assert panel.get_ylabel() == "shortest in spec, s"
+
+
+def test_a_gap_beneath_the_fastest_is_drawn_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+    """The end of each slower range is hollow; all that is in spec stands beside the fastest."""
+    ends = ((67.93, 70.58), (20.0, 57.63), (12.0, 12.0))
+    ranges = tuple(Interval(low=low, high=high, alone=low == high) for low, high in ends)
+    cells = [replace(cell(0.0, 1.0, 70.58, "x"), intervals=ranges), cell(0.0, 0.0, 73.0, "x")]
+    (panel,) = draw_mismatch(cells, "a title", NEEDLE).axes
+    (hollow,) = (
+        line for line in panel.lines if line.get_mfc() == "white" and len(line.get_xdata())
+    )
+    assert hollow.get_xydata().tolist() == [[1.0, 57.63], [1.0, 12.0]]
+    show_mismatch(cells, "a title", NEEDLE)
+    assert "12.00, 20.00 to 57.63, 67.93 to 70.58" in capsys.readouterr().out
 
 
 def test_a_picture_without_any_speed_says_so() -> None:

@@ -72,19 +72,33 @@ def mismatch_json(cells: list[Mismatch], drawn: Path | None) -> dict[str, Any]:
 def show_mismatch(cells: list[Mismatch], title: str, searched: Searched) -> None:
     """Print the fastest for masses and stiffnesses at the ends of their tolerances."""
     names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+    ranges = any(cell.intervals for cell in cells)
     rows = [
         [
             names[cell.mass],
             names[cell.stiffness],
             "none" if cell.best is None else f"{searched.per_unit * cell.best:.2f}",
+            *([_in_spec(cell, searched)] if ranges else []),
             limit_words(cell.limited_by),
         ]
         for cell in cells
     ]
     best = f"{searched.best} {searched.unit}"
-    header = ["mass of loads", "stiffness of springs", best, "limited by"]
+    all_of = [f"in spec {searched.unit}"] if ranges else []
+    header = ["mass of loads", "stiffness of springs", best, *all_of, "limited by"]
     print_table(
         f"{title}: planned for the file, {searched.done} off its tolerances, one run each",
         header,
         rows,
+    )
+
+
+def _in_spec(cell: Mismatch, searched: Searched) -> str:
+    """Return all that is in spec of what was tried: beneath the fastest there may be a gap."""
+    scale = searched.per_unit
+    return ", ".join(
+        f"{scale * one.low:.2f}"
+        if one.low == one.high
+        else f"{scale * one.low:.2f} to {scale * one.high:.2f}"
+        for one in sorted(cell.intervals, key=lambda one: one.low)
     )

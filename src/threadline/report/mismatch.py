@@ -18,7 +18,7 @@ def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> 
     """Return a figure: the fastest in spec over stiffness, a line for each mass."""
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))
-        axes = figure.add_subplot()
+        axes, gaps = figure.add_subplot(), False
         for style, mass in zip(AXES, sorted({cell.mass for cell in cells}), strict=False):
             row = sorted((c for c in cells if c.mass == mass), key=lambda cell: cell.stiffness)
             axes.plot(
@@ -28,6 +28,16 @@ def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> 
                 label=f"loads: {_NAMES[mass]}",
                 **style,
             )
+            below = [
+                (cell.stiffness, searched.per_unit * one.high)
+                for cell in row
+                for one in sorted(cell.intervals, key=lambda one: -one.high)[1:]
+            ]
+            if below:
+                axes.plot(*zip(*below, strict=True), "o", mfc="white", mec=style["color"])
+                gaps = True
+        if gaps:
+            axes.plot([], [], "o", mfc="white", mec="0.3", label="end of a slower range in spec")
         axes.set_xticks(list(_NAMES), [f"springs: {name}" for name in _NAMES.values()])
         axes.set_ylim(bottom=0.0)
         axes.set_ylabel(f"{searched.best} in spec, {searched.unit}")
