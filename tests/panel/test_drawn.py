@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import io
+import os
+import sys
+import time
 from pathlib import Path
 
 import ezdxf
@@ -11,7 +15,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.panel.bench import LOCAL, served
+from threadline.drawing.curves import Pieces
+from threadline.drawing.svg.attribute_values import ValueRefused
+from threadline.drawing.svg.path_data import Subpath, path_subpaths
 from threadline.errors import JobError
+from threadline.panel import drawn_apart
+from threadline.panel.children import answer_of
 from threadline.panel.drawn import Lettering, Shape, dxf, opened, outlines, shapes_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -162,3 +171,88 @@ def test_requests(tmp_path: Path) -> None:
 
 def post(client: TestClient, path: str, content: bytes):  # type: ignore[no-untyped-def]
     return client.post(f"/api/drawing/{path}", content=content, headers=LOCAL)
+
+
+def svg(*elements: str) -> bytes:
+    head = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9" width="9mm" height="9mm">'
+    return "\n".join([head, *elements, "</svg>"]).encode()
+
+
+def test_large_drawings_are_refused_before_they_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    """7 MB of 150 000 paths took a minute of the panel, and 6 MB of curves some GB of memory."""
+    made: list[int] = []
+    pieces = Subpath.pieces
+
+    def counted(path: Subpath, line: int) -> Pieces:
+        made.append(line)
+        return pieces(path, line)
+
+    monkeypatch.setattr(Subpath, "pieces", counted)
+    path = '<path stroke="red" d="M0 0L1 1"/>'
+    with pytest.raises(JobError, match="have more than 5000 lines"):
+        opened("a.svg", svg(*[path] * 6000))
+    assert len(made) == 5000
+    curves = "".join(f"C1 2 3 4 {k % 7} 5" for k in range(7000))
+    with pytest.raises(JobError, match="more than 400000 points as it would be edited"):
+        opened("a.svg", svg(f'<path stroke="red" d="M0 0{curves}"/>'))
+    document = ezdxf.new(units=ezdxf.units.MM)
+    for k in range(5001):
+        document.modelspace().add_line((0, k), (1, k))
+    out = io.StringIO()
+    document.write(out)
+    with pytest.raises(JobError, match=r"a\.dxf:\d+: the drawing and its blocks have more than"):
+        opened("a.dxf", out.getvalue().encode())
+
+
+def test_a_number_behind_a_comma_is_read_without_a_look_at_all_before() -> None:
+    """A path of a few MB took hours: all before a number was copied, for each number."""
+
+    class Text(str):
+        """Tells how much of it is copied."""
+
+        copied = 0
+
+        def __getitem__(self, at):  # type: ignore[no-untyped-def]
+            part = super().__getitem__(at)
+            Text.copied += len(part)
+            return part
+
+    data = Text("M0,0L" + ",".join(f"{k % 7},{k % 5}" for k in range(1000)))
+    (path,) = path_subpaths(data)
+    assert len(path.segments) == 1000
+    assert Text.copied < 10 * len(data)
+    with pytest.raises(ValueRefused, match=r"',1,1' at character 6"):
+        path_subpaths("M0 0L,1,1")
+
+
+def test_a_drawing_that_takes_too_long_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(drawn_apart, "LONGEST_S", 0.5)
+    monkeypatch.setattr(drawn_apart, "_CHILD", "import time; time.sleep(60)")
+    with served(tmp_path) as client:
+        since_s = time.monotonic()
+        answer = post(client, "shapes?name=a.svg", svg())
+        assert answer.status_code == 422
+        assert answer.text == "'a.svg' takes longer than 0.5 s. Split it, or simplify it.\n"
+        monkeypatch.setattr(drawn_apart, "_CHILD", "import os; os._exit(1)")
+        assert "has ended" in post(client, "shapes?name=a.svg", svg()).text
+    assert time.monotonic() < since_s + 20.0
+
+
+def test_a_process_ends_with_who_waits_for_it(tmp_path: Path) -> None:
+    """A thread could not be ended, and the panel waited for it at its own end."""
+    told = tmp_path / "told"
+    words = f"import os, time; open({str(told)!r}, 'w').write(str(os.getpid())); time.sleep(60)"
+
+    async def asked() -> None:
+        waits = asyncio.create_task(answer_of(sys.executable, "-c", words))
+        while not (told.exists() and told.read_text()):
+            await asyncio.sleep(0.01)
+        waits.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await waits
+
+    asyncio.run(asked())
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(told.read_text()), 0)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 import uvicorn
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from tests.panel.bench import Operator
@@ -195,3 +196,30 @@ def test_ctrl_c_in_a_jog_stops_the_machine_and_is_no_error(tmp_path: Path) -> No
     assert out == _begins(port) + "The panel has ended: the machine was stopped, and is idle.\n"
     assert process.returncode == 0
     assert err == ""
+
+
+def test_neither_bad_text_nor_a_request_under_way_is_told_at_its_end(tmp_path: Path) -> None:
+    """A drawing of 7 MB without a line is being read; it took the panel's end with it."""
+    head = b'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9" width="9mm" height="9mm">'
+    with panel(tmp_path) as (process, port):
+        address = f"127.0.0.1:{port}"
+        with connect(
+            f"ws://{address}/api/live", origin=f"http://{address}", close_timeout=1
+        ) as live:
+            live.send(b"\xff", text=True)
+            with pytest.raises(ConnectionClosed) as closed:
+                live.recv(10.0)
+            assert closed.value.rcvd is not None
+            assert closed.value.rcvd.code == 1007
+        drawing = head + b"<g/>" * 900_000 + b"</svg>"
+        with socket.create_connection(("127.0.0.1", port)) as asks:
+            asks.sendall(
+                f"POST /api/drawing/shapes?name=a.svg HTTP/1.1\r\nHost: {address}\r\n"
+                f"Origin: http://{address}\r\nContent-Length: {len(drawing)}\r\n\r\n".encode()
+                + drawing
+            )
+            time.sleep(2.0)
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=15)
+    assert (process.returncode, err) == (0, "")
+    assert out.endswith("The panel has ended: the machine was stopped, and is disabled.\n")

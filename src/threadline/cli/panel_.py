@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
+import logging
 import socket
 import tempfile
 from pathlib import Path
@@ -108,6 +110,7 @@ def panel(
             timeout_graceful_shutdown=1,
             access_log=False,
         )
+        logging.getLogger("uvicorn.error").addFilter(_of_the_panel)
         try:
             uvicorn.Server(config).run(sockets=[listening])
         except TerminatedError:
@@ -116,6 +119,16 @@ def panel(
         except KeyboardInterrupt:  # Ctrl-C is how a panel ends
             pass
         say(f"The panel has ended: {served.ended}.")
+
+
+def _of_the_panel(record: logging.LogRecord) -> bool:
+    """Say whether a record of the server tells of a fault of the panel.
+
+    What a client sends in place of text is none, nor that a request is not waited for at the end.
+    """
+    error = record.exc_info and record.exc_info[1]
+    let_go = isinstance(error, asyncio.CancelledError) or str(record.msg).startswith("Cancel ")
+    return not (let_go or isinstance(error, UnicodeDecodeError))
 
 
 def _checked_host(host: str) -> str:

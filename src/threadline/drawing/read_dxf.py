@@ -34,7 +34,9 @@ _METRES = {
 """By $INSUNITS, as the reference of DXF has it."""
 
 
-def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
+def read_dxf(
+    content: bytes, file: str, unit: str | None = None, *, most_lines: int = MAX_LINES
+) -> Drawing:
     """Return the strokes of a DXF drawing, text or binary, of any version that ezdxf reads.
 
     Parameters
@@ -43,6 +45,8 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
         The bytes of the file, and its path.
     unit
         Unit of a drawing that does not give one ($INSUNITS).
+    most_lines
+        Most lines of the drawing, with those of its blocks.
 
     Raises
     ------
@@ -56,7 +60,7 @@ def read_dxf(content: bytes, file: str, unit: str | None = None) -> Drawing:
     with said.listening():
         document = load_dxf(file)
     factor = metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
-    walk = _Walk(file, document, entity_lines(content))
+    walk = _Walk(file, document, entity_lines(content), most_lines)
     root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
     try:
         with said.listening():
@@ -222,6 +226,7 @@ class _Walk:
     file: str
     document: Any
     lines: dict[str, int]
+    most_lines: int
     strokes: list[Stroke] = field(default_factory=list)
     refusals: list[Refusal] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -272,6 +277,12 @@ class _Walk:
             self.warnings.append(
                 f"{Place(self.file, line)}: a SPLINE has fit points only; its control points "
                 "were computed, other programs may draw it a little differently"
+            )
+        if len(self.strokes) >= self.most_lines:
+            raise JobError(
+                f"the drawing and its blocks have more than {self.most_lines} lines",
+                place=Place(self.file, line),
+                remedy="Join lines to polylines, or split the drawing.",
             )
         placed = pieces.transform(here.matrix, here.offset)
         self.strokes.append(Stroke(pieces=placed, layer=here.layer, colour=here.colour))

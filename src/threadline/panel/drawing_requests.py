@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 from fastapi import FastAPI, Request, Response
@@ -10,8 +11,8 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from pydantic import ValidationError
 from starlette.requests import ClientDisconnect
 
-from threadline.errors import InputError
-from threadline.panel.drawn import SHAPES, Lettering, dxf, opened, outlines
+from threadline.panel.drawn import Lettering, outlines
+from threadline.panel.drawn_apart import read_apart, why_invalid, written_apart
 from threadline.panel.project_programs import MOST_UPLOAD
 
 _TELLS: dict[int | str, dict[str, Any]] = {
@@ -29,39 +30,39 @@ def add_drawing(app: FastAPI) -> None:
 
     @app.post("/api/drawing/shapes", responses=_TELLS)
     async def shapes(request: Request, name: str) -> Response:
-        return await _answered(request, lambda sent: JSONResponse(opened(name, sent)))
+        return await _answered(
+            request, lambda sent: read_apart(name, sent), media_type="application/json"
+        )
 
     @app.post("/api/drawing/dxf", responses=_TELLS)
     async def as_dxf(request: Request) -> Response:
-        return await _answered(
-            request,
-            lambda sent: Response(dxf(SHAPES.validate_json(sent)), media_type="image/vnd.dxf"),
-        )
+        return await _answered(request, written_apart, media_type="image/vnd.dxf")
 
     @app.post("/api/drawing/text", responses=_TELLS)
     async def text(request: Request) -> Response:
-        return await _answered(
-            request,
-            lambda sent: JSONResponse(outlines(Lettering.model_validate_json(sent))),
-        )
+        return await _answered(request, _lettered, media_type="application/json")
 
 
-async def _answered(request: Request, answer: Any) -> Response:
+async def _lettered(sent: bytes) -> bytes | str:
+    asked = Lettering.model_validate_json(sent)
+    return bytes(JSONResponse(await asyncio.to_thread(outlines, asked)).body)
+
+
+async def _answered(
+    request: Request, answer: Callable[[bytes], Awaitable[bytes | str]], media_type: str
+) -> Response:
     """Return what is made of the body of a request, or why nothing is."""
     try:
-        sent = await whole_body(request)
-        made: Response = await asyncio.to_thread(answer, sent)
+        made = await answer(await whole_body(request))
     except TooLongError:
         return PlainTextResponse(f"more than {MOST_UPLOAD} bytes\n", 413)
     except ClientDisconnect:  # nobody reads the answer
         return PlainTextResponse("the request broke off\n", 400)
-    except InputError as error:
-        return PlainTextResponse(f"{error}\n", 422)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_input=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        return PlainTextResponse(f"{where or 'it'}: {first['msg']}\n", 422)
-    return made
+        return PlainTextResponse(f"{why_invalid(error)}\n", 422)
+    if isinstance(made, str):
+        return PlainTextResponse(f"{made}\n", 422)
+    return Response(made, media_type=media_type)
 
 
 async def whole_body(request: Request) -> bytes:

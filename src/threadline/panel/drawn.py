@@ -16,12 +16,14 @@ from threadline.drawing.contours import drop_zero_lengths
 from threadline.drawing.curves import Pieces
 from threadline.drawing.dxf_remarks import filled_by, measured_rings, read_remarks
 from threadline.drawing.read_dxf import read_dxf
-from threadline.drawing.strokes import Drawing
+from threadline.drawing.strokes import Drawing, Stroke
 from threadline.drawing.svg.read_svg import read_svg
 from threadline.drawing.write_dxf import DrawnShape, Fill, ShapeKind, dxf_of, ring_of
 from threadline.errors import JobError, Place
 
 MOST_SHAPES = 5000
+MOST_POINTS = 400_000
+"""Of all shapes of a drawing together."""
 _MOST_TOLD = 20
 _CHORDS = 64  # of a piece that is neither a line nor an arc
 _CLOSED_M = 1e-6
@@ -107,6 +109,7 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
         If the file cannot be read, or has more shapes than are edited.
     """
     drawing = _read(name, content)
+    _refuse_points(drawing.strokes, name)
     strokes, _ = drop_zero_lengths(drawing.strokes, name)
     found = [
         {"kind": kind, "points": np.round(1e3 * points, 6).tolist(), "group": group}
@@ -123,6 +126,20 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
     refusals = [refusal for refusal in drawing.refusals if refusal.line not in known]
     left = [f"{name}:{refusal.line}: {refusal.message}" for refusal in refusals]
     return {"shapes": found, "left_out": left[:_MOST_TOLD]}
+
+
+def _refuse_points(strokes: Sequence[Stroke], name: str) -> None:
+    """Refuse strokes of which chords would make more points than are edited."""
+    points = 0
+    for stroke in strokes:
+        straight = int(np.count_nonzero(stroke.pieces.is_line | stroke.pieces.is_circle))
+        points += 2 * straight + _CHORDS * (len(stroke.pieces) - straight)
+        if points > MOST_POINTS:
+            raise JobError(
+                f"the drawing has more than {MOST_POINTS} points as it would be edited",
+                place=Place(name, stroke.line),
+                remedy="Simplify its curves, or sew it as it is: a seam file reads it.",
+            )
 
 
 def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set[int]:
@@ -172,7 +189,7 @@ def _read(name: str, content: bytes) -> Drawing:
         )
     with _as_file(name, content) as file:
         try:
-            return reader(content, str(file))
+            return reader(content, str(file), most_lines=MOST_SHAPES)
         except JobError as error:  # it is the client's name that is known to people
             line = 0 if error.place is None else error.place.line
             raise JobError(error.message, place=Place(name, line), remedy=error.remedy) from error

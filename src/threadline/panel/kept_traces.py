@@ -14,6 +14,7 @@ from typing import Any
 
 from threadline.errors import StoreError
 from threadline.importing import words_of
+from threadline.panel.children import answer_of
 from threadline.store.run_store import TRACE, opened
 
 _CHILD = words_of("threadline.panel.thinned_traces", "main")
@@ -54,12 +55,9 @@ async def in_process(trace: Path, out: Path) -> str:
         File of the recording, and the file to write; its ending says how.
     """
     async with _one_at_a_time:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", _CHILD, str(trace), str(out),
-            stdout=asyncio.subprocess.PIPE, start_new_session=True,
-        )  # fmt: skip
-        said, _ = await process.communicate()
-    return said.decode("utf-8", "replace").strip()
+        status, said, _ = await answer_of(sys.executable, "-c", _CHILD, str(trace), str(out))
+    ended = "the trace cannot be read: the process that did has ended" if status else ""
+    return said.decode("utf-8", "replace").strip() or ended
 
 
 def temporary(ending: str) -> Path:

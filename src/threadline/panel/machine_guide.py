@@ -12,6 +12,7 @@ from fastapi import FastAPI, Response
 from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 
 from threadline.machine import Machine
+from threadline.panel.children import answer_of
 
 _WHY = {422: {"description": "there is no guide; a line says why"}}
 
@@ -39,14 +40,11 @@ class MachineGuide:
         """Return the machine's name and the tables of its guide, or why there is none."""
         async with self._one_at_a_time:
             if self._found is None:
-                process = await asyncio.create_subprocess_exec(
+                status, told, why = await answer_of(
                     sys.executable, "-m", "threadline", "guide", self._reference,
                     "-o", str(self._folder), "--json",
-                    stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-                    stderr=asyncio.subprocess.PIPE, start_new_session=True,
                 )  # fmt: skip
-                told, why = await process.communicate()
-                if process.returncode:
+                if status:
                     return why.decode("utf-8", "replace").strip()[-500:]
                 found = json.loads(told)
                 self._found = {"machine": found["machine"], "tables": found["tables"]}

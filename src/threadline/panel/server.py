@@ -97,7 +97,7 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         return answer
 
     @app.get("/api/state")
-    def state() -> JSONResponse:
+    async def state() -> JSONResponse:
         return JSONResponse(panel.state().model_dump())
 
     @app.get("/api/programs")
@@ -122,7 +122,7 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         return PlainTextResponse("", 204)
 
     @app.post("/api/stop", status_code=204)
-    def stop() -> PlainTextResponse:
+    async def stop() -> PlainTextResponse:  # on the loop: it waits for no thread to be free
         panel.stop("a request")
         return PlainTextResponse("", 204)
 

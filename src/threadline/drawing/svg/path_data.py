@@ -145,7 +145,10 @@ class _Reader:
         return found
 
     def _after_letter(self) -> bool:
-        return self.data[: self.at].rstrip()[-1:].isalpha()
+        before = self.at  # not the whole of what was read, at each of a million numbers
+        while before and self.data[before - 1].isspace():
+            before -= 1
+        return self.data[before - 1 : before].isalpha()
 
     def refuse(self) -> NoReturn:
         rest = self.data[self.at :]

@@ -30,7 +30,9 @@ _DISPLAYS = (
 _PLAIN = "or put it on a layer that is not chosen."
 
 
-def read_svg(content: bytes, file: str, unit: str | None = None) -> Drawing:
+def read_svg(
+    content: bytes, file: str, unit: str | None = None, *, most_lines: int = MAX_LINES
+) -> Drawing:
     """Return the strokes of an SVG drawing, in m, Y up from the lower edge of the page.
 
     Parameters
@@ -39,6 +41,8 @@ def read_svg(content: bytes, file: str, unit: str | None = None) -> Drawing:
         The bytes of the file, and its name for messages.
     unit
         Unit that a pixel stands for in a drawing that states no physical size.
+    most_lines
+        Most lines of the drawing, with its clones.
 
     Raises
     ------
@@ -53,7 +57,7 @@ def read_svg(content: bytes, file: str, unit: str | None = None) -> Drawing:
     """
     tree = svg_tree(content, file)
     page = svg_page(tree, unit)
-    walk = _Walk(tree, page, Styles(tree), list(page.warnings))
+    walk = _Walk(tree, page, Styles(tree), list(page.warnings), most_lines)
     walk.element(tree.root, _Here(np.eye(3), dict(INHERITED)), 0)
     return Drawing(
         file=file,
@@ -82,6 +86,7 @@ class _Walk:
     page: Page
     styles: Styles
     warnings: list[str]
+    most_lines: int
     strokes: list[Stroke] = field(default_factory=list)
     refusals: dict[tuple[str, str, str, int], Refusal] = field(default_factory=dict)
     cached: dict[int, dict[str, tuple[str, bool]]] = field(default_factory=dict)
@@ -180,9 +185,9 @@ class _Walk:
                 self.warnings.append(f"{place}: a shape with neither stroke nor fill was left out")
                 return
             self.warnings.append(f"{place}: a shape without a stroke; its outline is sewn")
-        if len(self.strokes) + len(paths) > MAX_LINES:
+        if len(self.strokes) + len(paths) > self.most_lines:
             raise JobError(
-                f"the drawing and its clones have more than {MAX_LINES} lines",
+                f"the drawing and its clones have more than {self.most_lines} lines",
                 place=place,
                 remedy="Join lines to paths, or split the drawing.",
             )
