@@ -223,7 +223,7 @@ def test_the_lag_is_the_models() -> None:
     ("text", "said"),
     [
         ("stuck-encoder:Q@1 s", "has no 'Q'"),
-        ("stuck-encoder@1 s", "has no 'None'"),
+        ("stuck-encoder@1 s", "does not say where"),
         ("explode@1 s", "there is no fault 'explode'"),
         ("lost-link:X@1 s", "is of no axis"),
         ("lost-link", "is no fault"),

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import pty
+import select
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -14,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.live.kill_bench import child
+from threadline.store.run_store import RunStore
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STARTS = """
@@ -63,7 +67,8 @@ def as_a_fork(number: int, words: list[str], folder: Path) -> tuple[int, str]:
 
 
 @pytest.mark.parametrize(
-    ("number", "command"), [(signal.SIGINT, as_a_program), (signal.SIGTERM, as_a_fork)]
+    ("number", "command"),
+    [(signal.SIGINT, as_a_program), (signal.SIGTERM, as_a_fork), (signal.SIGHUP, as_a_fork)],
 )
 @pytest.mark.usefixtures("forked_machine")
 def test_a_signal_stops_on_the_path_and_keeps_the_run(
@@ -83,3 +88,25 @@ def test_a_signal_stops_on_the_path_and_keeps_the_run(
         for line in (Path(content["trace"]).parent / "events.jsonl").read_text("utf-8").splitlines()
     ]
     assert states[-2:] == ["stopping", "idle"]
+
+
+@pytest.mark.usefixtures("forked_machine")
+def test_a_terminal_that_is_closed_stops_on_the_path_and_keeps_the_run(tmp_path: Path) -> None:
+    """Neither its keys, nor the bar that is drawn on it, nor what is printed in the end fails."""
+    store = tmp_path / "runs"
+    words = ["run", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--nominal",
+             "--speed", "2", "--store", str(store)]  # fmt: skip
+    command = [sys.executable, "-m", "threadline", *words]
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execv(command[0], command)
+    end_s = time.monotonic() + 200.0
+    while not any('"running"' in file.read_text() for file in store.glob("*/events.jsonl")):
+        assert time.monotonic() < end_s
+        if select.select([terminal], [], [], 0.05)[0]:
+            os.read(terminal, 4096)
+    os.close(terminal)
+    assert os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 1
+    (record,) = RunStore(store).index.runs()
+    assert (record.ended, record.text) == ("stopped", "stopped by the operator")
+    assert record.passed is False

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -97,3 +99,58 @@ def test_a_url_of_the_index_that_cannot_be_read_is_no_store_of_its_own(tmp_path:
     with pytest.raises(StoreError, match="cannot be read"):
         opened(tmp_path)
     assert [one.name for one in tmp_path.iterdir()] == [INDEX_URL]
+
+
+def test_how_a_run_ended_is_kept_before_it_is_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever loses patience in the middle of judging does not lose the run's end."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("threadline.cli.run_.judge", interrupted)
+    assert run(tmp_path / "runs") == 130
+    kept = opened(tmp_path / "runs")
+    assert kept is not None
+    (record,) = kept.index.runs()
+    assert (record.ended, record.passed) == ("completed", None)
+
+
+def test_a_verdict_is_whole_or_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise FULL
+
+    monkeypatch.setattr(OpenRun, "_order_to_disk", lambda _: None)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        assert run(tmp_path / "runs") == 3
+    (folder,) = (file.parent for file in tmp_path.glob("runs/*/trace.mcap"))
+    assert not [*folder.glob("*verdict*")]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
+def test_a_verdict_that_cannot_be_printed_is_no_wrong_input(tmp_path: Path) -> None:
+    """The machine has moved, and the verdict is kept: exit status 2 would deny both."""
+    words = ["run", str(JOB), "-m", "lathe-winder", "--nominal", "--speed", "0"]
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "threadline", *words], stdout=full, stderr=subprocess.PIPE,
+            text=True, check=False, cwd=tmp_path, env=dict(os.environ),
+        )  # fmt: skip
+    assert done.returncode == 0
+    assert "cannot be written (No space left on device); the verdict is in runs" in done.stderr
+
+
+def test_a_fault_whose_time_never_comes_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(JOB), "-m", "lathe-winder", "--nominal", "--speed", "0",
+              "--store", str(tmp_path / "runs"), "--inject", "lost-link@99 s"])  # fmt: skip
+    assert ended.value.code == 0
+    assert "warning: --inject: lost-link at 99 s never came: the run ended at 10." in (
+        capsys.readouterr().err
+    )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import IO, TextIO, cast
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -65,6 +67,32 @@ def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> b
     return width - others - 2 >= min(max(len(line[-1]) for line in lines), _WRAPPED)
 
 
+class _WhileItStands(io.TextIOBase):
+    """A stream to a terminal; what is written is lost once that has hung up, and nothing fails."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write text."""
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush it."""
+        with suppress(OSError):
+            self._stream.flush()
+
+    def isatty(self) -> bool:
+        """Return whether it is a terminal."""
+        return self._stream.isatty()
+
+    def fileno(self) -> int:
+        """Return its descriptor."""
+        return self._stream.fileno()
+
+
 @contextmanager
 def bar_on_terminal() -> Iterator[ProgressCall]:
     """Yield a progress call that draws a bar on standard error once a second has passed."""
@@ -73,7 +101,7 @@ def bar_on_terminal() -> Iterator[ProgressCall]:
         BarColumn(),
         TextColumn("{task.percentage:>3.0f}%"),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=Console(file=cast("TextIO", _WhileItStands(Console(stderr=True).file))),
         transient=True,
     )
     task = bar.add_task("starting", total=1.0)

@@ -7,7 +7,7 @@ import select
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from types import FrameType
 
 from threadline.cli.told import note
@@ -49,27 +49,40 @@ class AtTheKeys:
         self._duration_s = max(duration_s, 1e-9)
         self._state = State.RUNNING
         self._told = terminal is None
+        self.time_s = 0.0
+        """Time of the run at its latest step, s."""
 
     def confirmed(self) -> bool | None:
         """Return whether ``c`` was pressed, False for any other key; None for no key."""
+        if self._terminal is None or (keys := self._pressed(1)) is None:
+            return None
+        return keys == b"c"
+
+    def _pressed(self, most: int) -> bytes | None:
+        """Return keys that were pressed, none of a terminal that is gone; None for no key."""
         if self._terminal is None or not select.select([self._terminal], [], [], 0.0)[0]:
             return None
-        return os.read(self._terminal, 1) == b"c"
+        keys = b""
+        with suppress(OSError):  # the terminal hung up
+            keys = os.read(self._terminal, most)
+        if not keys:
+            self._terminal = None
+        return keys
 
     def step(self, executor: Running) -> None:
         """Pass the keys to the desk; tell the progress of the run, and that it holds."""
         if not self._told:
             self._told = True
             note("h holds, r goes on, any other key stops; none of them is the emergency stop")
-        if self._terminal is not None and select.select([self._terminal], [], [], 0.0)[0]:
-            for key in os.read(self._terminal, 16).decode("utf-8", "replace"):
-                self._desk.ask(_KEYS.get(key, Cause.STOP))
+        for key in (self._pressed(16) or b"").decode("utf-8", "replace"):
+            self._desk.ask(_KEYS.get(key, Cause.STOP))
         if executor.state is not self._state and self._terminal is not None:
             self._state = executor.state
             if self._state is State.HOLDING:
                 note("holding: r goes on, any other key stops")
+        self.time_s = executor.time_s
         if self._progress is not None:
-            self._progress("running", min(executor.time_s / self._duration_s, 1.0))
+            self._progress("running", min(self.time_s / self._duration_s, 1.0))
 
 
 @contextmanager
@@ -83,7 +96,10 @@ def _signals(desk: Desk) -> Iterator[None]:
         if len(came) > 1:
             raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, answer) for number in (signal.SIGINT, signal.SIGTERM)}
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # else it outlives its terminal
+        numbers.append(signal.SIGHUP)
+    before = {number: signal.signal(number, answer) for number in numbers}
     try:
         yield
     finally:
@@ -106,4 +122,5 @@ def _terminal() -> Iterator[int | None]:
     try:
         yield number
     finally:
-        termios.tcsetattr(number, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # the terminal hung up
+            termios.tcsetattr(number, termios.TCSADRAIN, before)

@@ -6,16 +6,18 @@ What needs rich is in ``on_terminal``, loaded where something is drawn: an objec
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
-from threadline.cli.told import STARTING, STDOUT, at_work
+from threadline.cli.told import STARTING, STDOUT, at_work, note
 from threadline.escaping import plain
 from threadline.progress_call import Progress as ProgressCall
 
+_STDOUT = 1  # its file descriptor
 _FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its own
 
 
@@ -43,6 +45,29 @@ def _to_stdout() -> Iterator[None]:
     except OSError as error:
         error.filename = error.filename or STDOUT
         raise
+
+
+@contextmanager
+def as_far_as_possible(else_: str) -> Iterator[None]:
+    """Print as far as standard output takes it, flushed; what remains is only noted if not.
+
+    For what has happened already: its exit status is no longer about what is printed. Where nobody
+    reads, the program ends as others do.
+
+    Parameters
+    ----------
+    else_
+        Where the same is found.
+    """
+    try:
+        yield
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        with suppress(OSError):  # or the interpreter would flush what is left, and complain
+            os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
+        note(f"{STDOUT} cannot be written ({error.strerror or error}); {else_}")
 
 
 def say_lines(text: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing as closed
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +23,7 @@ from threadline.cli.continued import (
 )
 from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
 from threadline.cli.operator_keys import at_the_keys
-from threadline.cli.output import print_json, print_table, progress_bar, say
+from threadline.cli.output import as_far_as_possible, print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import plot_every
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
@@ -49,7 +49,7 @@ from threadline.cli.shared_options import (
     ToleranceOption,
     keep_inputs,
 )
-from threadline.cli.told import note
+from threadline.cli.told import note, warning
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
 from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
@@ -57,7 +57,7 @@ from threadline.input_files import inputs_read
 from threadline.live.desk import Desk
 from threadline.live.hold_deviation import hold_waits, hold_words
 from threadline.live.links import Link, link_of
-from threadline.live.sim_faults import parse_fault
+from threadline.live.sim_faults import SimFault, parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.live.supervised import (
     check_halts,
@@ -238,6 +238,7 @@ def run(
                 plan, desk, kept, pass_stops=pass_stops, hold_at_rest=at_rest, watch=keys.step,
                 again=again, confirmed=(lambda: True) if confirmed else keys.confirmed,
             )  # fmt: skip
+        _is_over(kept, ended, text, plan, fault, keys.time_s)
     before = () if again is None else joined_with(kept.trace)
     happened = whole_recording(kept.trace)
     verdict = _verdict(happened, plan, asked, kept, (ended, text), over, whole=again is None)
@@ -253,14 +254,9 @@ def run(
     _judged(kept, content, ended, text)
     if recording is not None:
         write_recording(happened, recording, plot_every=plot_every(chosen))
-    if ended is Ended.FAULT or not json:
-        _show(verdict, plan, link, over.label, before, quiet=json)
+    _show(verdict, plan, content, over.label, kept, json=json)
     if ended is Ended.FAULT:
         raise _fault(kept, text, over)
-    if json:
-        print_json(content)
-    else:
-        say(f"Run: {kept.path}")
     raise typer.Exit(0 if verdict.passed else 1)
 
 
@@ -288,6 +284,18 @@ def _verdict(
         raise _fault(kept, text, over)
     note(text if ended is Ended.COMPLETED else f"{text}: nothing was recorded to be judged")
     raise typer.Exit(1)
+
+
+def _is_over(
+    kept: OpenRun, ended: Ended, text: str, plan: Plan, fault: SimFault | None, until_s: float
+) -> None:
+    """Keep how a run ended; warn of an injected fault to whose time it never came."""
+    with _moved(kept):
+        kept.over(ended.value, text)
+    period_s = float(plan.machine.command_clock.period_s)
+    if fault is not None and ended is not Ended.FAULT and until_s < fault.tick * period_s:
+        at = f"{fault.kind} at {fault.tick * period_s:g} s"
+        warning(f"--inject: {at} never came: the run ended at {until_s:.6g} s")
 
 
 def _judged(kept: OpenRun, content: Mapping[str, Any], ended: Ended, text: str) -> None:
@@ -329,15 +337,24 @@ def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> bool:
 
 
 def _show(
-    verdict: Verdict, plan: Plan, link: str, label: str, before: Sequence[str], *, quiet: bool
-) -> None:
-    if quiet:
-        return
-    header, rows = verdict_rows(verdict)
-    print_table(f"{plan.job.name} run on {plan.machine.name}, link {link}", header, rows)
-    say(closing(verdict) + (f"; {label}" if label else ""))
-    if before:
-        say(as_one(before))
+    verdict: Verdict, plan: Plan, content: Mapping[str, Any], label: str, kept: OpenRun, *,
+    json: bool,
+) -> None:  # fmt: skip
+    """Print the verdict; of a run that ended as a fault the error says the rest."""
+    fault = content["ended"] == Ended.FAULT
+    with as_far_as_possible(f"the verdict is in {kept.path}"):
+        if json:
+            if not fault:
+                print_json(content)
+            return
+        header, rows = verdict_rows(verdict)
+        print_table(f"{plan.job.name} run on {plan.machine.name}, link {content['link']}",
+                    header, rows)  # fmt: skip
+        say(closing(verdict) + (f"; {label}" if label else ""))
+        if before := content.get("judged_with"):
+            say(as_one(before))
+        if not fault:
+            say(f"Run: {kept.path}")
 
 
 def register(app: typer.Typer) -> None:

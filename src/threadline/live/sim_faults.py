@@ -132,9 +132,14 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
             f"--inject {kind}: {machine.name} has nothing that could fail so",
             remedy=f"Use one of {', '.join([k for k in KINDS if places.get(k, True)])}.",
         )
+    if known is not None and kind not in OF_GRIDS and where is None:
+        raise OptionError(
+            f"--inject {kind} does not say where",
+            remedy=f'Write "{kind}:{known[0]}@1.2 s"; {machine.name} has {", ".join(known)}.',
+        )
     if known is not None and kind not in OF_GRIDS and where not in known:
         raise OptionError(
-            f"--inject {kind}: {machine.name} has no {str(where)[:40]!r}",
+            f"--inject {kind}: {machine.name} has no {where[:40]!r}",
             remedy=f"It has {', '.join(known)}.",
         )
     if where and (known is None or kind in OF_GRIDS):

@@ -278,6 +278,7 @@ class KeptRuns:
                 self._said(f"the run could not be judged: {error}", True)
 
     def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
+        run.over(ended, why)
         try:
             verdict = judge([whole_recording(run.trace)], ready.load.plan, ready.spec)
         except RecordingError as error:

@@ -339,18 +339,31 @@ class OpenRun:
             self.unjudged(REFUSED, text)
         else:
             with suppress(StoreError):  # the error that ended it is the one to tell
-                self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
+                self.over(ended, text)
+
+    def over(self, ended: str, text: str) -> None:
+        """Write into the index how a run ended, before it is judged: that may be broken off."""
+        self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
 
     def unjudged(self, ended: str, text: str) -> None:
         """Write that a run ended before there was anything to judge."""
         plan = self._plan
         told = {"job": plan.job.name, "machine": plan.machine.name, **self._told}
         self._write({**told, "passed": False, "criteria": [], "ended": ended, "text": text})
-        self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
+        self.over(ended, text)
 
     def _write(self, content: Mapping[str, Any]) -> None:
+        """Write the verdict beside its place, and move it there: it is whole, or it is not."""
         line = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        (self.path / VERDICT).write_text(f"{line}\n", encoding="utf-8")
+        place, made = self.path / VERDICT, self.path / f".{VERDICT}"
+        try:
+            with naming(place, made), made.open("w", encoding="utf-8") as file:
+                file.write(f"{line}\n")
+                file.flush()
+                os.fsync(file.fileno())
+            made.replace(place)
+        finally:
+            made.unlink(missing_ok=True)
 
     def judged(self, content: Mapping[str, Any], ended: str, text: str) -> None:
         """Write the verdict into the folder, and verdict and end of the run into the index."""
