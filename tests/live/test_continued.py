@@ -339,6 +339,15 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     found = ask(plan)
     assert found is not None
     assert found.rest.operation == broken_off("lathe-winder")[1]
+    whole = broken_off("lathe-winder")[0]
+    for foreign in (
+        replace(whole, job_sha256="0" * 64),
+        replace(whole, origin={**whole.origin, "run": "20200101-000000-x-180"}),
+    ):
+        write_recording(foreign, kept.trace)
+        with pytest.raises(StoreError, match="is the trace of another run"):
+            ask(plan)
+    write_recording(whole, kept.trace)
     options = Options(interpolation="linear")
     other = plan_job(open_job(EXAMPLES / "x-180.prg", plan.machine, options), plan.machine, options)
     with pytest.raises(StoreError, match="was of other rows than these"):

@@ -45,6 +45,7 @@ from threadline.cli.main import main
         (["--token", " " * 16], "--token holds ' ', which cannot stand in a word of an HTTP"),
         (["--token", "x" * 16 + "\n\xe4"], r"--token holds '\n', '\xe4', which cannot stand"),
         (["--link", "grbl:localhost:99999"], "port 99999 is not between 1 and 65535"),
+        (["--store", ""], "Invalid value for '--store': it is empty; name a folder, or . for this"),
         (["--store", "a-file"], "'a-file' is no folder of runs. Give the folder with --store"),
         (["--store", "a-file/runs"], "'a-file/runs' is no folder of runs: 'a-file' is a file"),
     ],
@@ -68,6 +69,7 @@ def test_what_is_wrong_is_one_line(
     [
         (["--link", "grbl:localhost:99999"], "port 99999 is not between 1 and 65535"),
         (["--link", "hal:mill"], "there is no link hal:mill"),
+        (["--store", ""], "Invalid value for '--store': it is empty; name a folder"),
         (["--store", "a-file"], "'a-file' is no folder of runs"),
     ],
 )

@@ -14,8 +14,7 @@ from threadline.errors import OptionError
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
 from threadline.live.derived import Rest
 from threadline.plan import Plan
-from threadline.store.run_store import TRACE
-from threadline.store.unfinished import refuse_other_rows, unfinished_run
+from threadline.store.unfinished import refuse_other_rows, trace_of, unfinished_run
 
 RestOf = Callable[[int], Rest]
 ContinueOption = Annotated[
@@ -94,7 +93,9 @@ def continued_run(
         return None, {}
     folder, record = unfinished_run(store, run)
     refuse_other_rows(record, plan)
-    operation = operation_at(plan, last_executed(folder / TRACE), "block" if at is None else at)
+    operation = operation_at(
+        plan, last_executed(trace_of(folder, record)), "block" if at is None else at
+    )
     again = continued_by(plan, rest_of(operation))
     for line in again.told:
         note(line)

@@ -33,7 +33,7 @@ from threadline.cli.shared_options import (
     SmoothingOption,
     SpecOption,
     ToleranceOption,
-    report_folder,
+    named_folder,
 )
 from threadline.errors import OptionError
 from threadline.jobs.operations import Pace
@@ -110,7 +110,7 @@ def fastest(
     report: Annotated[
         Path | None,
         typer.Option(
-            parser=report_folder,
+            parser=named_folder,
             metavar="<path>",
             help="Folder for the report of the fastest, or with --mismatch for its picture "
             "(PNG, SVG).",

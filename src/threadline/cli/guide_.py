@@ -9,7 +9,7 @@ import typer
 
 from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import JsonOption, report_folder
+from threadline.cli.shared_options import JsonOption, named_folder
 from threadline.machine import load_machine
 from threadline.report.guide import guide_of, write_guide
 
@@ -21,7 +21,7 @@ def guide(
         typer.Option(
             "--out",
             "-o",
-            parser=report_folder,
+            parser=named_folder,
             metavar="<path>",
             help="Folder for the guide: HTML and PDF.",
         ),

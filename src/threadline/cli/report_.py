@@ -11,7 +11,7 @@ from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import show_proof
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
-from threadline.cli.shared_options import JsonOption, SpecOption, report_folder
+from threadline.cli.shared_options import JsonOption, SpecOption, named_folder
 from threadline.errors import StoreError
 from threadline.pipeline import Proof
 from threadline.proof_file import read_proof, spec_sha256
@@ -35,7 +35,7 @@ def report(
         typer.Option(
             "--out",
             "-o",
-            parser=report_folder,
+            parser=named_folder,
             metavar="<path>",
             help="Folder for the report; default: report, in that of the run.",
         ),

@@ -9,13 +9,19 @@ from typing import Annotated
 import typer
 
 from threadline.cli.output import print_json, print_table, say
-from threadline.cli.shared_options import JsonOption
+from threadline.cli.shared_options import JsonOption, named_folder
 from threadline.store.index import REFUSED, RUNNING, RunRecord
 from threadline.store.run_store import opened
 
 DEFAULT_STORE = Path("runs")
 StoreOption = Annotated[
-    Path, typer.Option("--store", help="Folder of runs; the first run makes it.")
+    Path,
+    typer.Option(
+        "--store",
+        parser=named_folder,
+        metavar="<path>",
+        help="Folder of runs; the first run makes it.",
+    ),
 ]
 
 

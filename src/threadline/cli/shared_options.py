@@ -128,8 +128,8 @@ JsonOption = Annotated[
 ]
 
 
-def report_folder(text: str) -> Path:
-    """Return the folder of a report; refuse an empty name, which would be the current folder."""
+def named_folder(text: str) -> Path:
+    """Return a folder; refuse an empty name, which would be the current folder."""
     if not text:
         raise typer.BadParameter("it is empty; name a folder, or . for this one")
     return Path(text)
@@ -138,7 +138,7 @@ def report_folder(text: str) -> Path:
 ReportOption = Annotated[
     Path | None,
     typer.Option(
-        parser=report_folder, metavar="<path>", help="Folder for the report (HTML, PDF, PNG, SVG)."
+        parser=named_folder, metavar="<path>", help="Folder for the report (HTML, PDF, PNG, SVG)."
     ),
 ]
 RecordingOption = Annotated[

@@ -31,8 +31,8 @@ from threadline.panel.project_programs import planned
 from threadline.pipeline import with_shaping
 from threadline.proof_file import ProofFile
 from threadline.signals import Channel, RecordingBlock
-from threadline.store.run_store import TRACE, OpenRun, RunStore
-from threadline.store.unfinished import refuse_other_rows, unfinished_run
+from threadline.store.run_store import OpenRun, RunStore
+from threadline.store.unfinished import refuse_other_rows, trace_of, unfinished_run
 from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
 from threadline.verdict.plan_clock import PlanClock
@@ -213,7 +213,7 @@ class KeptRuns:
         folder, record = unfinished_run(self._store, run)
         plan = whole.load.plan
         refuse_other_rows(record, plan)
-        operation = operation_at(plan, last_executed(folder / TRACE), at)
+        operation = operation_at(plan, last_executed(trace_of(folder, record)), at)
         load = executor.rest(whole.load, operation, at_rest=whole.at_rest)
         assert load.rest is not None
         again = continued_by(plan, load.rest)
