@@ -300,6 +300,8 @@ def test_what_runs_out_is_planner_and_receive_buffer() -> None:
 def test_a_serial_line_is_a_port_too() -> None:
     ours, theirs = os.openpty()
     port = Port(os.ttyname(theirs))
+    with pytest.raises(LinkFaultError, match="another program has it"):
+        Port(os.ttyname(theirs))
     port.send(b"G1 X1\n?")
     assert os.read(ours, 100) == b"G1 X1\n?"
     os.write(ours, b"ok\r\n<Idle|MPos:0.000,0.000,0.000>\r\n")

@@ -98,6 +98,15 @@ def test_it_is_what_two_people_would_say(steps: list[tuple[str, int, float]]) ->
         assert control.asks == model.asks
 
 
+def test_the_word_of_another_is_of_no_use() -> None:
+    control = ControlLease()
+    first = control.take(1, 0.0)
+    assert first is not None
+    assert not control.renew(first.word, 1.0, 2)
+    assert control.left_s(1.0) == CONTROL_LEASE_S - 1.0
+    assert control.renew(first.word, 1.0, 1)
+
+
 def test_who_does_not_answer_loses_it_after_ten_seconds() -> None:
     control = ControlLease()
     first = control.take(1, 0.0)

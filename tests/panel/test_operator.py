@@ -114,7 +114,7 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
 def test_who_has_no_control_moves_nothing(project: Path) -> None:
     with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
         anna.ready()
-        for lease in ("", anna.lease[:-1], "x" * 22):
+        for lease in ("", anna.lease[:-1], "x" * 22, anna.lease):
             ben.lease = lease
             assert "you are not in control" in ben.act("jog", axis="X", share=1.0)
         assert ben.until("state")["state"] == "idle"

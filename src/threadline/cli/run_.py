@@ -6,7 +6,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import closing as closed
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -290,7 +290,7 @@ def _is_over(
     kept: OpenRun, ended: Ended, text: str, plan: Plan, fault: SimFault | None, until_s: float
 ) -> None:
     """Keep how a run ended; warn of an injected fault to whose time it never came."""
-    with _moved(kept):
+    with suppress(StoreError):  # an index that is locked may be free when the verdict is there
         kept.over(ended.value, text)
     period_s = float(plan.machine.command_clock.period_s)
     if fault is not None and ended is not Ended.FAULT and until_s < fault.tick * period_s:

@@ -150,11 +150,17 @@ class Port:
 
 
 def _serial(path: str) -> int:
-    """Open a serial device, raw, and return its descriptor."""
+    """Open a serial device, raw and for nobody else, and return its descriptor."""
+    import fcntl
     import termios
     import tty
 
     number = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)  # lines of two would be mixed
+    except OSError as error:
+        os.close(number)
+        raise OSError(error.errno, "another program has it") from error
     try:
         tty.setraw(number)
         mode = termios.tcgetattr(number)

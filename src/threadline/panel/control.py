@@ -92,10 +92,18 @@ class ControlLease:
         self._asks = None
         return True
 
-    def renew(self, word: str, now_s: float) -> bool:
-        """Renew the lease; False if the word is not that of the lease in force."""
+    def renew(self, word: str, now_s: float, client: int | None = None) -> bool:
+        """Renew the lease; False if the word is not that of the lease in force.
+
+        Parameters
+        ----------
+        client
+            The client that says it, where it is known: it must be the one that has control.
+        """
         held = self.holder(now_s)
-        if held is None or not hmac.compare_digest(held.word.encode(), word.encode()):
+        if held is None or client not in {None, held.client}:
+            return False
+        if not hmac.compare_digest(held.word.encode(), word.encode()):
             return False
         self._until_s = now_s + CONTROL_LEASE_S
         return True

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import finite
-from threadline.errors import ProofError, RecordingError, ThreadlineError
+from threadline.errors import ProofError, RecordingError, StoreError, ThreadlineError
 from threadline.input_files import inputs_read, noting_inputs
 from threadline.live.continued_sink import ContinuedSink
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
@@ -278,7 +278,8 @@ class KeptRuns:
                 self._said(f"the run could not be judged: {error}", True)
 
     def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
-        run.over(ended, why)
+        with suppress(StoreError):  # an index that is locked may be free when the verdict is there
+            run.over(ended, why)
         try:
             verdict = judge([whole_recording(run.trace)], ready.load.plan, ready.spec)
         except RecordingError as error:

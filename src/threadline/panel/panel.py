@@ -161,7 +161,7 @@ class Panel:
             case say.Control():
                 self._word(client, message.word, now_s)
             case say.Alive():
-                self._control.renew(message.lease, now_s)
+                self._control.renew(message.lease, now_s, client.number)
             case say.Act():
                 try:
                     self._act(client, message, now_s)
@@ -202,7 +202,7 @@ class Panel:
         command = act.command
         if not client.is_next(act.number):
             raise CommandError(f"the command {act.number} came before", remedy="Reload the page.")
-        if not self._control.renew(act.lease, now_s):
+        if not self._control.renew(act.lease, now_s, client.number):
             raise CommandError("you are not in control", remedy="Take control first.")
         if command.what not in _SAFE and not client.saw(act.seen, now_s):
             raise CommandError(
