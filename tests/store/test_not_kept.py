@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -154,3 +156,18 @@ def test_a_fault_whose_time_never_comes_is_told(
     assert "warning: --inject: lost-link at 99 s never came: the run ended at 10." in (
         capsys.readouterr().err
     )
+
+
+def test_a_closed_input_and_the_longest_name_are_no_obstacle(tmp_path: Path) -> None:
+    """As a service has it: there is no standard input, of which Python makes None."""
+    job = tmp_path / f"{'a' * 251}.prg"
+    job.write_bytes(JOB.read_bytes())
+    words = shlex.join(
+        [sys.executable, "-m", "threadline", "run", str(job), "-m", "lathe-winder", "--nominal",
+         "--speed", "0", "--store", str(tmp_path / "runs"), "--json"]
+    )  # fmt: skip
+    done = subprocess.run(
+        ["/bin/sh", "-c", f"exec {words} <&-"], capture_output=True, text=True, check=False,
+        env=dict(os.environ),
+    )  # fmt: skip
+    assert (done.returncode, json.loads(done.stdout)["ended"]) == (0, "completed"), done.stderr

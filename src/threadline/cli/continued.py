@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from threadline.cli.operator_keys import somebody_at_the_keys
 from threadline.cli.told import note
 from threadline.errors import OptionError
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
@@ -57,7 +57,7 @@ def check_continued(store: Path, run: str | None, at: str | None, *, confirmed: 
             )
         return
     unfinished_run(store, run)
-    if not confirmed and not sys.stdin.isatty():
+    if not confirmed and not somebody_at_the_keys():
         raise OptionError(
             "--continue: nobody is at the keys to confirm that it may go on",
             remedy="Run it from a terminal, or with --confirmed.",

@@ -20,6 +20,11 @@ _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 """Any other key stops."""
 
 
+def somebody_at_the_keys() -> bool:
+    """Return whether standard input is a terminal; it may be closed."""
+    return sys.stdin is not None and sys.stdin.isatty()
+
+
 @contextmanager
 def at_the_keys(desk: Desk, duration_s: float, progress: Progress | None) -> Iterator[AtTheKeys]:
     """Pass keys and signals to ``desk``; yield what looks after each step of a run for keys.
@@ -110,11 +115,13 @@ def _signals(desk: Desk) -> Iterator[None]:
 @contextmanager
 def _terminal() -> Iterator[int | None]:
     """Yield the descriptor of the terminal, its keys unbuffered; None if there is no terminal."""
-    if not sys.stdin.isatty():
+    if not somebody_at_the_keys():
         yield None
         return
     import termios
     import tty
+
+    assert sys.stdin is not None
 
     number = sys.stdin.fileno()
     before = termios.tcgetattr(number)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import closing as closed
@@ -22,7 +21,7 @@ from threadline.cli.continued import (
     continued_run,
 )
 from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
-from threadline.cli.operator_keys import at_the_keys
+from threadline.cli.operator_keys import at_the_keys, somebody_at_the_keys
 from threadline.cli.output import as_far_as_possible, print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import plot_every
@@ -201,9 +200,9 @@ def run(
         closed(over),
     ):
         plan = plan_job(open_job(job, chosen, options), chosen, options)
-        check_halts(plan, answered=pass_stops or sys.stdin.isatty())
+        check_halts(plan, answered=pass_stops or somebody_at_the_keys())
         if proof_file is None:
-            proof_file = Path(folder) / f"{job.stem}.proof.json"
+            proof_file = Path(folder) / "proof.json"
             proof = prove_plan(plan, asked, progress, trials)
             tell(doubts(proof))
             write_proof(proof, proof_file)
