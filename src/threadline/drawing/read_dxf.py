@@ -35,7 +35,7 @@ _METRES = {
 
 
 def read_dxf(
-    content: bytes, file: str, unit: str | None = None, *, most_lines: int = MAX_LINES
+    content: bytes, file: str, unit: str | None = None, *, most_lines: int | None = None
 ) -> Drawing:
     """Return the strokes of a DXF drawing, text or binary, of any version that ezdxf reads.
 
@@ -46,7 +46,7 @@ def read_dxf(
     unit
         Unit of a drawing that does not give one ($INSUNITS).
     most_lines
-        Most lines of the drawing, with those of its blocks.
+        Most lines of the drawing, with those of its blocks; None is ``MAX_LINES``.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def read_dxf(
     with said.listening():
         document = load_dxf(file)
     factor = metres_per_unit(int(document.header.get("$INSUNITS", 0)), unit, place)
-    walk = _Walk(file, document, entity_lines(content), most_lines)
+    walk = _Walk(file, document, entity_lines(content), most_lines or MAX_LINES)
     root = _Inherited("0", "#ffffff", factor * np.eye(2), np.zeros(2))
     try:
         with said.listening():

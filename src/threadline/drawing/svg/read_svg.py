@@ -31,7 +31,7 @@ _PLAIN = "or put it on a layer that is not chosen."
 
 
 def read_svg(
-    content: bytes, file: str, unit: str | None = None, *, most_lines: int = MAX_LINES
+    content: bytes, file: str, unit: str | None = None, *, most_lines: int | None = None
 ) -> Drawing:
     """Return the strokes of an SVG drawing, in m, Y up from the lower edge of the page.
 
@@ -42,7 +42,7 @@ def read_svg(
     unit
         Unit that a pixel stands for in a drawing that states no physical size.
     most_lines
-        Most lines of the drawing, with its clones.
+        Most lines of the drawing, with its clones; None is ``MAX_LINES``.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def read_svg(
     """
     tree = svg_tree(content, file)
     page = svg_page(tree, unit)
-    walk = _Walk(tree, page, Styles(tree), list(page.warnings), most_lines)
+    walk = _Walk(tree, page, Styles(tree), list(page.warnings), most_lines or MAX_LINES)
     walk.element(tree.root, _Here(np.eye(3), dict(INHERITED)), 0)
     return Drawing(
         file=file,
