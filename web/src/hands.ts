@@ -53,7 +53,7 @@ export class Hands {
       found.oncontextmenu = (event) => event.preventDefault();
       return found;
     };
-    row.append(cell(jog(-1, pair?.[1])), cell(jog(1, pair?.[0])), cell(button(`Home ${axis.name}`, "zero-axis", () => this.session.hold({ what: "zero-axis", axis: axis.name }))));
+    row.append(cell(jog(-1, pair?.[1])), cell(jog(1, pair?.[0])), cell(button(`Zero ${axis.name}`, "zero-axis", () => this.session.hold({ what: "zero-axis", axis: axis.name }))));
     return row;
   }
 

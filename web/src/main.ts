@@ -17,6 +17,8 @@ import { View3d } from "./view3d";
 const STALE_S = 0.5;
 const USUAL_S = 0.2;
 const TELLS_MS = 250;
+/** What is had once it is known where the axes are. */
+const BY_PLACE = new Set(["jog", "step", "zero", "zero-axis"]);
 let bare: Mandrel | null = null; // of the machine, before anything is planned
 let toldEnd = "", toldFault = ""; // what was told last of the end of a run, and of a fault
 let toldMs = -Infinity, toldUsual = false; // when the age of the data was told last, and whether it was usual
@@ -41,6 +43,7 @@ function heard(message: FromPanel): void {
     by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
     hands.build();
     program.build();
+    session.lacks = message.lacks;
     tellLink(message);
     offer(message.axes.map((axis) => axis.name));
     bare = message.mandrel;
@@ -65,7 +68,6 @@ function heard(message: FromPanel): void {
 function tellLink(welcome: Welcome): void {
   const lacking = Object.entries(welcome.lacks).map(([what, why]) => `${what} is not had on this link: ${why}.`);
   by("link-notes").replaceChildren(...[welcome.label, ...lacking, ...welcome.notes].filter(Boolean).map((text) => made("li", text)));
-  for (const [what, why] of Object.entries(welcome.lacks)) for (const one of document.querySelectorAll<HTMLButtonElement>(`button[data-what="${what}"]`)) one.title = `not had on this link: ${why}`;
 }
 
 /** Offer axes, and what else moves, for the curves. */
@@ -136,7 +138,9 @@ function show(state: State | null): void {
   put(by("state"), "className", !state || ["fault", "gone"].includes(state.state) ? "wrong" : "");
   const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (["teach", "zero-here"].includes(what) ? teach.can(state) : session.can(what));
   const changed = state !== null && program.changed(state);
+  const homeless = state !== null && session.mine() && ["disabled", "enabled"].includes(state.state);
   for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned) || (changed && ["start", "approach"].includes(one.dataset.what!))));
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (homeless && BY_PLACE.has(one.dataset.what!) ? "home first: it is not known where the axes are" : ""));
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;

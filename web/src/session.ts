@@ -13,6 +13,8 @@ export class Session {
   readonly link: Link;
   me = 0;
   axes: Axis[] = [];
+  /** Commands that are not had on this link, and why. */
+  lacks: Record<string, string> = {};
   figures: Figures | null = null;
   /** Number of the state before the figures came. */
   figuresAt = 0;
@@ -27,6 +29,8 @@ export class Session {
   get moves(): boolean { return this.renews !== 0; }
   mine(): boolean { return this.link.lease !== "" && this.state?.control.client === this.me; }
   can(what: string): boolean { return this.mine() && (this.state?.allowed.includes(what) ?? false); }
+  /** Why a command is not had on this link; empty where it is. */
+  lacking(what: string): string { return what in this.lacks ? `not had on this link: ${this.lacks[what]}` : ""; }
   machineMoves(): boolean { return MOVING.has(this.state?.state ?? ""); }
 
   /** A motion that goes on only while the page renews it; a renewal that is refused says that it has ended. */
