@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -138,7 +139,7 @@ def test_the_default_is_repeated_and_levels_exclude_each_other(
     assert "--nominal and --tolerances ask for different levels" in capsys.readouterr().err
 
 
-def test_the_list_of_runs_says_how_far_each_proof_reaches() -> None:
+def test_the_list_of_runs_says_how_far_each_proof_reaches(tmp_path: Path) -> None:
     """A run is one run; what it was proved by may be one, twenty, or other machines as well."""
     record = RunRecord(
         run="a",
@@ -157,6 +158,17 @@ def test_the_list_of_runs_says_how_far_each_proof_reaches() -> None:
         ended="done",
         passed=True,
     )
-    assert listed(record)[4:6] == ["in spec", "in spec (nominal)"]
+    assert listed(record, tmp_path)[4:6] == ["in spec", "in spec (nominal)"]
     other = replace(record, proof_passed=False, level="over tolerances", passed=False)
-    assert listed(other)[4:6] == ["not in spec", "not in spec (over tolerances)"]
+    missing = {"passed": False, "criteria": [{"status": "not-measured", "required": True}]}
+    failed = {"passed": False, "criteria": [{"status": "passed"}, {"status": "failed"}]}
+    (tmp_path / "verdict.json").write_text(json.dumps({**missing, "level": "nominal"}), "utf-8")
+    proof = {"level": "over tolerances", "verdict": failed}
+    (tmp_path / "proof.json").write_text(json.dumps(proof), "utf-8")
+    assert listed(other, tmp_path)[4:6] == ["not proven", "out of spec (over tolerances)"]
+    kept = {"level": "limits and time alone", "verdict": {"passed": True, "criteria": []}}
+    (tmp_path / "proof.json").write_text(json.dumps(kept), "utf-8")
+    limits = replace(record, level="limits and time alone", passed=None)
+    assert listed(limits, tmp_path)[4:6] == ["not judged", "limits kept (limits and time alone)"]
+    (tmp_path / "proof.json").write_text("[", "utf-8")  # the index is what is left
+    assert listed(other, tmp_path)[5] == "not passed (over tolerances)"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from tests.panel.browsing import Browser, expect, opened, press, press_until, state
+import re
+
+from tests.panel.browsing import Browser, expect, opened, part, press, press_until, ready, state
 from tests.panel.test_panel_killed import Plant
 
 
@@ -20,4 +22,20 @@ def test_to_move_to_zero_is_not_to_home(browser: Browser, plant: Plant) -> None:
     for zero in zeros:
         expect(zero).to_be_enabled()
         expect(zero).to_have_attribute("title", "")
+    page.close()
+
+
+def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: Plant) -> None:
+    """A run that was stopped is not proven, which is not out of specification."""
+    page = opened(browser, plant)
+    ready(page)
+    press(page, "Calculate")
+    press_until(page, "Start", "running")
+    press(page, "STOP")
+    state(page, "idle")
+    expect(page.locator("#log")).to_contain_text("there.prg: stopped. NOT PROVEN")
+    part(page, "Runs")
+    expect(page.locator("#kept option")).to_have_text(
+        re.compile(r"there: stopped by the operator; not proven in this run$")
+    )
     page.close()

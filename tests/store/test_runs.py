@@ -194,7 +194,7 @@ def test_a_refused_run_has_a_verdict_and_is_listed(
     assert (record.ended, record.passed) == (REFUSED, None)
     verdict = json.loads((run.path / "verdict.json").read_text())
     assert (verdict["ended"], verdict["passed"], verdict["run"]) == (REFUSED, False, run.path.name)
-    assert listed(record)[3:5] == [REFUSED, REFUSED]
+    assert listed(record, run.path)[3:5] == [REFUSED, REFUSED]
     with pytest.raises(SystemExit) as ended:
         main(["report", "last", "--store", str(store.folder)])
     assert ended.value.code == 2

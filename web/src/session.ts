@@ -80,3 +80,6 @@ export function say(text: string, wrong = false): void {
 export function unitOf(session: Session, name: string): [number, string] {
   return session.axes.find((axis) => axis.name === name)?.unit === "rad" ? [180 / Math.PI, "°"] : [1000, "mm"];
 }
+
+/** How a run has ended, and why, said once: "stopped by the operator", "fault: axis X ...". */
+export function endOf(ended: string, why: string): string { return why === "" ? ended : why.startsWith(ended) ? why : `${ended}: ${why}`; }

@@ -5,9 +5,9 @@ import { by, made, value } from "./dom";
 import { BLUE, CLOSEST, INK, ORANGE } from "./curves";
 import type { State } from "./messages";
 import type { Session } from "./session";
-import { say, unitOf } from "./session";
+import { endOf, say, unitOf } from "./session";
 
-interface Kept { run: string; started: string; job: string; ended: string; text: string; passed: boolean | null }
+interface Kept { run: string; started: string; job: string; ended: string; text: string; verdict: string }
 interface Trace { times_s: number[]; axes: Record<string, { commanded: number[]; actual: number[] }> }
 
 export class Traces {
@@ -35,7 +35,7 @@ export class Traces {
     const answer = await this.session.ask("/api/runs");
     if (!answer.ok) { say((await answer.text()).trim(), true); return; }
     const runs = (await answer.json()) as Kept[];
-    by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${one.ended}${one.text ? `, ${one.text}` : ""}, ${one.passed === null ? "not judged" : one.passed ? "in spec in this run" : "not in spec in this run"}`); found.value = one.run; return found; }));
+    by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${endOf(one.ended, one.text)}${one.verdict === one.ended ? "" : `; ${one.verdict}${one.verdict === "not judged" ? "" : " in this run"}`}`); found.value = one.run; return found; }));
     if (runs.some((one) => one.run === before)) by<HTMLSelectElement>("kept").value = before;
     by<HTMLButtonElement>("export").disabled = runs.length === 0;
     if (runs.length) await this.load();

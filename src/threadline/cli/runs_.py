@@ -10,8 +10,9 @@ import typer
 
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.shared_options import JsonOption, named_folder
-from threadline.store.index import REFUSED, RUNNING, RunRecord
+from threadline.store.index import RUNNING, RunRecord
 from threadline.store.run_store import opened
+from threadline.store.told_verdicts import verdict_of_proof, verdict_of_run
 
 DEFAULT_STORE = Path("runs")
 StoreOption = Annotated[
@@ -31,25 +32,23 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
     Example: threadline runs --store runs
     """
     kept = opened(store)
-    records = [] if kept is None else kept.index.runs()
+    found = [] if kept is None else [(one, kept.folder / one.run) for one in kept.index.runs()]
     if json:
-        print_json([asdict(record) for record in records])
-    elif not records:
+        print_json([{**asdict(one), "verdict": verdict_of_run(one, at)} for one, at in found])
+    elif not found:
         say(f"There are no runs in {str(store)!r}; threadline run makes one.")
     else:
         header = ["run", "machine", "link", "ended", "this run", "proof", "late", "note"]
-        print_table(f"Runs in {store}", header, [listed(record) for record in records])
+        print_table(f"Runs in {store}", header, [listed(*one) for one in found])
 
 
-def listed(record: RunRecord) -> list[str]:
+def listed(record: RunRecord, folder: Path) -> list[str]:
     """Return the row of a run: its own verdict, and that of its proof with the level of it."""
-    verdict = {True: "in spec", False: "not in spec", None: "-"}[record.passed]
-    if record.ended == REFUSED:
-        verdict = REFUSED
     ended = "not told" if record.ended == RUNNING else record.ended
     note = f"override: {record.override}" if record.override else record.text
+    verdict = verdict_of_run(record, folder)
+    proof = f"{verdict_of_proof(record, folder)} ({record.level})"
     late = str(record.late_ticks)
-    proof = f"{'in spec' if record.proof_passed else 'not in spec'} ({record.level})"
     return [record.run, record.machine, record.link, ended, verdict, proof, late, note]
 
 

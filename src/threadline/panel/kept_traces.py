@@ -16,6 +16,7 @@ from threadline.errors import StoreError
 from threadline.importing import words_of
 from threadline.panel.children import answer_of
 from threadline.store.run_store import TRACE, opened
+from threadline.store.told_verdicts import verdict_of_run
 
 _CHILD = words_of("threadline.panel.thinned_traces", "main")
 _TOLD = ("run", "started", "job", "ended", "text", "passed")
@@ -28,8 +29,12 @@ def kept_runs(store: Path) -> list[dict[str, Any]]:
     kept = opened(store)
     if kept is None:
         return []
-    rows = [asdict(record) for record in kept.index.runs()[:_MOST_RUNS]]
-    return [{name: row[name] for name in _TOLD} for row in rows]
+    found = []
+    for record in kept.index.runs()[:_MOST_RUNS]:
+        row = asdict(record)
+        word = verdict_of_run(record, kept.folder / record.run)
+        found.append({**{name: row[name] for name in _TOLD}, "verdict": word})
+    return found
 
 
 def trace_file(store: Path, run: str) -> Path:

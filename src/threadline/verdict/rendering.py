@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -125,6 +125,14 @@ def in_a_word(verdict: Verdict) -> str:
         return "in spec" if verdict.answers else "limits kept"
     failed = any(result.status is Status.FAILED for result in verdict.results)
     return "OUT" if failed else "not proven"
+
+
+def word_of_json(content: Mapping[str, Any]) -> str:
+    """Return a verdict that was written as JSON in the words that :func:`closing` begins with."""
+    if content["passed"]:
+        return "limits kept" if content.get("level") == Level.LIMITS else "in spec"
+    failed = any(one["status"] == Status.FAILED for one in content["criteria"])
+    return "out of spec" if failed else "not proven"
 
 
 def closing_of_all(verdicts: Sequence[Verdict]) -> str:
