@@ -170,5 +170,9 @@ def test_the_list_of_runs_says_how_far_each_proof_reaches(tmp_path: Path) -> Non
     (tmp_path / "proof.json").write_text(json.dumps(kept), "utf-8")
     limits = replace(record, level="limits and time alone", passed=None)
     assert listed(limits, tmp_path)[4:6] == ["not judged", "limits kept (limits and time alone)"]
+    stopped = replace(record, ended="stopped", text="stopped by the operator")
+    assert (listed(stopped, tmp_path)[3], listed(stopped, tmp_path)[7]) == (
+        "stopped", "by the operator",
+    )  # fmt: skip
     (tmp_path / "proof.json").write_text("[", "utf-8")  # the index is what is left
     assert listed(other, tmp_path)[5] == "not passed (over tolerances)"

@@ -32,6 +32,7 @@ from threadline.live.wire import Connection, Message
 from threadline.panel import calculating, kept_runs
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
+from threadline.panel.panel import _told_end
 from threadline.store.run_store import opened
 
 SPEED = 2.0
@@ -101,7 +102,7 @@ def test_hold_resume_and_a_stop_by_who_only_watches(project: Path) -> None:
         ben.say(type="stop")
         anna.see("idle")
         assert anna.state["progress"]["ended"] == "stopped"
-        assert {"type": "said", "text": "stop, by Ben", "wrong": False} in anna.heard
+        assert {"type": "said", "text": "stopped by Ben (2)", "wrong": False} in anna.heard
         # It goes on with nothing by itself: only a new start from where the run begins does.
         for _ in range(10):
             assert anna.until("state")["state"] == "idle"
@@ -316,6 +317,28 @@ def test_a_stop_by_request(project: Path) -> None:
         assert client.post("/api/stop").status_code == 204
         anna.see("idle")
         assert anna.state["progress"]["ended"] == "stopped"
+
+
+def test_a_stop_by_two_ways_is_told_once(project: Path) -> None:
+    """Whichever comes first; every one of them stops, and the next stop is told again."""
+    with served(project, SPEED) as client, operator(client) as anna, operator(client, "Ben") as ben:
+        anna.see("disabled")
+        sent = {"x-stop": f"{ben.number}/1"}
+        assert client.post("/api/stop", headers=sent).status_code == 204
+        ben.say(type="stop", number=1)
+        ben.say(type="stop", number=2)
+        client.post("/api/stop", headers={"x-stop": "nobody"})
+        while len(told := [one["text"] for one in anna.heard if one["type"] == "said"]) < 3:
+            anna.hear()
+        assert told == [f"stopped by Ben ({ben.number})"] * 2 + ["stopped by a request"]
+
+
+@pytest.mark.parametrize("state, why, told", [
+    ("fault", "axis X: 3 mm off", "the machine stands, in a fault: axis X: 3 mm off"),
+    ("idle", "", "the machine was stopped, and is idle"),
+])  # fmt: skip
+def test_a_panel_that_ends_tells_how_the_machine_is(state: str, why: str, told: str) -> None:
+    assert _told_end({"state": state, "why": why}) == told
 
 
 def test_uploads_undo_what_was_proven(project: Path) -> None:

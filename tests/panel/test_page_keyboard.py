@@ -46,7 +46,7 @@ def enter(page: Page, name: str) -> None:
 def test_keys_stop_in_every_view(browser: Browser, plant: Plant) -> None:
     """Whoever looks, with control or without."""
     page = opened(browser, plant)
-    said = page.locator("#log li", has_text="stop, by")
+    said = page.locator("#log li", has_text="stopped by")
     for count, name in enumerate(("Operate", "Teach", "Draw", "Runs", "Guide")):
         part(page, name)
         expect(page.get_by_role("button", name="STOP")).to_be_visible()

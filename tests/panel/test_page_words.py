@@ -34,6 +34,9 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
     press(page, "STOP")
     state(page, "idle")
     expect(page.locator("#log")).to_contain_text("there.prg: stopped. NOT PROVEN")
+    expect(page.locator("#log li", has_text=re.compile("  stopped by"))).to_have_count(1)
+    once = re.compile(r"there.prg: stopped\. NOT PROVEN .*, stopped by the op")
+    expect(page.locator("#progress-text")).to_contain_text(once)
     part(page, "Runs")
     expect(page.locator("#kept option")).to_have_text(
         re.compile(r"there: stopped by the operator; not proven in this run$")

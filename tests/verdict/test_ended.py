@@ -85,6 +85,8 @@ def test_a_run_that_ended_in_no_operation_names_none() -> None:
     """A controller that says of itself that it stopped, and not where, leaves -1."""
     verdict, _ = run(Event(tick=9, kind="stopped", operation=-1, name="asked"))
     assert "the run ended, stopped: asked" in closing(verdict)
+    verdict, _ = run(Event(tick=9, kind="stopped", operation=-1, name="stopped by the operator"))
+    assert closing(verdict).endswith("the run ended, stopped by the operator")  # said once
 
 
 def test_what_failed_before_the_end_has_failed() -> None:

@@ -13,6 +13,8 @@ export class Link {
   heardMs = 0;
   private socket: WebSocket | null = null;
   private number = 0;
+  private client = 0;
+  private stops = 0;
 
   constructor(private readonly name: string, private readonly token: string, private readonly heard: (message: FromPanel) => void, private readonly lost: () => void) {
     this.connect();
@@ -27,7 +29,7 @@ export class Link {
     socket.onmessage = (event) => {
       const message = JSON.parse(String(event.data)) as FromPanel;
       if (message.type === "state") { this.state = message; this.heardMs = performance.now(); }
-      if (message.type === "welcome") this.number = 0;
+      if (message.type === "welcome") [this.number, this.client] = [0, message.client];
       if (message.type === "leased") this.lease = message.lease;
       this.heard(message);
     };
@@ -40,9 +42,10 @@ export class Link {
   }
 
   stop(): void {
-    this.say({ type: "stop" });
-    // By another way, too: one of them gets through.
-    void fetch("/api/stop", { method: "POST", headers: { Authorization: `Bearer ${this.token}` }, keepalive: true }).catch(() => undefined);
+    this.stops += 1;
+    this.say({ type: "stop", number: this.stops });
+    // By another way, too: one of them gets through, and by its number it is told once.
+    void fetch("/api/stop", { method: "POST", headers: { Authorization: `Bearer ${this.token}`, "X-Stop": `${this.client}/${this.stops}` }, keepalive: true }).catch(() => undefined);
   }
 
   control(word: "take" | "give" | "keep" | "release"): void { this.say({ type: "control", word }); }

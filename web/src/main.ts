@@ -9,7 +9,7 @@ import { Hands } from "./hands";
 import type { FromPanel, Mandrel, State, Welcome } from "./messages";
 import { Program } from "./program";
 import { Rest } from "./rest";
-import { Session, say, unitOf } from "./session";
+import { Session, say, toldRun, unitOf } from "./session";
 import { Teach } from "./teach";
 import { Traces } from "./traces";
 import { View3d } from "./view3d";
@@ -122,7 +122,7 @@ function tellAge(age: number, stale: boolean): void {
 /** Keep in the list of what happened how a run has ended, and why the machine is in fault. */
 function tellEnds(state: State): void {
   const run = state.progress, wrong = ["fault", "gone"].includes(state.state);
-  const fault = wrong ? `${state.state}: ${state.why}` : "", end = run?.ended && run.verdict ? `${run.program}: ${run.ended}. ${run.verdict}` : "";
+  const fault = wrong ? `${state.state}: ${state.why}` : "", end = run?.ended && run.verdict ? toldRun(run) : "";
   if (end !== toldEnd && end) say(end, !run!.verdict.startsWith("IN SPEC"));
   if (fault !== toldFault && fault) say(fault, true);
   [toldEnd, toldFault] = [end, fault];

@@ -3,7 +3,7 @@
 import { button, by, made, put, tell, value } from "./dom";
 import type { Criterion, Figures, Proven, State } from "./messages";
 import type { Session } from "./session";
-import { say, unitOf } from "./session";
+import { say, toldRun, unitOf } from "./session";
 
 /** What is typed and chosen for a calculation, besides the program; priority and feed with it. */
 const FIELDS = ["interpolation", "priority", "feed", "shaper", "radius", "smoothing", "offset"];
@@ -116,7 +116,7 @@ export class Program {
     put(by("changed"), "hidden", !this.changed(state) || this.session.machineMoves());
     const run = state.progress;
     put(by<HTMLProgressElement>("progress"), "value", state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0));
-    tell("progress-text", state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? `${run.program}: ${run.ended}${run.why ? `, ${run.why}` : ""}. ${run.verdict}` : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`);
+    tell("progress-text", state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? toldRun(run) : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`);
     put(by("progress-text"), "className", run?.ended && state.calculating === null && run.verdict && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
   }
 

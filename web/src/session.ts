@@ -2,7 +2,7 @@
 
 import { by, made } from "./dom";
 import { Link } from "./link";
-import type { Axis, Figures, FromPanel, State } from "./messages";
+import type { Axis, Figures, FromPanel, Progress, State } from "./messages";
 
 const RENEW_MS = 80;
 const MOST_LINES = 50;
@@ -83,3 +83,6 @@ export function unitOf(session: Session, name: string): [number, string] {
 
 /** How a run has ended, and why, said once: "stopped by the operator", "fault: axis X ...". */
 export function endOf(ended: string, why: string): string { return why === "" ? ended : why.startsWith(ended) ? why : `${ended}: ${why}`; }
+
+/** How a run of this panel has ended, and its verdict where there is one, which may say why. */
+export function toldRun({ program, ended, why, verdict }: Progress): string { return `${program}: ${endOf(ended ?? "", why !== "" && verdict.includes(why) ? "" : why)}. ${verdict}`.trim(); }

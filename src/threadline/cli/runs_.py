@@ -45,11 +45,16 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
 def listed(record: RunRecord, folder: Path) -> list[str]:
     """Return the row of a run: its own verdict, and that of its proof with the level of it."""
     ended = "not told" if record.ended == RUNNING else record.ended
-    note = f"override: {record.override}" if record.override else record.text
+    note = f"override: {record.override}" if record.override else _why(record)
     verdict = verdict_of_run(record, folder)
     proof = f"{verdict_of_proof(record, folder)} ({record.level})"
     late = str(record.late_ticks)
     return [record.run, record.machine, record.link, ended, verdict, proof, late, note]
+
+
+def _why(record: RunRecord) -> str:
+    """Return why a run ended, without the word that stands before it: ``by the operator``."""
+    return record.text.removeprefix(f"{record.ended} ")
 
 
 def register(app: typer.Typer) -> None:

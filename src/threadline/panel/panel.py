@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import assert_never
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, assert_never
 
 from threadline.errors import CommandError, ThreadlineError
 from threadline.live.executor import LEASE_S
@@ -26,6 +28,7 @@ BEAT_S = 0.04
 """Period of the states that clients are sent, s."""
 _STANDS_S = 10.0
 """Longest wait in s for the machine to stand, at the end of the panel."""
+_STOPS_KNOWN = 64  # of the latest, told once though they came by two ways
 _NOT_AWAITED = "the machine is stopped by its own process, which was not waited for"
 _MOVING = frozenset({State.HOMING, State.JOGGING, State.RUNNING, State.HOLDING, State.STOPPING})
 _SAFE = frozenset({"let-go", "hold"})
@@ -79,6 +82,7 @@ class Panel:
         self._seq = 0
         self._asked: dict[int, tuple[int, int]] = {}  # request: client, and its number
         self._requests = 0
+        self._stops: deque[tuple[int, int | None]] = deque(maxlen=_STOPS_KNOWN)
 
     def connect(self) -> None:
         """Begin with an owner of the machine; to be called on the event loop."""
@@ -99,7 +103,7 @@ class Panel:
         while not owner.gone and time.monotonic() < since_s + _STANDS_S:
             known = owner.heard_s > since_s + 2.0 * TELL_S  # what was on its way has come
             if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
-                return f"the machine was stopped, and is {owner.now['state']}"
+                return _told_end(owner.now)
             owner.send("alive")
             await asyncio.sleep(BEAT_S)
         return owner.gone or "the machine was told to stop, and has not said that it stands"
@@ -157,7 +161,7 @@ class Panel:
         now_s = time.monotonic()
         match message:
             case say.Stop():
-                self.stop(client.name)
+                self.stop(client.number, message.number)
             case say.Control():
                 self._word(client, message.word, now_s)
             case say.Alive():
@@ -170,10 +174,22 @@ class Panel:
             case _:
                 assert_never(message)
 
-    def stop(self, who: str) -> None:
-        """Stop the machine, whoever says it."""
+    def stop(self, who: int, number: int | None) -> None:
+        """Stop the machine, whoever says it.
+
+        Parameters
+        ----------
+        who, number
+            Number of the client, 0 for somebody who is none, and that of its stop: one that comes
+            twice is told once.
+        """
         self._owner.send("stop")
-        self._tell_all(say.Said(text=f"stop, by {who}"))
+        if number is not None and (who, number) in self._stops:
+            return
+        self._stops.append((who, number))
+        client = self._clients.get(who)
+        told = "a request" if client is None else f"{client.name} ({client.number})"
+        self._tell_all(say.Said(text=f"stopped by {told}"))
 
     def may_change(self, lease: str) -> bool:
         """Return whether a lease is the one in force, and renew it."""
@@ -371,3 +387,10 @@ class Panel:
             for client in self._clients.values():
                 client.show(self._seq, text)
             await asyncio.sleep(BEAT_S)
+
+
+def _told_end(now: Mapping[str, Any]) -> str:
+    """Return what a machine that was stopped, and stands, is told to be."""
+    if State(now["state"]) is State.FAULT:
+        return f"the machine stands, in a fault: {now['why'] or 'it tells of none'}"
+    return f"the machine was stopped, and is {now['state']}"

@@ -140,6 +140,8 @@ class Stop(_Strict):
     """Stop. Every client may say it, at any time, without a lease."""
 
     type: Literal["stop"]
+    number: Annotated[int, Field(ge=1)] | None = None
+    """Number of this stop, where it is asked for by a request, too: it is told once then."""
 
 
 class Control(_Strict):

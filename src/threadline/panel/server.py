@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import shutil
 import time
 from collections.abc import AsyncIterator
@@ -30,6 +31,7 @@ from threadline.panel.project_programs import MOST_UPLOAD, program_names, take_p
 
 PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""
+_NUMBERS = re.compile("[0-9]{1,15}")
 _HELLO_S = 5.0  # time in which a client has to say who it is
 _NO_PAGE = "The page was not built: run make panel.\n"
 _REFUSALS: dict[int | str, dict[str, Any]] = {
@@ -122,8 +124,11 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         return PlainTextResponse("", 204)
 
     @app.post("/api/stop", status_code=204)
-    async def stop() -> PlainTextResponse:  # on the loop: it waits for no thread to be free
-        panel.stop("a request")
+    async def stop(request: Request) -> PlainTextResponse:
+        # On the loop: it waits for no thread to be free.
+        who, _, number = request.headers.get("x-stop", "").partition("/")
+        named = bool(_NUMBERS.fullmatch(who) and _NUMBERS.fullmatch(number))
+        panel.stop(int(who) if named else 0, int(number) if named else None)
         return PlainTextResponse("", 204)
 
 

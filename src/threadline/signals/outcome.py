@@ -81,3 +81,14 @@ class Outcome:
                 halted = known.halted_ticks + event.tick - known.halted_since
                 known = replace(known, halted_ticks=halted, halted_since=None)
         return known
+
+
+def said_once(ended: str, why: str) -> str:
+    """Return how a run ended, and why, without saying a word twice.
+
+    >>> said_once("stopped", "stopped by the operator"), said_once("fault", "the link is gone")
+    ('stopped by the operator', 'fault: the link is gone')
+    """
+    if not why:
+        return ended
+    return why if why.startswith(ended) else f"{ended}: {why}"

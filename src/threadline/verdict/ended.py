@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from threadline.signals import Outcome, Recording, RecordingBlock
+from threadline.signals.outcome import said_once
 from threadline.verdict.types import Result, Status
 
 
@@ -46,11 +47,10 @@ def told_end(outcome: Outcome) -> str:
     if not outcome.incomplete:
         return ""
     assert outcome.ended is not None
-    why = f": {outcome.text}" if outcome.text else ""
     # A controller that tells of no operation leaves -1.
     told = outcome.operation is not None and outcome.operation >= 0
     where = f" in operation {outcome.operation}" if told else ""
-    return f"the run ended{where}, {outcome.ended.value}{why}"
+    return f"the run ended{where}, {said_once(outcome.ended.value, outcome.text)}"
 
 
 def not_beyond(result: Result, why: str) -> Result:
