@@ -93,6 +93,24 @@ def test_out_of_specification_takes_a_reason(proof: Proof, tmp_path: Path) -> No
         check_override("  ")
 
 
+def test_the_remedy_is_of_the_kind_of_work(tmp_path: Path) -> None:
+    """Cylinders have neither a feed nor a needle to be slower."""
+    placer, file = load_machine("letter-placer"), tmp_path / "cycle.proof.json"
+    job = open_job(EXAMPLES / "letter-cycle.toml", placer, Options())
+    found = prove_plan(plan_job(job, placer, Options()), load_spec(None, placer))
+    write_proof(found, file)
+    told = {
+        "switchings": r"Shape its moves \(--shaper\), or let it rest longer \(threadline fastest",
+        "needle": "Lower the speed of the needle",
+        "shaft": "Lower the speed of the shaft",
+        "feed": "Lower the feed",
+    }
+    for pace, remedy in told.items():
+        plan = replace(found.plan, job=replace(job, paced_by=pace))
+        with pytest.raises(ProofError, match=f"residual_vibration Z. {remedy}"):
+            check_runnable(file, plan, found.spec, None)
+
+
 def test_there_must_be_something_to_override(proof: Proof, written: Path) -> None:
     with pytest.raises(OptionError, match="nothing to override"):
         check_runnable(written, proof.plan, proof.spec, "I feel like it")

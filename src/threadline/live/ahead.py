@@ -259,7 +259,7 @@ class Ahead:
                     quantity="velocity",
                     value_si=fastest * to_si,
                     limit_si=float(limits.velocity[k] * to_si),
-                    remedy="Lower the feed, or prove the job with another interpolation.",
+                    remedy="Let the job be slower, or prove it with another interpolation.",
                 )
             low, high = float(stands[:, k].min()), float(stands[:, k].max())
             beyond = low < limits.low[k] - _LIMIT_COUNTS

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from threadline.arrays import IntArray
 from threadline.errors import OptionError, Place, PlanError, ProofError
+from threadline.jobs.slower import SLOWER
 from threadline.live.continued_sink import ContinuedSink
 from threadline.live.continuing import Continued
 from threadline.live.desk import Desk
@@ -58,8 +59,8 @@ def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | Non
     if not proof.passed and not override:
         raise ProofError(
             f"{plan.job.name} is out of specification: {_failed(proof)}",
-            remedy="Lower the feed (threadline fastest finds it), or run it all the same with "
-            '--override "why", which is kept with the run.',
+            remedy=f"{SLOWER[plan.job.paced_by]} (threadline fastest finds how), or run it all the "
+            'same with --override "why", which is kept with the run.',
         )
     if proof.passed and override is not None:
         raise OptionError(

@@ -10,6 +10,7 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import BudgetError, LimitError, Place, PlanError
 from threadline.jobs.operations import Job
+from threadline.jobs.slower import SLOWER
 from threadline.machine import Machine
 from threadline.signals import Clock, Event, Stream, TickBlock, TickTable
 from threadline.targets.events import EventPlacer, first_tick_from
@@ -286,7 +287,8 @@ class _Table:
             value_si=counts / self.scale.per_unit[axis] / float(self.clock.period_s),
             limit_si=float(self.velocity_limit[axis]),
             place=place_of(self.job, int(block.operation[row])),
-            remedy="Lower the feed there, or use an interpolation that respects the limits.",
+            remedy=f"{SLOWER['feed' if self.job is None else self.job.paced_by]} there, or use an "
+            "interpolation that respects the limits.",
         )
 
 
