@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 from pydantic import BaseModel
 
+from threadline.panel.page_words import told_on_page
+
 SEEN_S = 0.5
 """Age in s of the latest state on which a client may act."""
 _MOST_SENT = 64
@@ -44,7 +46,7 @@ class Client:
         """Let it have a message, in order: a state that waits is older, and is left out."""
         self._state = None
         self.full = self.full or len(self._waiting) >= _MOST_WAITING
-        self._waiting.append(message.model_dump_json())
+        self._waiting.append(told_on_page(message).model_dump_json())
         self._ready.set()
 
     async def next_text(self, clock: Callable[[], float]) -> str | None:

@@ -1,0 +1,65 @@
+"""What people at the page are told names what the page has, and no options of a command line."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from threadline.doubts import doubts
+from threadline.machine import load_machine
+from threadline.options import Options
+from threadline.panel.calculating import figures
+from threadline.panel.clients import Client
+from threadline.panel.page_words import FIELDS, in_page_words
+from threadline.panel.protocol import Answer, Figures, Said
+from threadline.pipeline import NOMINAL, prove
+from threadline.verdict import load_spec
+
+ROOT = Path(__file__).parents[2]
+
+
+def told(*messages: Said | Answer | Figures) -> list[dict[str, object]]:
+    """Return messages as a client gets them."""
+    client = Client(1, "Anna")
+    for message in messages:
+        client.tell(message)
+    texts = [asyncio.run(client.next_text(lambda: 0.0)) for _ in messages]
+    return [json.loads(text or "") for text in texts]
+
+
+def test_a_warning_of_a_proof_names_the_field_of_the_page() -> None:
+    """The F of this program is above the normal feed, which is told with what to choose."""
+    machine = load_machine("lathe-winder")
+    program = ROOT / "examples" / "cone-dome-cylinder.prg"
+    spec = load_spec(None, machine)
+    proof = prove(program, machine, spec, Options(interpolation="linear"), trials=NOMINAL)
+    assert any("Choose another feed with --feed" in one for one in doubts(proof))
+    found = Figures(**{**figures(proof), "feed": None, "proof": "0" * 64})
+    warnings = told(found)[0]["warnings"]
+    assert isinstance(warnings, list)
+    assert any("Choose another feed with 'Feed', or" in one for one in warnings)
+    assert not any("--" in one for one in warnings)
+
+
+def test_refusals_name_fields_or_the_command_line() -> None:
+    said, refused = told(
+        Said(text="--smoothing '9 ms' is of feed-forward. Give --feed-forward too.", wrong=True),
+        Answer(number=1, ok=False, text="Leave --dialect out; a--b and --- are no options."),
+    )
+    assert said["text"] == "'Smoothing' '9 ms' is of feed-forward. Give 'Loads follow' too."
+    assert refused["text"] == (
+        "Leave --dialect of the command line out; a--b and --- are no options."
+    )
+
+
+@pytest.mark.parametrize("option", FIELDS)
+def test_every_label_is_on_the_page(option: str) -> None:
+    page = "".join(file.read_text("utf-8") for file in (ROOT / "web").glob("*.html"))
+    page += "".join(file.read_text("utf-8") for file in (ROOT / "web" / "src").glob("*.ts"))
+    label = FIELDS[option]
+    assert re.search(rf"""[>"]\s*{label}\s*[<"]""", page)
+    assert in_page_words(f"--{option}") == f"'{label}'"
