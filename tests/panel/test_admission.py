@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from starlette.websockets import WebSocketDisconnect
 
 from tests.panel.bench import LOCAL, Operator, operator, served
 from threadline.errors import JobError, OptionError
+from threadline.machine import load_machine
 from threadline.panel.admission import Admission
 from threadline.panel.project_programs import program_names, program_path, take_program
 from threadline.panel.protocol import MOST_TEXT
@@ -204,9 +206,37 @@ def test_bytes_that_act_at_once_are_refused_with_their_line(tmp_path: Path, byte
     content = b"G1 X1\nG1 X2 (" + bytes([byte]) + b")\n"
     with pytest.raises(JobError, match=rf"a\.gcode:2: the byte {byte:#04x} is one that"):
         take_program(tmp_path, "a.gcode", content)
-    assert program_names(tmp_path) == []
+    frame = load_machine("schiffli-frame")
+    assert program_names(tmp_path, frame) == []
     take_program(tmp_path, "a.dst", content)  # an embroidery design is no text
-    assert program_names(tmp_path) == ["a.dst"]
+    assert program_names(tmp_path, frame) == ["a.dst"]
+
+
+def test_jobs_of_the_machine_are_offered_and_no_other_files(tmp_path: Path) -> None:
+    """Machines and specifications are TOML, too; a drawing is sewn by what a seam file says."""
+    for name in (
+        "a.seam.toml", "a.svg", "a.dxf", "a.csv", "a.prg", "a.dst", "a.json", ".a.prg",
+    ):  # fmt: skip
+        (tmp_path / name).write_text("")
+    (tmp_path / "cycle.toml").write_text('name = "cycle"\n[[operation]]\ndwell = "1 s"\n')
+    (tmp_path / "damaged.toml").write_text("name = \n[[ operation ]]\n")  # refused, and why
+    (tmp_path / "inline.toml").write_text('operation = [{dwell = "1 s"}]\n')
+    (tmp_path / "machine.toml").write_text('base = "letter-placer"\n# [[operation]]\n')
+    (tmp_path / "mine.spec.toml").write_text('[[criteria]]\nname = "travel"\n')
+    (tmp_path / "job.txt").write_text("; notes first\nG1 X5 F100\n")
+    (tmp_path / "notes.txt").write_text("$0=10\ngrease the axes G and X\n")
+    (tmp_path / "folder.prg").mkdir()
+    programs = ["a.prg", "a.seam.toml", "job.txt"]
+    for machine, offered in (
+        ("lathe-winder", programs),
+        ("stitcher", programs),
+        ("letter-placer", ["cycle.toml", "damaged.toml", "inline.toml"]),
+        ("schiffli-frame", ["a.dst"]),
+    ):
+        assert program_names(tmp_path, load_machine(machine)) == offered
+    upright = load_machine("lathe-winder")
+    upright = replace(upright, axes={**upright.axes, "Y": upright.axes["A"]})
+    assert program_names(tmp_path, upright) == ["a.prg", "job.txt"]  # nothing to sew with
 
 
 def test_a_link_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:

@@ -41,6 +41,8 @@ def started(anna: Operator, name: str, project: Path) -> Operator:
 
 def refuses_jogs(anna: Operator) -> None:
     assert not {"jog", "step", "zero", "approach"} & set(anna.state["allowed"])
+    (welcome,) = (one for one in anna.heard if one["type"] == "welcome")
+    assert welcome["untaught"].endswith(", no part programs")
     assert "not possible now" in anna.act("jog", axis="X", share=1.0)
 
 

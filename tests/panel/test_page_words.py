@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+import pytest
+
 from tests.panel.browsing import Browser, expect, opened, part, press, press_until, ready, state
 from tests.panel.test_panel_killed import Plant
 
@@ -41,4 +43,33 @@ def test_the_list_of_runs_has_the_words_of_the_verdict(browser: Browser, plant: 
     expect(page.locator("#kept option")).to_have_text(
         re.compile(r"there: stopped by the operator; not proven in this run$")
     )
+    page.close()
+
+
+@pytest.mark.parametrize("plant", [("schiffli-frame", 40.0)], indirect=True)
+def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) -> None:
+    """A frame is taught no part program; a run that came to its end has no rest."""
+    page = opened(browser, plant, "schiffli-frame")
+    ready(page)
+    part(page, "Teach")
+    why = "schiffli-frame takes embroidery designs, no part programs"
+    expect(page.locator("#untaught")).to_have_text(f"Nothing is taught here: {why}.")
+    for name in ("Record point (p)", "Save program"):
+        one = page.get_by_role("button", name=name, exact=True)
+        expect(one).to_be_disabled()
+        expect(one).to_have_attribute("title", why)
+    page.keyboard.press("p")
+    expect(page.locator("#taught tr")).to_have_count(0)
+
+    part(page, "Operate")
+    expect(page.locator("#program option")).to_have_text(["rosette.dst"])
+    press(page, "Calculate")
+    press_until(page, "Start", "running")
+    expect(page.locator("#log")).to_contain_text("rosette: completed. IN SPEC")
+    part(page, "Runs")
+    expect(page.locator("#kept option")).to_have_text(re.compile("completed; in spec in this run$"))
+    again = page.get_by_role("button", name="Continue", exact=True)
+    expect(again).to_be_disabled()
+    expect(again).to_have_attribute("title", "the run was completed: there is no rest of it")
+    expect(page.locator("#rest-told")).to_contain_text("there is no rest of it")
     page.close()

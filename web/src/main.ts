@@ -17,7 +17,8 @@ import { View3d } from "./view3d";
 const STALE_S = 0.5;
 const USUAL_S = 0.2;
 const TELLS_MS = 250;
-/** What is had once it is known where the axes are. */
+/** What is of part programs, and what is had once it is known where the axes are. */
+const OF_PROGRAMS = new Set(["teach", "zero-here"]);
 const BY_PLACE = new Set(["jog", "step", "zero", "zero-axis"]);
 let bare: Mandrel | null = null; // of the machine, before anything is planned
 let toldEnd = "", toldFault = ""; // what was told last of the end of a run, and of a fault
@@ -38,12 +39,12 @@ const shown = (): string => by<HTMLSelectElement>("axis").value;
 function heard(message: FromPanel): void {
   if (message.type === "welcome") {
     session.me = message.client;
-    session.axes = message.axes;
+    [session.axes, session.lacks, session.untaught] = [message.axes, message.lacks, message.untaught];
     session.figuresAt = 0; // states of this panel are numbered anew, and it sends the figures that it has
     by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
     hands.build();
+    teach.build();
     program.build();
-    session.lacks = message.lacks;
     tellLink(message);
     offer(message.axes.map((axis) => axis.name));
     bare = message.mandrel;
@@ -136,11 +137,11 @@ function show(state: State | null): void {
   tellAge(age, stale);
   tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : "no connection");
   put(by("state"), "className", !state || ["fault", "gone"].includes(state.state) ? "wrong" : "");
-  const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (["teach", "zero-here"].includes(what) ? teach.can(state) : session.can(what));
+  const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (OF_PROGRAMS.has(what) ? teach.can(state) : session.can(what) && (what !== "continue" || rest.whole(traces.chosen) === ""));
   const changed = state !== null && program.changed(state);
   const homeless = state !== null && session.mine() && ["disabled", "enabled"].includes(state.state);
   for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned) || (changed && ["start", "approach"].includes(one.dataset.what!))));
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (homeless && BY_PLACE.has(one.dataset.what!) ? "home first: it is not known where the axes are" : ""));
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (homeless && BY_PLACE.has(one.dataset.what!) ? "home first: it is not known where the axes are" : ""));
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;
@@ -151,7 +152,7 @@ function show(state: State | null): void {
   hands.show(state);
   program.show(state);
   traces.show(state);
-  rest.show(state);
+  rest.show(state, traces.chosen);
   view?.live(state);
   // A state that was on its way when they came does not know of them yet.
   if (!state.proven && session.figures && state.calculating === null && state.seq > session.figuresAt + 1) { session.figures = null; program.forget(); replan(); view?.show(null, bare); }

@@ -75,7 +75,8 @@ export class Program {
     say(answer.ok ? `${name} is in the project folder` : (await answer.text()).trim(), !answer.ok);
     by<HTMLInputElement>("file").value = "";
     await this.list();
-    if (answer.ok) by<HTMLSelectElement>("program").value = name;
+    const chosen = by<HTMLSelectElement>("program");
+    if (answer.ok && [...chosen.options].some((one) => one.value === name)) chosen.value = name; // a drawing is none
     return answer.ok;
   }
 

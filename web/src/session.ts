@@ -29,6 +29,8 @@ export class Session {
   get moves(): boolean { return this.renews !== 0; }
   mine(): boolean { return this.link.lease !== "" && this.state?.control.client === this.me; }
   can(what: string): boolean { return this.mine() && (this.state?.allowed.includes(what) ?? false); }
+  /** Why no part program can be taught to this machine; empty where one can. */
+  untaught = "";
   /** Why a command is not had on this link; empty where it is. */
   lacking(what: string): string { return what in this.lacks ? `not had on this link: ${this.lacks[what]}` : ""; }
   machineMoves(): boolean { return MOVING.has(this.state?.state ?? ""); }

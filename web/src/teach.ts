@@ -1,6 +1,6 @@
 /** Teach-in: points where the machine was moved by hand, as a program that is checked like any other. */
 
-import { button, by, made, typing, value } from "./dom";
+import { button, by, made, put, typing, value } from "./dom";
 import type { State } from "./messages";
 import type { Program } from "./program";
 import type { Session } from "./session";
@@ -14,7 +14,13 @@ export class Teach {
     const save = button("Save program", "teach", () => void this.save());
     by("teach-row").prepend(record);
     by("teach-row").append(save);
-    window.addEventListener("keydown", (event) => { if (event.key === "p" && !event.repeat && !event.ctrlKey && !event.metaKey && !typing() && session.mine() && session.state?.state === "idle") this.record(); });
+    window.addEventListener("keydown", (event) => { if (event.key === "p" && !event.repeat && !event.ctrlKey && !event.metaKey && !typing() && this.can(session.state)) this.record(); });
+  }
+
+  /** Say why nothing can be taught to this machine. */
+  build(): void {
+    put(by("untaught"), "hidden", this.session.untaught === "");
+    put(by("untaught"), "textContent", this.session.untaught && `Nothing is taught here: ${this.session.untaught}.`);
   }
 
   private record(): void {
@@ -61,5 +67,5 @@ export class Teach {
   }
 
   /** Whether a point can be recorded now, or a program saved. */
-  can(state: State | null): boolean { return this.session.mine() && state?.state === "idle" && this.session.axes.length > 0; }
+  can(state: State | null): boolean { return this.session.mine() && state?.state === "idle" && this.session.axes.length > 0 && this.session.untaught === ""; }
 }

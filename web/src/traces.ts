@@ -7,13 +7,14 @@ import type { State } from "./messages";
 import type { Session } from "./session";
 import { endOf, say, unitOf } from "./session";
 
-interface Kept { run: string; started: string; job: string; ended: string; text: string; verdict: string }
+export interface Kept { run: string; started: string; job: string; ended: string; text: string; verdict: string }
 interface Trace { times_s: number[]; axes: Record<string, { commanded: number[]; actual: number[] }> }
 
 export class Traces {
   private trace: Trace | null = null;
   private plots: uPlot[] = [];
   private last = "";
+  private runs: Kept[] = [];
 
   constructor(private readonly session: Session) {
     by<HTMLSelectElement>("kept").onchange = () => void this.load();
@@ -21,6 +22,9 @@ export class Traces {
     new ResizeObserver(() => { const width = this.wide(); for (const plot of this.plots) if (plot.width !== width) plot.setSize({ width, height: plot.height }); }).observe(by("runs"));
     by("export").onclick = () => void this.save();
   }
+
+  /** The run that is chosen; null where there is none. */
+  get chosen(): Kept | null { return this.runs.find((one) => one.run === value("kept")) ?? null; }
 
   /** A run has ended or was judged: the list that is open knows it, too. */
   show(state: State): void {
@@ -34,7 +38,7 @@ export class Traces {
     const before = value("kept");
     const answer = await this.session.ask("/api/runs");
     if (!answer.ok) { say((await answer.text()).trim(), true); return; }
-    const runs = (await answer.json()) as Kept[];
+    const runs = this.runs = (await answer.json()) as Kept[];
     by("kept").replaceChildren(...runs.map((one) => { const found = made("option", `${one.run}: ${endOf(one.ended, one.text)}${one.verdict === one.ended ? "" : `; ${one.verdict}${one.verdict === "not judged" ? "" : " in this run"}`}`); found.value = one.run; return found; }));
     if (runs.some((one) => one.run === before)) by<HTMLSelectElement>("kept").value = before;
     by<HTMLButtonElement>("export").disabled = runs.length === 0;

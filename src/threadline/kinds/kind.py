@@ -25,6 +25,8 @@ class Kind:
     ----------
     name
         Value of ``Machine.commanded_by`` for machines of this kind.
+    takes
+        Names of the formats of jobs that its machines do (``jobs/reading.py``).
     commands, intent
         Type of the commands that its controllers take, and type of what its plans intend. By the
         type of the intent the judge knows how to read a recording (``verdict/intended_runs.py``)
@@ -57,6 +59,7 @@ class Kind:
     """
 
     name: str
+    takes: tuple[str, ...]
     commands: type[Commands]
     intent: type[Intent]
     check: Callable[[Machine], None]

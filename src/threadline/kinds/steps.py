@@ -107,6 +107,7 @@ def _release(plan: Plan) -> None:
 
 STEPS = Kind(
     name="steps",
+    takes=("embroidery design",),
     commands=StepPlay,
     intent=Stitched,
     check=_check,

@@ -79,6 +79,7 @@ def _release(plan: Plan) -> None:
 
 SWITCHES = Kind(
     name="switches",
+    takes=("move list",),
     commands=SwitchSchedule,
     intent=Scheduled,
     check=_check,

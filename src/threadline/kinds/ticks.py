@@ -245,6 +245,7 @@ def _of_table(writer: TableWriter) -> Target:
 
 TICKS = Kind(
     name="ticks",
+    takes=("part program", "seam"),
     commands=TickTable,
     intent=Motion,
     check=check_loops,

@@ -22,6 +22,7 @@ from threadline.panel.clients import SEEN_S, Client
 from threadline.panel.control import CONTROL_LEASE_S, ControlLease, Lease
 from threadline.panel.owner import TELL_S
 from threadline.panel.owner_link import OwnerLink
+from threadline.panel.project_programs import untaught
 from threadline.panel.wound_on import mandrel_of
 
 BEAT_S = 0.04
@@ -61,6 +62,8 @@ class Panel:
 
     Attributes
     ----------
+    machine
+        The machine.
     ended
         What had become of the machine when the panel ended.
     """
@@ -73,7 +76,7 @@ class Panel:
         link: str = "sim",
         far_end: AtLink | None = None,
     ) -> None:
-        self._machine, self._owner, self.calculation = machine, owner, calculation
+        self.machine, self._owner, self.calculation = machine, owner, calculation
         self._link, self._far_end = link, far_end or AtLink()
         self.ended = _NOT_AWAITED
         self._control = ControlLease()
@@ -115,7 +118,7 @@ class Panel:
         self._numbers += 1
         client = Client(self._numbers, name)
         self._clients[client.number] = client
-        machine = self._machine
+        machine = self.machine
         speeds = {}
         if machine.axes:
             tick_s = float(machine.tick_clock.period_s)
@@ -141,6 +144,7 @@ class Panel:
                     )
                     for axis_name, axis in machine.axes.items()
                 ],
+                untaught=untaught(machine),
                 mandrel=mandrel_of(machine),
                 jog_lease_s=LEASE_S,
                 control_lease_s=CONTROL_LEASE_S,
@@ -250,7 +254,7 @@ class Panel:
         command: say.Simple | say.ZeroAxis | say.Jog | say.Step | say.Start | say.Continue,
         number: int,
     ) -> None:
-        owner, machine = self._owner, self._machine
+        owner, machine = self._owner, self.machine
         names = list(machine.axes)
         match command:
             case say.Jog():
@@ -286,11 +290,11 @@ class Panel:
 
     def _in_order(self) -> list[str]:
         """Return the axes in the order in which they are moved to 0: linear ones first."""
-        axes = self._machine.axes
+        axes = self.machine.axes
         return sorted(axes, key=lambda name: axes[name].kind != "linear")
 
     def _axis(self, name: str) -> int:
-        names = list(self._machine.axes)
+        names = list(self.machine.axes)
         if name not in names:
             raise CommandError(f"there is no axis {name[:20]!r}", remedy="Reload the page.")
         return names.index(name)
@@ -309,7 +313,7 @@ class Panel:
             for what, cause in _CAUSES.items()
             if (state, cause) in TRANSITIONS and (at_rest or cause not in _OF_IDLE)
         ]
-        if not way_of(self._machine).by_hand:
+        if not way_of(self.machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if calculation.proven is None:
             found = [what for what in found if what not in _OF_PROVEN]

@@ -12,6 +12,8 @@ from typing import Any
 
 from threadline.errors import JobError, Place
 from threadline.jobs import FORMATS
+from threadline.jobs.seam.job import AXES as SEAM_AXES
+from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.options import Options, options_of
 from threadline.pipeline import open_job, plan_job
@@ -25,19 +27,58 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
 _ENDINGS = tuple(ending for known in FORMATS for ending in known.extensions)
 _BESIDE = (".svg", ".dxf", ".csv")
 """Drawings and tables that stand beside a program."""
+_MOST_LOOKED_AT = 4 << 20
+_SHARED = {
+    ".toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*operation[ \t]*\]\]|operation[ \t]*=)", re.M),
+    ".txt": re.compile(rb"^[ \t]*(?:%|/?[GMNO][ \t]*[0-9]|\[G-CODE GENERATED)", re.M | re.I),
+}
+"""Endings that other files have, too, and what a line of a job begins with: of a move list, and of
+a part program."""
+_SEAM = "seam"
 _PART_PROGRAMS = FORMATS[0].extensions
 _REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")
 """Bytes that a controller acts on wherever they stand, even in a comment."""
 
 
-def program_names(folder: Path) -> list[str]:
-    """Return the names of the programs in a folder, in order, 500 at the most."""
+def program_names(folder: Path, machine: Machine) -> list[str]:
+    """Return the names of the jobs in a folder that a machine does, in order, 500 at the most.
+
+    An ending tells the format; of one that other files have, too, the content tells whether it is
+    a job. Whether it is a sound one is seen when it is calculated.
+    """
     found = sorted(
         file.name
         for file in folder.iterdir()
-        if file.is_file() and file.name.lower().endswith(_ENDINGS) and _NAME.fullmatch(file.name)
+        if _NAME.fullmatch(file.name)
+        and _is_done(file.name.lower(), machine)
+        and file.is_file()
+        and _may_be_job(file)
     )
     return found[:_MOST_FILES]
+
+
+def _is_done(name: str, machine: Machine) -> bool:
+    """Return whether a machine does jobs of the format that an ending tells, as they are.
+
+    A drawing is no seam without what the seam file says of stitch and speed.
+    """
+    known = next((one for one in FORMATS if name.endswith(one.extensions)), None)
+    if known is None or known.name not in kind_of(machine).takes or name.endswith(_BESIDE):
+        return False
+    axes = machine.axes
+    return known.name != _SEAM or all(a in axes and axes[a].kind == "linear" for a in SEAM_AXES)
+
+
+def _may_be_job(file: Path) -> bool:
+    """Return whether the content of a file speaks for a job, where others have its ending."""
+    ending = file.suffix.lower()
+    if ending not in _SHARED or file.name.lower().endswith(".seam.toml"):
+        return True
+    try:
+        with file.open("rb") as stream:
+            return bool(_SHARED[ending].search(stream.read(_MOST_LOOKED_AT)))
+    except OSError:
+        return True  # it is refused when it is calculated
 
 
 def program_path(folder: Path, name: str) -> Path:
@@ -55,6 +96,14 @@ def program_path(folder: Path, name: str) -> Path:
             remedy="Use letters, digits, blanks, dots, dashes and underscores.",
         )
     return path
+
+
+def untaught(machine: Machine) -> str:
+    """Return why no part program can be taught to a machine; empty where one can."""
+    takes = kind_of(machine).takes
+    if FORMATS[0].name in takes:
+        return ""
+    return f"{machine.name} takes {' and '.join(f'{one}s' for one in takes)}, no part programs"
 
 
 def take_program(folder: Path, name: str, content: bytes) -> None:

@@ -216,6 +216,8 @@ class Welcome(BaseModel):
     """Commands that are not had on this link, and why."""
     notes: list[str] = []
     """What the operator has to know of the link."""
+    untaught: str = ""
+    """Why no part program can be taught to the machine; empty where one can."""
     axes: list[Axis]
     mandrel: Mandrel | None
     jog_lease_s: float

@@ -104,7 +104,7 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
 
     @app.get("/api/programs")
     def programs() -> JSONResponse:
-        return JSONResponse(program_names(folder))
+        return JSONResponse(program_names(folder, panel.machine))
 
     @app.put("/api/programs/{name}", status_code=204, responses=_REFUSALS)
     async def upload(name: str, request: Request) -> PlainTextResponse:
