@@ -66,4 +66,5 @@ def test_units_and_line_styles_are_told() -> None:
     document = ezdxf.read(io.StringIO(dxf_of(shapes).decode("utf-8")))
     assert document.units == ezdxf.units.MM
     found = [entity.dxf.linetype for entity in document.modelspace()]
-    assert found == ["CONTINUOUS", "DASHED", "DOTTED"]
+    assert found == ["CONTINUOUS", "DASHED", "DOT"]
+    assert all(name in document.linetypes for name in found)

@@ -109,6 +109,66 @@ def test_the_hole_of_a_letter_is_not_filled() -> None:
     assert len(ezdxf.read(io.StringIO(alone.decode())).modelspace().query("HATCH")) == 2
 
 
+STYLES = ["solid", "dashed", "dotted", "dashdot"]
+
+
+def test_styles_of_lines_come_back_from_a_dxf() -> None:
+    """Of whatever they are, and by line types that the file has."""
+    points = {
+        "line": [(0, 0), (30, 40)], "polygon": [(0, 0), (10, 0), (10, 5)],
+        "circle": [(5, 6), (5, 9)],
+        "arc": [(20, 0), (10, 10), (0, 0)], "spline": [(0, 0), (9, 5), (20, 0)],
+        "leader": [(50, 60), (70, 80)],
+    }  # fmt: skip
+    for kind, at in points.items():
+        drawn = [
+            Shape.model_validate({"kind": kind, "points": at, "style": style}) for style in STYLES
+        ]
+        made = dxf([SHAPES[0], *drawn])
+        document = ezdxf.read(io.StringIO(made.decode()))
+        assert all(one.dxf.linetype in document.linetypes for one in document.modelspace())
+        found = opened("a.dxf", made)["shapes"][1:]
+        assert [one["style"] for one in found] == STYLES, kind
+
+
+def test_line_types_of_layers_blocks_and_other_programs() -> None:
+    document = ezdxf.new(setup=["linetypes"], units=ezdxf.units.MM)
+    document.layers.add("hidden", linetype="DASHEDX2")
+    document.linetypes.add("dots", [0.2, 0.0, -0.2])
+    block = document.blocks.new("b")
+    block.add_line((0, 0), (1, 0), dxfattribs={"linetype": "BYBLOCK"})
+    space = document.modelspace()
+    for look in ({"layer": "hidden"}, {"linetype": "CENTER2"}, {"linetype": "dots"}, {}):
+        space.add_line((0, 0), (1, 0), dxfattribs=look)
+    space.add_line((0, 0), (1, 0), dxfattribs={"linetype": "none such"})
+    space.add_blockref("b", (0, 0), dxfattribs={"linetype": "DASHDOT"})
+    out = io.StringIO()
+    document.write(out)
+    found = [one["style"] for one in opened("a.dxf", out.getvalue().encode())["shapes"]]
+    assert found == ["dashed", "dashdot", "dotted", "solid", "solid", "dashdot"]
+
+
+@pytest.mark.parametrize("look, style", [
+    ('stroke-dasharray="4 2"', "dashed"),
+    ('stroke-dasharray="0.5 1.5" stroke-width="0.3"', "dotted"),
+    ('style="stroke-dasharray: 6px, 2px, 0.5px, 2px; stroke-width: .3"', "dashdot"),
+    ('stroke-dasharray="5"', "dashed"),
+    ('stroke-dasharray="0 3" stroke-linecap="round"', "dotted"),
+    ('stroke-dasharray="none"', "solid"),
+    ('stroke-dasharray="4 0"', "solid"),
+    ('stroke-dasharray="calc(1px + 2px) 3"', "solid"),
+    ('stroke-dasharray="a,,b" stroke-width="var(--w)"', "solid"),
+    ("", "solid"),
+])  # fmt: skip
+def test_styles_of_lines_of_an_svg(look: str, style: str) -> None:
+    """As they are written, and as a group hands them down."""
+    head = b'<svg xmlns="http://www.w3.org/2000/svg" width="9mm" height="9mm" viewBox="0 0 9 9">'
+    line = b'<path d="M 1 1 L 8 8" stroke="#000"'
+    own = opened("a.svg", b"".join((head, line, b" ", look.encode(), b"/></svg>")))
+    above = opened("a.svg", b"".join((head, b"<g ", look.encode(), b">", line, b"/></g></svg>")))
+    assert [one["style"] for found in (own, above) for one in found["shapes"]] == [style, style]
+
+
 def test_fills_and_leaders_of_another_program_are_kept_where_they_fit() -> None:
     """In inches; a label that its leader names; a fill of nothing that was drawn is left out."""
     document = ezdxf.new(units=ezdxf.units.IN)
@@ -154,7 +214,7 @@ def test_requests(tmp_path: Path) -> None:
         answer = post(client, "dxf", sent)
         assert answer.status_code == 200
         read = post(client, "shapes?name=a.dxf", answer.content)
-        line = {"kind": "line", "points": [[0.0, 0.0], [10.0, 0.0]], "group": 1}
+        line = {"kind": "line", "points": [[0.0, 0.0], [10.0, 0.0]], "group": 1, "style": "solid"}
         assert read.json() == {"shapes": [line], "left_out": []}
         assert post(client, "text", b'{"text": "A", "height_mm": 5}').status_code == 200
         for path, bad in (

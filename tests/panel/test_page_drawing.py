@@ -76,14 +76,14 @@ def test_looks_fills_leaders_and_what_changes_them(
     shot(page, "19-looks")
 
     drawn = [data(page, k) for k in range(11)]
-    press(page, "Save SVG")
+    press(page, "Save SVG in the project folder")
     expect(page.locator("#log")).to_contain_text("drawing.svg is in the project folder")
     written = tmp_path / "drawing.svg"
     strokes = read_svg(written.read_bytes(), "drawing.svg").strokes
     assert len(strokes) >= 11  # another reader finds the lines, and no line of a pattern
     assert len(strokes) <= 13
     with page.expect_download() as download:
-        press(page, "DXF")
+        press(page, "Download DXF")
     space = ezdxf.readfile(download.value.path()).modelspace()
     assert {one.dxftype() for one in space} == {
         "LWPOLYLINE", "CIRCLE", "SPLINE", "HATCH", "LEADER", "MTEXT",
@@ -110,7 +110,7 @@ def test_looks_fills_leaders_and_what_changes_them(
     expect(rings).to_have_attribute("fill", "url(#crossed)")  # at once: its hole is none of it
     assert (rings.get_attribute("fill-rule"), data(page, 11).count("M")) == ("evenodd", 2)
     expect(page.locator("#paper path[data-at='12']")).to_have_count(0)
-    press(page, "Save SVG")
+    press(page, "Save SVG in the project folder")
     expect(page.locator("#log li", has_text="drawing.svg is in the project")).to_have_count(2)
     page.locator("#open-drawing").set_input_files(written)
     expect(page.locator("#drawn")).to_contain_text("13 shapes")
@@ -158,4 +158,40 @@ def test_a_click_is_no_change_and_a_pull_snaps(browser: Browser, plant: Plant) -
     press(page, "Fit")
     x, _, wide, _ = map(float, (paper.get_attribute("viewBox") or "").split())
     assert x < -300.0 < 300.0 < x + wide
+    page.close()
+
+
+def test_styles_of_lines_come_back_from_both_files(
+    browser: Browser, plant: Plant, tmp_path: Path
+) -> None:
+    page = opened(browser, plant)
+    press(page, "Take control")
+    part(page, "Draw")
+    styles = ("solid", "dashed", "dotted", "dashdot")
+    for k, style in enumerate(styles):
+        press(page, "Line")
+        typed(page, (10, 10 * k), (60, 10 * k))
+        press(page, "Finish")
+        page.locator("#line-style").select_option(style)  # of the line, which is chosen
+
+    def looks() -> list[str | None]:
+        expect(page.locator("#drawn")).to_contain_text("4 shapes")
+        shapes = [page.locator(f"#paper path[data-at='{k}']") for k in range(4)]
+        return [one.get_attribute("stroke-dasharray") for one in shapes]
+
+    drawn = looks()
+    assert len(set(drawn)) == 4
+    press(page, "Save SVG in the project folder")
+    expect(page.locator("#log")).to_contain_text("drawing.svg is in the project folder")
+    with page.expect_download() as download:
+        press(page, "Download DXF")
+    dxf, svg = tmp_path / "again.dxf", tmp_path / "drawing.svg"
+    download.value.save_as(dxf)
+    other = tmp_path / "other.svg"  # as another program has it: the server reads its dashes
+    other.write_text(re.sub(r' data-[a-z]+="[^"]*"', "", svg.read_text("utf-8")), "utf-8")
+    for file in (dxf, svg, other):
+        press(page, "Clear")
+        expect(page.locator("#drawn")).to_contain_text("0 shapes")
+        page.locator("#open-drawing").set_input_files(file)
+        assert looks() == drawn, file.name
     page.close()

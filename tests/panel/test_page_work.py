@@ -145,7 +145,7 @@ def test_a_profile_and_a_stitch_path_are_drawn(
     expect(page.locator("#drawn")).to_contain_text("11 shapes")
     shot(page, "15-drawing")
     with page.expect_download() as download:
-        press(page, "DXF")
+        press(page, "Download DXF")
     file = tmp_path / "out.dxf"
     download.value.save_as(file)
     kinds = [one["kind"] for one in shapes_of("out.dxf", file.read_bytes())]

@@ -31,8 +31,8 @@ export function ownShapes(text: string): Shape[] | null {
 }
 
 /** Shapes that the server has read or made. */
-export function foreignShapes(found: { kind: Kind; points: Point[]; group: number; fill?: Fill; label?: string }[], after: number): Shape[] {
-  return found.map((one) => ({ ...one, style: "solid", fill: one.fill ?? "none", label: one.label ?? "", group: one.group + after }));
+export function foreignShapes(found: { kind: Kind; points: Point[]; group: number; style?: Style; fill?: Fill; label?: string }[], after: number): Shape[] {
+  return found.map((one) => ({ ...one, style: one.style ?? "solid", fill: one.fill ?? "none", label: one.label ?? "", group: one.group + after }));
 }
 
 /** A seam that sews what was drawn where it was drawn: its SVG begins a margin beside the lowest point. */

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.drawing.line_styles import LineStyle, style_of_linetype
 from threadline.drawing.read_dxf import Said, entity_lines, load_dxf, metres_per_unit
 from threadline.drawing.strokes import one_line
 from threadline.drawing.write_dxf import PATTERNS, Fill
@@ -29,6 +30,7 @@ class Leader:
     points: FloatArray
     label: str
     lines: tuple[int, ...]
+    style: LineStyle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -109,7 +111,11 @@ def _leader(entity: Any, texts: _Texts, lines: dict[str, int], metres: float) ->
     if not 2 <= len(points) <= _MOST_POINTS or not np.isfinite(points).all():
         return None
     label, line = texts.label(entity, points[-1])
-    return Leader(points=metres * points, label=label, lines=(_line(entity, lines), line))
+    layers, name = entity.doc.layers, entity.dxf.layer
+    layer = layers.get(name) if name in layers else None
+    style = style_of_linetype(entity.doc, entity, layer, "solid")
+    where = (_line(entity, lines), line)
+    return Leader(points=metres * points, label=label, style=style, lines=where)
 
 
 def _fillings(hatch: Any, lines: dict[str, int], metres: float) -> list[Filling]:

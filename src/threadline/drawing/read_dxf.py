@@ -14,6 +14,7 @@ import numpy as np
 
 from threadline.arrays import FloatArray
 from threadline.drawing.dxf_entities import NotFlatError, entity_pieces
+from threadline.drawing.line_styles import LineStyle, style_of_linetype
 from threadline.drawing.strokes import MAX_LINES, Drawing, Refusal, Stroke, one_line
 from threadline.errors import JobError, Place
 from threadline.units import unit_factor
@@ -211,14 +212,15 @@ def entity_lines(content: bytes) -> dict[str, int]:
 class _Inherited:
     """What an entity inherits from the insertion of its block.
 
-    It inherits the layer if it is on layer 0, the colour if that is BYBLOCK, and the position: a
-    point p of the block lies at ``matrix @ p + offset``, in m.
+    It inherits the layer if it is on layer 0, colour and style of its line if they are BYBLOCK, and
+    the position: a point p of the block lies at ``matrix @ p + offset``, in m.
     """
 
     layer: str
     colour: str
     matrix: FloatArray
     offset: FloatArray
+    style: LineStyle = "solid"
 
 
 @dataclass(slots=True)
@@ -247,7 +249,12 @@ class _Walk:
             layer = inherited.layer if layer == "0" else layer
             if self._is_hidden(layer) or self._is_invisible(entity, layer):
                 continue
-            here = replace(inherited, layer=layer, colour=self._colour(entity, layer, inherited))
+            here = replace(
+                inherited,
+                layer=layer,
+                colour=self._colour(entity, layer, inherited),
+                style=style_of_linetype(self.document, entity, self._layer(layer), inherited.style),
+            )
             if kind == "INSERT":
                 self._insert(entity, here, depth)
             else:
@@ -285,7 +292,9 @@ class _Walk:
                 remedy="Join lines to polylines, or split the drawing.",
             )
         placed = pieces.transform(here.matrix, here.offset)
-        self.strokes.append(Stroke(pieces=placed, layer=here.layer, colour=here.colour))
+        self.strokes.append(
+            Stroke(pieces=placed, layer=here.layer, colour=here.colour, style=here.style)
+        )
 
     def _insert(self, insert: Any, here: _Inherited, depth: int) -> None:
         line = self._line(insert)

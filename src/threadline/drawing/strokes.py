@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from threadline.drawing.curves import Pieces
+from threadline.drawing.line_styles import LineStyle
 from threadline.errors import JobError, Place
 from threadline.input_files import open_binary
 
@@ -26,11 +27,14 @@ class Stroke:
         Pieces in m, in the drawing's axes, Y up.
     layer, colour
         Name of its layer, and its colour as ``"#rrggbb"``, ``"none"`` without one.
+    style
+        Style of its line, for who edits the drawing.
     """
 
     pieces: Pieces
     layer: str
     colour: str
+    style: LineStyle = "solid"
 
     @property
     def line(self) -> int:

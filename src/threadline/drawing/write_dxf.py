@@ -12,11 +12,12 @@ from typing import Any, Literal
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.drawing.line_styles import LineStyle
 
 ShapeKind = Literal["line", "polygon", "arc", "circle", "spline", "leader"]
 Fill = Literal["none", "solid", "hatched", "crossed"]
 _LINETYPES = {
-    "solid": "CONTINUOUS", "dashed": "DASHED", "dotted": "DOTTED", "dashdot": "DASHDOT",
+    "solid": "CONTINUOUS", "dashed": "DASHED", "dotted": "DOT", "dashdot": "DASHDOT",
 }  # fmt: skip
 PATTERNS = {"hatched": "ANSI31", "crossed": "ANSI37"}
 """Names of patterns of AutoCAD by those of fills."""
@@ -52,7 +53,7 @@ class DrawnShape:
 
     kind: ShapeKind
     points: FloatArray
-    style: str = "solid"
+    style: LineStyle = "solid"
     fill: Fill = "none"
     label: str = ""
     group: int = 0
@@ -137,7 +138,8 @@ def _add_shapes(space: Any, shapes: Sequence[DrawnShape]) -> None:
 def _add_leader(space: Any, shape: DrawnShape) -> None:
     """Add a leader, and its label behind its last point."""
     points = (1e3 * shape.points).tolist()
-    space.add_leader(points, dxfattribs={"layer": LEADER_LAYER})
+    look = {"layer": LEADER_LAYER, "linetype": _LINETYPES[shape.style]}
+    space.add_leader(points, dxfattribs=look)
     if shape.label:
         x, y = points[-1]
         where = {"layer": LEADER_LAYER, "char_height": _LABEL_MM, "insert": (x + 1.0, y)}

@@ -15,6 +15,7 @@ from threadline.arrays import FloatArray
 from threadline.drawing.contours import drop_zero_lengths
 from threadline.drawing.curves import Pieces
 from threadline.drawing.dxf_remarks import filled_by, measured_rings, read_remarks
+from threadline.drawing.line_styles import LineStyle
 from threadline.drawing.read_dxf import read_dxf
 from threadline.drawing.strokes import Drawing, Stroke
 from threadline.drawing.svg.read_svg import read_svg
@@ -40,7 +41,7 @@ class Shape(BaseModel):
 
     kind: ShapeKind
     points: Annotated[list[tuple[Millimetre, Millimetre]], Field(min_length=2, max_length=20000)]
-    style: Literal["solid", "dashed", "dotted", "dashdot"] = "solid"
+    style: LineStyle = "solid"
     fill: Fill = "none"
     label: Annotated[str, Field(max_length=100)] = ""
     group: Annotated[int, Field(ge=0, le=10**9)] = 0
@@ -112,7 +113,12 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
     _refuse_points(drawing.strokes, name)
     strokes, _ = drop_zero_lengths(drawing.strokes, name)
     found = [
-        {"kind": kind, "points": np.round(1e3 * points, 6).tolist(), "group": group}
+        {
+            "kind": kind,
+            "points": np.round(1e3 * points, 6).tolist(),
+            "group": group,
+            "style": stroke.style,
+        }
         for group, stroke in enumerate(strokes, 1)
         for kind, points in _parts(stroke.pieces)
     ]
@@ -167,7 +173,15 @@ def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set
     group = max((one["group"] for one in shapes), default=0)
     for number, leader in enumerate(leaders, group + 1):
         points = np.round(1e3 * leader.points, 6).tolist()
-        shapes.append({"kind": "leader", "points": points, "group": number, "label": leader.label})
+        shapes.append(
+            {
+                "kind": "leader",
+                "points": points,
+                "group": number,
+                "label": leader.label,
+                "style": leader.style,
+            }
+        )
         known.update(leader.lines)
     return known - {0}
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.drawing.line_styles import style_of_dasharray
 from threadline.drawing.strokes import MAX_LINES, Drawing, Refusal, Stroke
 from threadline.drawing.svg.attribute_values import ValueRefused, colour, pixels, shown, transform
 from threadline.drawing.svg.basic_shapes import SHAPES, shape_subpaths
@@ -191,10 +192,13 @@ class _Walk:
                 place=place,
                 remedy="Join lines to paths, or split the drawing.",
             )
+        style = style_of_dasharray(
+            here.inherited["stroke-dasharray"], here.inherited["stroke-width"]
+        )
         for path in paths:
             pieces = path.pieces(element.line).transform(here.matrix[:2, :2], here.matrix[:2, 2])
             mapped = pieces.transform(self.page.matrix, self.page.offset)
-            self.strokes.append(Stroke(pieces=mapped, layer=here.layer, colour=stroke))
+            self.strokes.append(Stroke(pieces=mapped, layer=here.layer, colour=stroke, style=style))
 
     def _paint(self, key: str, here: _Here) -> str:
         value = here.inherited[key]

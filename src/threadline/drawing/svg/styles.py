@@ -12,10 +12,14 @@ from threadline.errors import JobError
 
 READ = (
     "display", "visibility", "stroke", "fill", "color", "transform", "transform-origin",
-    "clip-path", "mask",
+    "clip-path", "mask", "stroke-dasharray", "stroke-width",
 )  # fmt: skip
-"""Properties that determine what is sewn, and where."""
-INHERITED = {"visibility": "visible", "stroke": "none", "fill": "black", "color": "black"}
+"""Properties that determine what is sewn, and where; and how its line is drawn."""
+_LOOKS = ("stroke-dasharray", "stroke-width")
+INHERITED = {
+    "visibility": "visible", "stroke": "none", "fill": "black", "color": "black",
+    "stroke-dasharray": "none", "stroke-width": "1",
+}  # fmt: skip
 """Properties that a child inherits from its parent, with the values of the root."""
 _INITIAL = {
     **INHERITED, "display": "inline", "transform": "none", "transform-origin": "0 0",
@@ -83,7 +87,7 @@ class Styles:
                         f"{key} is set to {shown(value)} in a style, where it is not read",
                         "Write it as an attribute, or save as plain SVG.",
                     )
-                if "var(" in value or "calc(" in value:
+                if key not in _LOOKS and ("var(" in value or "calc(" in value):
                     raise ValueRefused(
                         f"{key} is {shown(value)}, which is not read", "Write it out."
                     )
