@@ -33,7 +33,7 @@ def test_what_is_not_chosen_any_more_does_not_start(
     for one in motions:
         expect(one).to_be_disabled()
     page.get_by_label("Feed", exact=True).fill("")
-    page.get_by_text("Shaper, radius").click()
+    page.get_by_text("More options").click()
     page.get_by_label("Loads follow").check()
     for one in motions:
         expect(one).to_be_disabled()
@@ -75,7 +75,7 @@ def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(
 
 def test_a_place_that_is_not_known_is_not_the_programs_zero(browser: Browser, plant: Plant) -> None:
     page = opened(browser, plant)
-    page.get_by_text("Shaper, radius").click()
+    page.get_by_text("More options").click()
     here = page.get_by_role("button", name="Program's zero is here")
     expect(here).to_be_disabled()  # nobody has control
     press(page, "Take control")

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import pytest
 
-from tests.panel.browsing import Browser, expect, opened, part, press, press_until, ready, state
+from tests.panel.browsing import (
+    Browser,
+    expect,
+    opened,
+    part,
+    press,
+    press_until,
+    ready,
+    shot,
+    state,
+)
 from tests.panel.test_panel_killed import Plant
 
 
@@ -51,6 +62,8 @@ def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) 
     """A frame is taught no part program; a run that came to its end has no rest."""
     page = opened(browser, plant, "schiffli-frame")
     ready(page)
+    zero = page.get_by_role("button", name="Zero all", exact=True)
+    expect(zero).to_have_attribute("title", "this machine is not moved by hand")
     part(page, "Teach")
     why = "schiffli-frame takes embroidery designs, no part programs"
     expect(page.locator("#untaught")).to_have_text(f"Nothing is taught here: {why}.")
@@ -72,4 +85,53 @@ def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) 
     expect(again).to_be_disabled()
     expect(again).to_have_attribute("title", "the run was completed: there is no rest of it")
     expect(page.locator("#rest-told")).to_contain_text("there is no rest of it")
+    page.close()
+
+
+FIELDS = {
+    "lathe-winder": {
+        "interpolation", "priority", "feed", "shaper", "radius", "law", "tolerance", "contour",
+        "feed-forward", "smoothing", "robust", "offset",
+    },
+    "schiffli-frame": {"feed", "law", "tolerance"},
+    "letter-placer": {"shaper"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "name, plant", [(name, (name, 4.0)) for name in FIELDS], indirect=["plant"]
+)
+def test_fields_are_those_of_the_kind_of_work(browser: Browser, plant: Plant, name: str) -> None:
+    page = opened(browser, plant, name)
+    page.get_by_text("More options").click()
+    for field in FIELDS["lathe-winder"]:
+        expect(page.locator(f"#{field}")).to_be_visible(visible=field in FIELDS[name])
+    shot(page, f"30-options-{name}")
+    page.close()
+
+
+@pytest.mark.parametrize("plant", [("lathe-winder", 4.0)], indirect=True)
+def test_what_is_typed_is_what_is_asked_for(browser: Browser, plant: Plant) -> None:
+    page = opened(browser, plant)
+    press(page, "Take control")
+    page.get_by_text("More options").click()
+    asked = {"law": "harmonic:7", "tolerance": "0.2 mm", "contour": "0.3 mm", "robust": "0 %"}
+    for field, text in asked.items():
+        page.locator(f"#{field}").fill(text)
+    page.evaluate(
+        """() => {
+          window.asked = [];
+          const send = WebSocket.prototype.send;
+          WebSocket.prototype.send = function (text) {
+            window.asked.push(text);
+            send.call(this, text);
+          };
+        }"""
+    )
+    press(page, "Calculate")
+    page.wait_for_function("() => window.asked.some((one) => one.includes('calculate'))")
+    told = [json.loads(one) for one in page.evaluate("() => window.asked")]
+    (sent,) = [one["command"] for one in told if one.get("command", {}).get("what") == "calculate"]
+    assert {name: sent[name] for name in asked} == asked
+    assert (sent["interpolation"], sent["shaper"], sent["feed_forward"]) == ("auto", None, False)
     page.close()

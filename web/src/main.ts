@@ -19,6 +19,7 @@ const USUAL_S = 0.2;
 const TELLS_MS = 250;
 /** What is of part programs, and what is had once it is known where the axes are. */
 const OF_PROGRAMS = new Set(["teach", "zero-here"]);
+const HOME_FIRST = "home first: it is not known where the axes are";
 const BY_PLACE = new Set(["jog", "step", "zero", "zero-axis"]);
 let bare: Mandrel | null = null; // of the machine, before anything is planned
 let toldEnd = "", toldFault = ""; // what was told last of the end of a run, and of a fault
@@ -39,7 +40,7 @@ const shown = (): string => by<HTMLSelectElement>("axis").value;
 function heard(message: FromPanel): void {
   if (message.type === "welcome") {
     session.me = message.client;
-    [session.axes, session.lacks, session.untaught] = [message.axes, message.lacks, message.untaught];
+    [session.axes, session.lacks, session.untaught, session.byHand, session.options] = [message.axes, message.lacks, message.untaught, message.by_hand, message.options];
     session.figuresAt = 0; // states of this panel are numbered anew, and it sends the figures that it has
     by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
     hands.build();
@@ -141,7 +142,7 @@ function show(state: State | null): void {
   const changed = state !== null && program.changed(state);
   const homeless = state !== null && session.mine() && ["disabled", "enabled"].includes(state.state);
   for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned) || (changed && ["start", "approach"].includes(one.dataset.what!))));
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (homeless && BY_PLACE.has(one.dataset.what!) ? "home first: it is not known where the axes are" : ""));
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (BY_PLACE.has(one.dataset.what!) ? (session.byHand ? homeless && HOME_FIRST : "this machine is not moved by hand") : "") || "");
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;

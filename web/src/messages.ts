@@ -2,7 +2,7 @@
 
 export interface Axis { name: string; unit: "m" | "rad"; low: number | null; high: number | null; manual_feed: number }
 export interface Mandrel { axis: string; along: string; at: number[]; radius: number[] }
-export interface Welcome { type: "welcome"; client: number; machine: string; title: string; link: string; simulated: boolean; label: string; lacks: Record<string, string>; notes: string[]; untaught: string; axes: Axis[]; mandrel: Mandrel | null; jog_lease_s: number; control_lease_s: number }
+export interface Welcome { type: "welcome"; client: number; machine: string; title: string; link: string; simulated: boolean; label: string; lacks: Record<string, string>; notes: string[]; untaught: string; by_hand: boolean; options: string[]; axes: Axis[]; mandrel: Mandrel | null; jog_lease_s: number; control_lease_s: number }
 export interface Where { commanded: number | null; measured: number | null; load: number | null }
 export interface Holder { client: number | null; name: string; left_s: number; asks: number | null; asks_name: string; passes_in_s: number }
 export interface Progress { run: string; program: string; time_s: number; duration_s: number; ended: string | null; why: string; verdict: string }

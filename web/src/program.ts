@@ -6,7 +6,9 @@ import type { Session } from "./session";
 import { say, toldRun, unitOf } from "./session";
 
 /** What is typed and chosen for a calculation, besides the program; priority and feed with it. */
-const FIELDS = ["interpolation", "priority", "feed", "shaper", "radius", "smoothing", "offset"];
+const FIELDS = ["interpolation", "priority", "feed", "law", "tolerance", "contour", "shaper", "radius", "smoothing", "robust", "offset"];
+/** What is typed into a field, where the machine has it. */
+const typed = (id: string): string | null => by(id).closest<HTMLElement>("[data-option]")!.hidden ? null : value(id) || null;
 /** Factors and units in which a verdict is shown, as the reports have them; a number without a unit is a share. */
 const UNITS: Record<string, [number, string]> = { m: [1000, "mm"], "m/s": [1000, "mm/s"], s: [1000, "ms"], "": [100, "%"] };
 const PLACED = ["path_deviation", "contour_error", "placement_error", "stitch_residual", "residual_vibration"];
@@ -30,6 +32,7 @@ export class Program {
     const { session } = this;
     const simple = (text: string, what: string) => button(text, what, () => session.link.act({ what }));
     by("run").replaceChildren(button("Approach", "approach", () => session.hold({ what: "approach" })), button("Start", "start", () => this.start()), simple("Hold", "hold"), simple("Resume", "resume"));
+    for (const one of document.querySelectorAll<HTMLElement>("[data-option]")) put(one, "hidden", !session.options.includes(one.dataset.option!));
     void this.list();
   }
 
@@ -42,12 +45,12 @@ export class Program {
 
   private calculate(): void {
     this.asked = this.fields();
-    const priority = value("priority");
+    const priority = typed("priority") ?? "programmed", tolerance = typed("tolerance");
     this.session.link.act({
-      what: "calculate", program: value("program"), priority, interpolation: value("interpolation"),
-      feed: priority === "programmed" ? value("feed") || null : null,
-      shaper: value("shaper") || null, radius: value("radius") || null, offset: value("offset") || null,
-      feed_forward: by<HTMLInputElement>("feed-forward").checked, smoothing: value("smoothing") || null,
+      what: "calculate", program: value("program"), priority, interpolation: typed("interpolation") ?? "auto",
+      feed: priority === "programmed" ? typed("feed") : null, law: typed("law"), ...(tolerance === null ? {} : { tolerance }), contour: typed("contour"),
+      shaper: typed("shaper"), radius: typed("radius"), offset: typed("offset"),
+      feed_forward: typed("feed-forward") !== null && by<HTMLInputElement>("feed-forward").checked, smoothing: typed("smoothing"), robust: typed("robust"),
     });
   }
 

@@ -13,6 +13,10 @@ export class Session {
   readonly link: Link;
   me = 0;
   axes: Axis[] = [];
+  /** Whether the axes can be moved by hand. */
+  byHand = true;
+  /** Options of planning that have a meaning for the machine. */
+  options: string[] = [];
   /** Commands that are not had on this link, and why. */
   lacks: Record<string, string> = {};
   figures: Figures | null = null;

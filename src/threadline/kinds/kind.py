@@ -27,6 +27,8 @@ class Kind:
         Value of ``Machine.commanded_by`` for machines of this kind.
     takes
         Names of the formats of jobs that its machines do (``jobs/reading.py``).
+    planned_by
+        Options of planning that have a meaning for it, as a command line names them.
     commands, intent
         Type of the commands that its controllers take, and type of what its plans intend. By the
         type of the intent the judge knows how to read a recording (``verdict/intended_runs.py``)
@@ -60,6 +62,7 @@ class Kind:
 
     name: str
     takes: tuple[str, ...]
+    planned_by: tuple[str, ...]
     commands: type[Commands]
     intent: type[Intent]
     check: Callable[[Machine], None]

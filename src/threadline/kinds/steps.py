@@ -108,6 +108,7 @@ def _release(plan: Plan) -> None:
 STEPS = Kind(
     name="steps",
     takes=("embroidery design",),
+    planned_by=("law", "feed", "tolerance"),
     commands=StepPlay,
     intent=Stitched,
     check=_check,

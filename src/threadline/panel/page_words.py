@@ -14,14 +14,18 @@ from threadline.panel import protocol as say
 
 FIELDS = {
     "at": "from",
+    "contour": "Contour",
     "feed": "Feed",
     "feed-forward": "Loads follow",
     "interpolation": "Interpolation",
+    "law": "Law",
     "offset": "Mandrel offset",
     "override": "Reason to run out of specification",
     "radius": "Radius",
+    "robust": "Robust",
     "shaper": "Shaper",
     "smoothing": "Smoothing",
+    "tolerance": "Tolerance",
 }
 """Labels of the page by the options that they stand for."""
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*[a-z])(?![\w-])")

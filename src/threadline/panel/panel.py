@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any, assert_never
 
 from threadline.errors import CommandError, ThreadlineError
-from threadline.live.executor import LEASE_S
 from threadline.live.jogging import manual_feed
 from threadline.live.link_operated import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
@@ -19,11 +18,10 @@ from threadline.machine import Machine
 from threadline.panel import protocol as say
 from threadline.panel.calculation import Calculation
 from threadline.panel.clients import SEEN_S, Client
-from threadline.panel.control import CONTROL_LEASE_S, ControlLease, Lease
+from threadline.panel.control import ControlLease, Lease
 from threadline.panel.owner import TELL_S
 from threadline.panel.owner_link import OwnerLink
-from threadline.panel.project_programs import untaught
-from threadline.panel.wound_on import mandrel_of
+from threadline.panel.welcoming import welcome_of
 
 BEAT_S = 0.04
 """Period of the states that clients are sent, s."""
@@ -118,38 +116,7 @@ class Panel:
         self._numbers += 1
         client = Client(self._numbers, name)
         self._clients[client.number] = client
-        machine = self.machine
-        speeds = {}
-        if machine.axes:
-            tick_s = float(machine.tick_clock.period_s)
-            feeds = manual_feed(machine) / machine.counts_per_unit / tick_s
-            speeds = dict(zip(machine.axes, feeds.tolist(), strict=True))
-        client.tell(
-            say.Welcome(
-                client=client.number,
-                machine=machine.name,
-                title=machine.title,
-                link=self._link,
-                simulated=self._link == "sim",
-                label=self._far_end.label,
-                lacks=dict(self._far_end.lacks),
-                notes=list(self._far_end.notes),
-                axes=[
-                    say.Axis(
-                        name=axis_name,
-                        unit="m" if axis.kind == "linear" else "rad",
-                        low=None if axis.travel is None else axis.travel[0].si,
-                        high=None if axis.travel is None else axis.travel[1].si,
-                        manual_feed=speeds[axis_name],
-                    )
-                    for axis_name, axis in machine.axes.items()
-                ],
-                untaught=untaught(machine),
-                mandrel=mandrel_of(machine),
-                jog_lease_s=LEASE_S,
-                control_lease_s=CONTROL_LEASE_S,
-            )
-        )
+        client.tell(welcome_of(self.machine, client.number, self._link, self._far_end))
         if self.calculation.figures is not None:
             client.tell(self.calculation.figures)
         return client

@@ -158,7 +158,10 @@ def words_of(told: Mapping[str, Any]) -> Options:
         shaper=told["shaper"],
         feed_forward=bool(told["feed_forward"]),
         smoothing=told["smoothing"],
+        law=told["law"],
         radius=told["radius"],
+        contour=told["contour"],
+        robust=told["robust"],
         offset=told["offset"],
     )
 

@@ -78,17 +78,23 @@ class Step(_Strict):
 
 
 class Calculate(_Strict):
-    """Plan, simulate and judge a program of the project folder."""
+    """Plan, simulate and judge a program of the project folder.
+
+    Options have the names, the texts and the defaults of ``threadline prove``.
+    """
 
     what: Literal["calculate"]
     program: Text
     priority: Priority = "programmed"
     interpolation: Text = DEFAULT_INTERPOLATION
+    law: Text | None = None
     feed: Text | None = None
     tolerance: Text = DEFAULT_TOLERANCE
+    contour: Text | None = None
     limits: Text = DEFAULT_LIMITS
     feed_forward: bool = False
     smoothing: Text | None = None
+    robust: Text | None = None
     shaper: Text | None = None
     radius: Annotated[str, Field(max_length=MOST_PROFILE)] | None = None
     offset: Text | None = None
@@ -218,6 +224,10 @@ class Welcome(BaseModel):
     """What the operator has to know of the link."""
     untaught: str = ""
     """Why no part program can be taught to the machine; empty where one can."""
+    by_hand: bool = True
+    """Whether its axes can be moved by hand, one at a time."""
+    options: list[str] = []
+    """Options of planning that have a meaning for the machine, as a command line names them."""
     axes: list[Axis]
     mandrel: Mandrel | None
     jog_lease_s: float

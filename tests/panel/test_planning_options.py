@@ -1,0 +1,92 @@
+"""Options of planning on the panel: those of the command line, with what it makes of them."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from threadline.cli.main import main
+from threadline.errors import OptionError
+from threadline.kinds import kind_of
+from threadline.machine import load_machine
+from threadline.option_defaults import DEFAULT_CONTOUR_M, DEFAULT_TOLERANCE
+from threadline.options import options_of
+from threadline.panel.calculating import calculate
+from threadline.panel.protocol import Calculate
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+GIVEN: dict[str, Any] = {
+    "interpolation": "optimal", "law": "cycloidal", "feed": "100 stitch/min", "radius": "A=40 mm",
+    "offset": "X=12 mm", "tolerance": "0.05 mm", "contour": "0.45 mm", "limits": "90 %",
+    "shaper": "zv:12Hz:0.02", "feed_forward": True, "smoothing": "50 ms", "robust": "100 %",
+    "feed_mode": "path", "dialect": "grbl",
+}  # fmt: skip
+"""A text for each option; what some of them need is given with them."""
+WITH = {
+    "robust": {"feed_forward": True}, "smoothing": {"feed_forward": True},
+    "contour": {"interpolation": "optimal"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("machine", ["lathe-winder", "stitcher", "letter-placer", "schiffli-frame"])
+@pytest.mark.parametrize("name", GIVEN)
+def test_a_kind_of_work_takes_the_options_that_it_tells(machine: str, name: str) -> None:
+    """And refuses every other one, of which the page has no field then."""
+    here = load_machine(machine)
+    kind, text = kind_of(here), GIVEN[name]
+    if name == "feed" and machine != "schiffli-frame":
+        text = "36 mm/s"
+    defaults = {"interpolation": "auto", "feed": None, "tolerance": DEFAULT_TOLERANCE}
+    options = options_of(**{**defaults, **WITH.get(name, {}), name: text})
+    if name.replace("_", "-") in kind.planned_by:
+        kind.check_options(here, options)
+    else:
+        with pytest.raises(OptionError):
+            kind.check_options(here, options)
+
+
+@pytest.mark.parametrize("machine, program, words", [
+    ("stitcher", "stitcher-even.seam.toml", {"feed_forward": True, "robust": "0 %"}),
+    ("schiffli-frame", "rosette.dst", {"law": "cycloidal", "tolerance": "0.5 mm"}),
+    ("lathe-winder", "x-180.prg", {"interpolation": "optimal", "contour": "0.2 mm"}),
+    ("letter-placer", "letter-cycle.toml", {"shaper": "um-zv"}),
+])  # fmt: skip
+def test_the_panel_proves_what_the_command_line_proves(
+    machine: str, program: str, words: dict[str, Any], tmp_path: Path
+) -> None:
+    """To the bit: the hash of the proof is of job, machine, options, rows and every criterion."""
+    written = [
+        one
+        for name, text in words.items()
+        for one in (f"--{name.replace('_', '-')}", *([] if text is True else [text]))
+    ]
+    by_line, by_panel = tmp_path / "line.proof.json", tmp_path / "panel.proof.json"
+    job = str(EXAMPLES / program)
+    with pytest.raises(SystemExit) as ended:
+        main(["prove", job, "-m", machine, *written, "--nominal", "--proof", str(by_line)])
+    asked = Calculate(what="calculate", program=program, level="nominal", **words)
+    found = calculate({
+        **asked.model_dump(exclude={"what"}), "proof_file": str(by_panel),
+        "folder": str(EXAMPLES), "machine": machine, "par": None, "spec": None,
+    })  # fmt: skip
+    assert by_panel.read_bytes() == by_line.read_bytes()
+    assert found["proof"] == json.loads(by_line.read_text("utf-8"))["sha256"]
+    assert found["passed"] == (ended.value.code == 0)
+    if machine == "stitcher":
+        assert found["passed"]  # as the example and docs/results-stitcher.md have it
+
+
+def test_the_page_tells_the_defaults_of_the_command_line() -> None:
+    page = (ROOT / "web" / "index.html").read_text("utf-8")
+    told = dict(re.findall(r'id="([a-z-]+)" placeholder="([^"]*)"', page))
+    assert told["tolerance"] == DEFAULT_TOLERANCE
+    assert told["contour"] == f"{DEFAULT_CONTOUR_M * 1e3:g} mm, of optimal"
+    fields = set(re.findall(r'data-option="([a-z-]+)"', page))
+    known = {one for name in ("lathe-winder", "letter-placer", "schiffli-frame")
+             for one in kind_of(load_machine(name)).planned_by}  # fmt: skip
+    assert fields == known - {"limits", "dialect", "feed-mode"}  # the machine file says those
