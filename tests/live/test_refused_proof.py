@@ -32,5 +32,5 @@ def test_a_criterion_of_every_step_is_named_once(tmp_path: Path) -> None:
         check_runnable(file, plan, load_spec(None, machine), None)
     job, _, named = str(refused.value).partition(" is out of specification: ")
     assert job.endswith(f"] {plan.job.name}")  # no proof file that nobody wrote
-    words = named.partition(". Lower")[0].split(", ")
+    words = named.partition(". Shape its moves")[0].split(", ")
     assert words == [" ".join(one).strip() for one in dict.fromkeys(failed)][:4]

@@ -54,6 +54,7 @@ def as_a_fork(number: int, words: list[str], folder: Path) -> tuple[int, str]:
     out = folder / "out"
 
     def command_only() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # which a shell may have the tests ignore
         with out.open("w", encoding="utf-8") as written, redirect_stdout(written):
             sys.argv[1:] = [str(number), *words]
             try:
@@ -99,6 +100,7 @@ def test_a_terminal_that_is_closed_stops_on_the_path_and_keeps_the_run(tmp_path:
     command = [sys.executable, "-m", "threadline", *words]
     pid, terminal = pty.fork()
     if pid == 0:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
         os.execv(command[0], command)
     end_s = time.monotonic() + 200.0
     while not any('"running"' in file.read_text() for file in store.glob("*/events.jsonl")):
