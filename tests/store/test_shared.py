@@ -106,7 +106,7 @@ def test_a_locked_index_is_one_line_before_anything_moves(
     RunIndex(tmp_path / INDEX).add(record("first"))
     other = sqlite3.connect(tmp_path / INDEX)
     other.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(StoreError, match="cannot be used: database is locked"):
+    with pytest.raises(StoreError, match=r"is locked\. Another program writes into it: try"):
         RunStore(tmp_path).index.add(record("second"))
     other.rollback()
     other.close()

@@ -169,7 +169,10 @@ class RunIndex:
             why = str(getattr(error, "orig", None) or error).splitlines()[0][:160]
             raise StoreError(
                 f"the index of runs {self._told!r} cannot be used: {why}",
-                remedy="Give another folder with --store, or mend the file.",
+                remedy="Another program writes into it: try again, or give another folder with "
+                "--store."
+                if "is locked" in why
+                else "Give another folder with --store, or mend the file.",
             ) from error
 
 
