@@ -134,7 +134,7 @@ def tagged(columns: Mapping[str, Column], begin: int, end: int) -> Iterator[Tags
     names = tuple(columns)
     parts = [column[begin:end] for column in columns.values()]
     rows = zip(*(part.tolist() for part in parts), strict=True)
-    if not any(_lacking(part).any() for part in parts):
+    if not any(lacking(part).any() for part in parts):
         yield from (dict(zip(names, row, strict=True)) for row in rows)
         return
     for row in rows:
@@ -167,7 +167,7 @@ def _column(values: list[float | str | None]) -> Column:
     return column
 
 
-def _lacking(column: Column) -> NDArray[np.bool_]:
+def lacking(column: Column) -> NDArray[np.bool_]:
     """Return (n,) whether a move lacks the tag of a column."""
     if column.dtype.kind == "f":
         return np.isnan(column)

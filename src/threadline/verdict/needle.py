@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
-from itertools import islice
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
-from threadline.jobs.operations import FeedMode, Job, Move, MoveRun, ToolEvent
+from threadline.jobs.operations import (
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    MoveRun,
+    ToolEvent,
+    lacking,
+    move_runs,
+)
 from threadline.plan import Motion, Plan
 from threadline.signals import KeptStream
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
@@ -19,6 +27,9 @@ from threadline.verdict.passing import Passing
 
 _MOST_MOVES = 1024  # in hand at once
 _ROUNDING = 1e-9  # of the time: pieces that are no farther apart than this meet
+_TAGS = (
+    "contour", "exempt", "target_m", "slowest_hz", "fastest_hz", "most_hz_s", "from_m", "to_m",
+)  # fmt: skip
 _SEWN = frozenset({"stitch", "contour", "exempt", "target_m"})  # tags of every stitch of a seam
 
 
@@ -129,75 +140,147 @@ def _found(job: Job, intended: Motion) -> Iterator[Stitches]:
     moving = _Moving(motion)
     passing = Passing(moving, columns, radius, start)
     before_s, contour = passing.time_s, -1.0
-    moves = _moves(job)
-    waiting: list[tuple[int, Move, bool, bool]] = []
+    runs = _runs(job)
+    waiting: _Moves | None = None
     while True:
-        waiting += islice(moves, _MOST_MOVES - len(waiting))
-        if not waiting:
+        while waiting is None or len(waiting) < _MOST_MOVES:
+            more = next(runs, None)
+            if more is None:
+                break
+            waiting = more if waiting is None else waiting.with_more(more)
+        if waiting is None or not len(waiting):
             return
-        points = np.array([move.target for _, move, *_ in waiting], dtype=np.float64) * radius
+        points = waiting.target[:_MOST_MOVES] * radius
         down = passing.times(points)
         done = len(down)
-        taken, waiting = waiting[:done], waiting[done:]
+        taken, waiting = waiting.rows(slice(done)), waiting.rows(slice(done, None))
         points = points[:done]
         came_from = np.concatenate([start[None], points[:-1]])
         came_s = np.concatenate([[before_s], down[:-1]])
         start, before_s = points[-1], float(down[-1])
-        sewn = np.array(["stitch" in move.tags for _, move, *_ in taken], dtype=np.bool_)
+        sewn = taken.sewn
         if not sewn.any():
             continue
-        stitched = [one for one in taken if "stitch" in one[1].tags]
-        tags = [move.tags for _, move, *_ in stitched]
-        number = np.array([float(t["contour"]) for t in tags])
+        stitched = taken.rows(sewn)
+        tags = dict(zip(_TAGS, np.ascontiguousarray(stitched.tags.T), strict=True))
+        number = tags["contour"]
         before = np.concatenate([[contour], number[:-1]])
         contour = float(number[-1])
-        slowest, fastest, most = (
-            np.array([float(t.get(name, np.nan)) for t in tags])
-            for name in ("slowest_hz", "fastest_hz", "most_hz_s")
-        )
-        begins = np.array([begins for *_, begins, _ in stitched])
         from_s, down_s = came_s[sewn], down[sewn]
-        programmed_s = np.array([_period_s(move) for _, move, *_ in stitched])
-        planned_s = down_s - np.where(begins, moving.departs(from_s, down_s), from_s)
+        planned_s = down_s - np.where(stitched.begins, moving.departs(from_s, down_s), from_s)
         yield Stitches(
-            operation=np.array([one[0] for one in stitched], dtype=np.int64),
-            line=np.array([one[1].source.line for one in stitched], dtype=np.int64),
+            operation=stitched.operation,
+            line=stitched.line,
             contour=number.astype(np.int64),
             first=number != before,
-            exempt=np.array([bool(t["exempt"]) for t in tags]),
+            exempt=tags["exempt"] != 0.0,
             point=points[sewn],
             from_point=came_from[sewn],
             from_s=from_s,
             down_s=down_s,
-            target_m=np.array([float(t["target_m"]) for t in tags]),
-            period_s=np.where(np.isnan(fastest), programmed_s, planned_s),
-            slowest_hz=slowest,
-            fastest_hz=fastest,
-            most_hz_s=most,
-            departs=begins,
-            stops=np.array([ends for *_, ends in stitched]),
-            from_m=np.array([float(t.get("from_m", np.nan)) for t in tags]),
-            to_m=np.array([float(t.get("to_m", np.nan)) for t in tags]),
+            target_m=tags["target_m"],
+            period_s=np.where(np.isnan(tags["fastest_hz"]), stitched.period_s, planned_s),
+            slowest_hz=tags["slowest_hz"],
+            fastest_hz=tags["fastest_hz"],
+            most_hz_s=tags["most_hz_s"],
+            departs=stitched.begins,
+            stops=stitched.ends,
+            from_m=tags["from_m"],
+            to_m=tags["to_m"],
         )
 
 
-def _period_s(move: Move) -> float:
-    if move.feed is None or move.feed.mode is not FeedMode.INVERSE_TIME:
+def _period_s(feed: Feed | None) -> float:
+    if feed is None or feed.mode is not FeedMode.INVERSE_TIME:
         return float("nan")
-    return 1.0 / move.feed.value
+    return 1.0 / feed.value
 
 
-def _moves(job: Job) -> Iterator[tuple[int, Move, bool, bool]]:
-    """Yield the number of each move, the move, and whether the head rests before and after it."""
-    rested, last = True, None
-    for index, item in enumerate(job):
-        moves = isinstance(item, Move)
+@dataclass(frozen=True, slots=True)
+class _Moves:
+    """Consecutive moves, n of them: what their stitches are made of.
+
+    Parameters
+    ----------
+    operation, line, target, period_s
+        (n,) number in the job and line, (n, axes), (n,).
+    begins, ends
+        (n,) bool: the head rests before the move, and after it.
+    sewn, tags
+        (n,) bool: it is a stitch; (n, tags) as ``_TAGS`` has them, NaN for what it lacks.
+    """
+
+    operation: IntArray
+    line: IntArray
+    target: FloatArray
+    period_s: FloatArray
+    begins: NDArray[np.bool_]
+    ends: NDArray[np.bool_]
+    sewn: NDArray[np.bool_]
+    tags: FloatArray
+
+    @classmethod
+    def of(cls, run: MoveRun, first: int, *, rested: bool) -> _Moves:
+        """Return those of a run whose first move has that number in the job."""
+        count = len(run)
+        period_s, begins = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+        for at, feed in run.feeds:
+            period_s[at:] = _period_s(feed)
+        begins[:1] = rested
+        stitch = run.columns.get("stitch")
+        return cls(
+            operation=np.arange(first, first + count),
+            line=run.line,
+            target=run.targets,
+            period_s=period_s,
+            begins=begins,
+            ends=np.zeros(count, dtype=np.bool_),
+            sewn=np.zeros(count, dtype=np.bool_) if stitch is None else ~lacking(stitch),
+            tags=np.stack([_numbers(run, name) for name in _TAGS], axis=1),
+        )
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    def rows(self, rows: slice | NDArray[np.bool_]) -> _Moves:
+        """Return some of the moves."""
+        return _Moves(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+    def with_more(self, more: _Moves) -> _Moves:
+        """Return these moves and more behind them."""
+        return _Moves(
+            *(np.concatenate([getattr(one, f.name) for one in (self, more)]) for f in fields(self))
+        )
+
+
+def _numbers(run: MoveRun, name: str) -> FloatArray:
+    """Return (n,) the numbers of a tag, NaN where a move lacks it."""
+    column = run.columns.get(name)
+    if column is None:
+        return np.full(len(run), np.nan)
+    if column.dtype.kind in "fi":
+        return column.astype(np.float64)
+    found = np.full(len(run), np.nan)
+    for k in np.flatnonzero(~lacking(column)):
+        found[k] = float(column[k])
+    return found
+
+
+def _runs(job: Job) -> Iterator[_Moves]:
+    """Yield the moves of a job, a run at a time; the head rests where something else is done."""
+    rested, number, last = True, 0, None
+    for item in move_runs(job):
+        if isinstance(item, MoveRun) and not len(item):
+            continue
         if last is not None:
-            yield (*last, not moves)
-        last = (index, item, rested) if isinstance(item, Move) else None
-        rested = not moves
+            last.ends[-1] = not isinstance(item, MoveRun)
+            yield last
+        last = _Moves.of(item, number, rested=rested) if isinstance(item, MoveRun) else None
+        rested = last is None
+        number += 1 if last is None else len(last)
     if last is not None:
-        yield (*last, True)
+        last.ends[-1] = True
+        yield last
 
 
 class _Moving:
