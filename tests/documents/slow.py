@@ -56,7 +56,8 @@ SLOW: dict[str, dict[str, str]] = {
         ),
         "pytest tests/twin/test_stitcher.py tests/twin/test_hybrid.py": OF_TESTS,
         "python -m tools.long_seam 1e6 FOLDER": "writes the job of the next",
-        "threadline prove FOLDER/long.seam.toml -m stitcher --interpolation linear": "93 s",
+        "threadline prove FOLDER/long.seam.toml -m stitcher --interpolation linear "
+        "--nominal": "66 s",
         "python -m tools.stitcher_overshoots FILE.png": "tests/plant_analysis/test_overshoots.py",
         "threadline analyse NAME --experiments": "tests/plant_analysis/test_experiments.py",
         "threadline analyse NAME --json": "each NAME is run as one of the quick ones",
