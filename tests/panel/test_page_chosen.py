@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 from pathlib import Path
 
 from tests.panel.browsing import Browser, expect, opened, part, press, press_until, ready, state
@@ -48,6 +50,28 @@ def test_what_is_not_chosen_any_more_does_not_start(
     for one in motions:
         expect(one).to_be_enabled()
     page.close()
+
+
+def test_a_panel_that_begins_anew_has_calculated_nothing(
+    browser: Browser, plant: Plant, tmp_path: Path
+) -> None:
+    """The page goes on by itself, and drops what the panel before had proven."""
+    page = opened(browser, plant)
+    ready(page)
+    press(page, "Calculate")
+    verdict = page.locator("#figures")
+    expect(verdict).to_contain_text("IN SPEC")
+    os.kill(plant.server, signal.SIGKILL)
+    expect(page.locator("body")).to_have_class("stale")
+
+    again = Plant(tmp_path, tmp_path / "second-box", port=plant.port)
+    expect(page.locator("body")).not_to_have_class("stale")
+    expect(verdict).not_to_contain_text("IN SPEC")
+    expect(page.get_by_role("button", name="Start", exact=True)).to_be_disabled()
+    page.close()
+    os.kill(again.server, signal.SIGKILL)
+    os.waitpid(again.server, 0)
+    again.end()
 
 
 def test_what_is_said_is_seen_on_every_part_and_ends_are_kept(

@@ -50,11 +50,12 @@ class Plant:
     """A machine, its owner and its web server, each a process."""
 
     def __init__(
-        self, folder: Path, box: Path, speed: float = SPEED, machine: Machine | None = None
-    ) -> None:
+        self, folder: Path, box: Path, speed: float = SPEED, machine: Machine | None = None, *,
+        port: int = 0,
+    ) -> None:  # fmt: skip
         self.box = box
         made = machine or winder()
-        listening = socket.create_server(("127.0.0.1", 0))
+        listening = socket.create_server(("127.0.0.1", port))
         self.port = listening.getsockname()[1]
         ours, theirs = socket.socketpair()
         link, far = socket.socketpair()
