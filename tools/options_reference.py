@@ -136,7 +136,7 @@ def stub() -> str:
     """Return the types of the package's functions, with every option by name."""
     names = ", ".join(f'"{name}"' for name in face.__all__)
     verbs = [getattr(face, name) for name in face.__all__ if hasattr(getattr(face, name), "words")]
-    return _STUB_HEAD.format(names=names) + "".join(map(_declared, verbs))
+    return _STUB_HEAD.format(names=names) + "\n" + "".join(map(_declared, verbs))
 
 
 def _declared(verb: Callable[..., Any]) -> str:
@@ -148,7 +148,7 @@ def _declared(verb: Callable[..., Any]) -> str:
             keyword_only = True
         default = "" if one.default is one.empty else f" = {_text(one.default)}"
         lines.append(f"    {one.name}: {one.annotation}{default},\n")
-    return f"\ndef {verb.__name__}(\n{''.join(lines)}) -> {signature.return_annotation}: ...\n"
+    return f"def {verb.__name__}(\n{''.join(lines)}) -> {signature.return_annotation}: ...\n"
 
 
 def _text(value: object) -> str:

@@ -43,7 +43,6 @@ def compare(
     yield_: str | None = None,
     ends: str | None = None,
 ) -> Comparison: ...
-
 def compile(
     job: PathLike,
     machine: PathLike | Machine,
@@ -69,7 +68,6 @@ def compile(
     robust: str | None = None,
     contour: str | None = None,
 ) -> list[Written]: ...
-
 def fastest(
     job: PathLike,
     machine: PathLike | Machine,
@@ -94,7 +92,6 @@ def fastest(
     yield_: str | None = None,
     margin: str = "0 %",
 ) -> Found: ...
-
 def judge(
     recordings: PathLike | Sequence[PathLike],
     *,
@@ -121,7 +118,6 @@ def judge(
     robust: str | None = None,
     contour: str | None = None,
 ) -> Answer: ...
-
 def prove(
     job: PathLike,
     machine: PathLike | Machine,

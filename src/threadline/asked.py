@@ -16,6 +16,7 @@ from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
+from threadline.machine.radii import with_radii
 from threadline.option_defaults import DEFAULT_INTERPOLATION, UNSHAPED_WORD
 from threadline.option_table import (
     Door,
@@ -129,7 +130,7 @@ class Words:
         """Return how a job is planned with each interpolation, feed and shaper.
 
         A contour is of ``optimal``, a robust plan of the default interpolation, and a mode of a
-        shaper: the others are planned without them.
+        shaper: where these are compared, the others are planned without.
 
         Raises
         ------
@@ -142,9 +143,9 @@ class Words:
         once: tuple[str | None, ...] = (None,)
         for name, feed, shaper in product(interpolations, feeds or once, shapers or once):
             own: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
-            if name != OPTIMAL:
+            if name != OPTIMAL and OPTIMAL in interpolations:
                 own["contour"] = None
-            if name != DEFAULT_INTERPOLATION:
+            if name != DEFAULT_INTERPOLATION and DEFAULT_INTERPOLATION in interpolations:
                 own["robust"] = None
             if shaper in (None, UNSHAPED_WORD):
                 own |= {"mode": None, "damping": None}
@@ -236,6 +237,18 @@ def _runs(repeats: Word) -> int:
     if repeats > MOST_REPEATS:
         raise OptionError(f"repeats must be at most {MOST_REPEATS}, got {repeats}")
     return repeats
+
+
+def with_radii_of(machine: Machine, options: Options) -> Machine:
+    """Return the machine with the radii of the options.
+
+    Raises
+    ------
+    OptionError
+        If an option has no meaning for this kind of machine, or the radii cannot be read.
+    """
+    kind_of(machine).check_options(machine, options)
+    return with_radii(machine, options.radius)
 
 
 def check_target(target: str, machine: Machine, options: Options) -> None:

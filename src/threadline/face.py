@@ -16,7 +16,7 @@ from threadline.answers import Answer as Answer  # noqa: PLC0414 - callers name 
 from threadline.answers import Found as Found  # noqa: PLC0414
 from threadline.answers import PathLike as PathLike  # noqa: PLC0414
 from threadline.answers import Proved as Proved  # noqa: PLC0414
-from threadline.asked import Words, check_target, chosen_machine, python_type
+from threadline.asked import Words, check_target, chosen_machine, python_type, with_radii_of
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.option_table import Door, Word, options_for
@@ -158,14 +158,13 @@ def compare(
     InputError
         As on the command line.
     """
-    from threadline.machine.radii import with_radii
     from threadline.pipeline import open_job
     from threadline.search import compare as compare_job
 
     asked = Words.of("compare", Door.PYTHON, words)
-    trials = asked.trials()
-    chosen = with_radii(asked.machine(machine), asked.text("radius"))
+    trials, named = asked.trials(), asked.machine(machine)
     planned = asked.each_options(interpolations, feeds, shapers)
+    chosen = with_radii_of(named, planned[0])
     return compare_job(
         open_job(Path(job), chosen, planned[0]),
         chosen,

@@ -18,15 +18,14 @@ from threadline.option_defaults import (
     OPTIMAL_FEED_FORWARD,
     UNSHAPED_WORD,
 )
-from threadline.option_table import SWITCHES, TABLE, Group, Word, option
+from threadline.option_table import RECORDED, TABLE, Group, Word, option, planned_by
 from threadline.option_words import parse_feed, parse_width_s
 from threadline.path.interpolations import BY_LAW, CHORDS, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
 
-OF_AXES = tuple(
-    one.recorded.key for one in TABLE if one.recorded is not None and SWITCHES not in one.kinds
-)
+_OF_SWITCHES = planned_by("switches")
+OF_AXES = tuple(known.key for one, known in RECORDED if one.name not in _OF_SWITCHES)
 """Keys of ``describe`` that have a meaning only for machines with axes."""
 
 
@@ -329,7 +328,7 @@ def refuse_axis_options(machine: Machine, options: Options) -> None:
     OptionError
         If one is given.
     """
-    if names := foreign_options(SWITCHES, options):
+    if names := foreign_options("switches", options):
         raise OptionError(
             f"{', '.join(names)}: {machine.name} switches cylinders on and off, without a path, a "
             "feed or a law to choose",

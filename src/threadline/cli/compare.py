@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.asked import Words
+from threadline.asked import Words, with_radii_of
 from threadline.cli import arguments
 from threadline.cli.found import AXES_ALONE, command_line, limit_words
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -25,7 +25,6 @@ from threadline.cli.warn import warn
 from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
-from threadline.machine.radii import with_radii
 from threadline.option_defaults import DEFAULT_INTERPOLATION, UNSHAPED_WORD
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
@@ -77,8 +76,8 @@ def compare(
     """
     trials = words.trials()
     check_outputs(folder=report)
-    chosen = with_radii(words.machine(machine), words.text("radius"))
-    defaults = kind_of(chosen).compared
+    named = words.machine(machine)
+    defaults = kind_of(named).compared
     feed, shaper = words.text("feed"), words.text("shaper")
     names = _values(words.text("interpolation"), defaults, "interpolation", DEFAULT_INTERPOLATION)
     shapers = _values(shaper, defaults, "shaper", UNSHAPED_WORD)
@@ -87,6 +86,7 @@ def compare(
         shown.append("shaper")
     feeds = [] if feed is None else _listed(feed, "--feed")
     planned = words.each_options(names, feeds, shapers)
+    chosen = with_radii_of(named, planned[0])
     read = open_job(job, chosen, planned[0])
     warn(chosen, read, own_feed=not feeds)
     with progress_bar(not json) as progress:

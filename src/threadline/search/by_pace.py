@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from threadline.asked import Words
+from threadline.asked import Words, with_radii_of
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode, Job, Pace
 from threadline.machine import Machine
-from threadline.machine.radii import with_radii
 from threadline.option_defaults import DEFAULT_INTERPOLATION, NO_CONTOUR, UNSHAPED_WORD
 from threadline.option_table import Word
 from threadline.option_words import (
@@ -79,9 +78,9 @@ class Question:
         share = None if robust is None else parse_robust(robust)
         trials = words.trials(ends=robust if share else None)
         planned = _planned_for(words)
-        chosen = with_radii(words.machine(machine), words.text("radius"))
-        margin = parse_margin(words.text("margin") or "0 %")
+        named, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
         options = words.options(robust=planned)
+        chosen = with_radii_of(named, options)
         job = open_job(file, chosen, options)
         given = {f"--{word}": words.text(word) for word in _NOT_EVERYWHERE}
         refuse_for_pace(job, given)
