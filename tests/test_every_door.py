@@ -16,14 +16,11 @@ import threadline as tl
 from threadline import face
 from threadline.cli.main import app
 from threadline.errors import InputError, OptionError
+from threadline.option_form import Door, Group, Option, Type
 from threadline.option_table import (
     PYTHON_VERBS,
     RECORDED,
     TABLE,
-    Door,
-    Group,
-    Option,
-    Type,
     options_for,
 )
 from threadline.options import Options

@@ -14,13 +14,10 @@ from typing import Any
 
 from threadline import face
 from threadline.cli.lazy import COMMANDS, LazyGroup
+from threadline.option_form import Door, Group, Option, Type
 from threadline.option_table import (
     PYTHON_VERBS,
     TABLE,
-    Door,
-    Group,
-    Option,
-    Type,
     options_for,
 )
 

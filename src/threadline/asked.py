@@ -18,12 +18,14 @@ from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
 from threadline.machine.radii import with_radii
 from threadline.option_defaults import DEFAULT_INTERPOLATION, UNSHAPED_WORD
-from threadline.option_table import (
+from threadline.option_form import (
     Door,
     Group,
     Option,
     Type,
     Word,
+)
+from threadline.option_table import (
     known_words,
     options_for,
 )
@@ -292,7 +294,9 @@ def level_option(trials: Trials) -> dict[str, str]:
 def python_type(one: Option, verb: str) -> str:
     """Return the type of an option of a verb in Python, as ``__init__.pyi`` declares it.
 
-    >>> from threadline.option_table import option
+    >>> from threadline.option_table import (
+    option,
+    )
     >>> python_type(option("feed"), "prove"), python_type(option("feed-forward"), "prove")
     ('str | None', 'bool')
     """

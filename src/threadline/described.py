@@ -7,7 +7,9 @@ import math
 from threadline.errors import OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.option_table import RECORDED
+from threadline.option_table import (
+    RECORDED,
+)
 from threadline.options import Options
 from threadline.path.interpolations import OPTIMAL
 

@@ -6,7 +6,9 @@ from collections.abc import Sequence
 from itertools import islice
 
 from threadline.jobs.operations import FeedMode, Job, MoveRun
-from threadline.option_table import PROGRAMMED
+from threadline.option_table import (
+    PROGRAMMED,
+)
 from threadline.option_words import parse_tolerance_m
 from threadline.path.interpolations import KEEPING_TOLERANCE, on_chords
 from threadline.pipeline import Proof

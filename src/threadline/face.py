@@ -19,7 +19,10 @@ from threadline.answers import Proved as Proved  # noqa: PLC0414
 from threadline.asked import Words, check_target, chosen_machine, python_type, with_radii_of
 from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.option_table import Door, Word, options_for
+from threadline.option_form import Door, Word
+from threadline.option_table import (
+    options_for,
+)
 from threadline.trajectory import retime
 
 if TYPE_CHECKING:

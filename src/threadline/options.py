@@ -18,7 +18,13 @@ from threadline.option_defaults import (
     OPTIMAL_FEED_FORWARD,
     UNSHAPED_WORD,
 )
-from threadline.option_table import RECORDED, TABLE, Group, Word, option, planned_by
+from threadline.option_form import Group, Word
+from threadline.option_table import (
+    RECORDED,
+    TABLE,
+    option,
+    planned_by,
+)
 from threadline.option_words import parse_feed, parse_width_s
 from threadline.path.interpolations import BY_LAW, CHORDS, OPTIMAL
 from threadline.plan import Following

@@ -13,7 +13,9 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
-from threadline.option_table import RECORDED
+from threadline.option_table import (
+    RECORDED,
+)
 from threadline.options import options_of
 from threadline.pipeline import open_job, plan_job, with_shaping
 from threadline.plan import Plan

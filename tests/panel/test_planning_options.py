@@ -14,7 +14,10 @@ from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.machine import load_machine
 from threadline.option_defaults import DEFAULT_CONTOUR_M, DEFAULT_TOLERANCE
-from threadline.option_table import Door, options_for
+from threadline.option_form import Door
+from threadline.option_table import (
+    options_for,
+)
 from threadline.options import options_of
 from threadline.panel.calculating import calculate
 from threadline.panel.protocol import Calculate

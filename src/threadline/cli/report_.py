@@ -14,7 +14,7 @@ from threadline.cli.prove import show_proof
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import JsonOption, SpecOption, named_folder
 from threadline.errors import StoreError
-from threadline.option_table import Door
+from threadline.option_form import Door
 from threadline.pipeline import Proof
 from threadline.proof_file import read_proof, spec_sha256
 from threadline.recorded import judge_files

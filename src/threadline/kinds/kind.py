@@ -10,7 +10,9 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.option_table import planned_by
+from threadline.option_table import (
+    planned_by,
+)
 from threadline.options import Options
 from threadline.plan import Intent, Plan
 from threadline.signals import Commands, Recording

@@ -15,7 +15,10 @@ from threadline.jobs import FORMATS
 from threadline.jobs.seam.job import AXES as SEAM_AXES
 from threadline.kinds import kind_of
 from threadline.machine import Machine
-from threadline.option_table import Door, Group, options_for
+from threadline.option_form import Door, Group
+from threadline.option_table import (
+    options_for,
+)
 from threadline.options import Options, options_of
 from threadline.pipeline import open_job, plan_job
 from threadline.plan import Plan

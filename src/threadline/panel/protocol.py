@@ -12,7 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
 
-from threadline.option_table import Door, Type, options_for
+from threadline.option_form import Door, Type
+from threadline.option_table import (
+    options_for,
+)
 
 PANEL_PROTOCOL = 1
 MOST_TEXT = 1 << 16

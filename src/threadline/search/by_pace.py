@@ -16,7 +16,7 @@ from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode, Job, Pace
 from threadline.machine import Machine
 from threadline.option_defaults import DEFAULT_INTERPOLATION, NO_CONTOUR, UNSHAPED_WORD
-from threadline.option_table import Word
+from threadline.option_form import Word
 from threadline.option_words import (
     feed_words,
     parse_margin,
