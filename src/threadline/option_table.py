@@ -163,7 +163,6 @@ TABLE: tuple[Option, ...] = (
         help='Replaces the needle speed of a seam: "75 stitch/s".',
         attribute="needle", parse=str,
         recorded=Recorded(key="needle", write=_same, read=str),
-        label="Needle", placeholder="the seam's",
     ),
     Option(
         name="tolerance", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS, STEPS),

@@ -91,6 +91,8 @@ def test_the_page_tells_the_defaults_of_the_command_line() -> None:
     assert told["tolerance"] == DEFAULT_TOLERANCE
     assert told["contour"] == f"{DEFAULT_CONTOUR_M * 1e3:g} mm, of optimal"
     fields = set(re.findall(r'data-option="([a-z-]+)"', page))
+    names = re.findall(r' id="([^"]+)"', page)
+    assert len(names) == len(set(names))
     labelled = {one.name for one in options_for("panel", Door.PANEL) if one.label}
     assert fields == labelled
     asked = Calculate(what="calculate", program="a.prg").model_dump()
