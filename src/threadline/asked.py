@@ -294,9 +294,7 @@ def level_option(trials: Trials) -> dict[str, str]:
 def python_type(one: Option, verb: str) -> str:
     """Return the type of an option of a verb in Python, as ``__init__.pyi`` declares it.
 
-    >>> from threadline.option_table import (
-    option,
-    )
+    >>> from threadline.option_table import option
     >>> python_type(option("feed"), "prove"), python_type(option("feed-forward"), "prove")
     ('str | None', 'bool')
     """

@@ -35,8 +35,8 @@ def _check_options(machine: Machine, options: Options) -> None:
         raise OptionError(
             f"{machine.name} moves between its stitches by a law: it has no path, shaper or "
             "feed-forward to choose",
-            remedy='Choose the law, the speed and the tolerance: --law cycloidal --feed "100 '
-            'stitch/min" --tolerance "0.05 mm".',
+            remedy="Leave it out; a law and a tolerance may be given: --law cycloidal --tolerance "
+            '"0.05 mm".',
         )
     if options.feed is not None and options.feed.mode is not FeedMode.SHAFT:
         raise OptionError(
