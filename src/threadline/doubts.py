@@ -27,6 +27,7 @@ def doubts(proof: Proof) -> list[str]:
     plan = proof.plan
     return [
         *suspicions(plan.machine),
+        *(plan.machine.planner.left_out if plan.machine.planner is not None else []),
         *plan.job.suspicions(own_feed=plan.options.get("feed") == PROGRAMMED),
         *plan.intent.warnings,
         *proof_warnings(proof),

@@ -98,7 +98,11 @@ def test_a_project_that_cannot_be_written_leaves_nothing(
 @pytest.mark.parametrize(
     ("kind", "name", "words"),
     [
-        ("loom", "mine", "There are: winder, stepper, stitcher, placer, embroidery"),
+        (
+            "loom",
+            "mine",
+            "There are: grbl, fluidnc, marlin, klipper, rrf, linuxcnc, winder, stepper",
+        ),
         ("windr", "mine", "Did you mean 'winder'?"),
         ("winder", "full", "is not empty"),
         ("winder", "file", "is not a folder"),
@@ -147,11 +151,11 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
     dump, folder = tmp_path / "settings.txt", tmp_path / "mine"
     dump.write_text(SETTINGS)
     asked = [text.partition("=")[0] for text in OWNER[1:]]
-    code, _, err = run(capsys, "new", "grbl-winder", folder, "--from", dump, "--set", OWNER[0])
+    code, _, err = run(capsys, "new", "grbl", folder, "--from", dump, "--set", OWNER[0])
     assert code == 2 and not folder.exists()
     assert all(f'--set "{name}=' in err for name in asked), "a question was cut out"
     given = [word for text in OWNER for word in ("--set", text)]
-    code, out, err = run(capsys, "new", "grbl-winder", folder, "--from", dump, *given, "--json")
+    code, out, err = run(capsys, "new", "grbl", folder, "--from", dump, *given, "--json")
     assert (code, err) == (0, "")
     content = json.loads(out)
     assert sorted(p.name for p in folder.iterdir()) == content["files"]
@@ -164,12 +168,12 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["grbl-winder", "mine"], "Name them with --from"),
+        (["grbl", "mine"], "Name what grbl answers to $$ with --from"),
         (
             ["winder", "mine", "--set", "mass=1 kg"],
             "--limits-only are not of the kind",
         ),
-        (["marlin-winder", "mine", "--from", "dump.txt"], "threadline new grbl-winder"),
+        (["marlin", "mine", "--from", "dump.txt"], "threadline new grbl"),
     ],
 )
 def test_settings_of_another_kind_are_refused(

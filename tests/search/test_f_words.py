@@ -107,7 +107,7 @@ def test_what_fastest_finds_is_typed_into_the_program(
     settings = EXAMPLES / "grbl-settings.txt"
     words = ["--limits-only", "--set", "rotary=A", "--set", "radius=50 mm"]
     mine = tmp_path / "mine"
-    assert left_with(["new", "grbl-winder", str(mine), "--from", str(settings), *words]) == 0
+    assert left_with(["new", "grbl", str(mine), "--from", str(settings), *words]) == 0
     machine, file = str(mine / "machine.toml"), tmp_path / "helix.gcode"
     text = (EXAMPLES / "helix.gcode").read_text()
     file.write_text(text)
