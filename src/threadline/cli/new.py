@@ -18,6 +18,7 @@ import typer
 from threadline import __version__
 from threadline.cli.from_settings import (
     ANSWERS_TO,
+    FIRMWARES,
     KINDS,
     PROVE,
     FromSettings,
@@ -281,7 +282,9 @@ def _without_operator(machine: str) -> str:
 
 def _project(kind: str) -> Project:
     if kind not in PROJECTS:
-        close = difflib.get_close_matches(kind.partition("-")[0], [*PROJECTS, *KINDS], n=1)
+        own = {firmware: name for name, firmware in FIRMWARES.items()}
+        word = kind.partition("-")[0]
+        close = difflib.get_close_matches(own.get(word, word), [*PROJECTS, *KINDS], n=1)
         hint = f"Did you mean {close[0]!r}? " if close else ""
         raise OptionError(
             f"there is no project {kind[:40]!r}",

@@ -14,10 +14,13 @@ from dataclasses import dataclass
 from threadline.errors import Place
 
 _DATE = r"\[?\d{4}[-/.]\d{1,2}[-/.]\d{1,2}[ T]?"
-_TIME = r"\[?\d{1,2}:\d{2}(?::\d{2})?(?:[.,]\d+)?(?:\s*[AaPp][Mm])?\]?"
-_WORDS = r"\[?(?:recv|received|rcvd|rx|read|send|sending|sent|tx|write|serial\w*|info|debug)\b\]?"
+_TIME = r"\[?\d{1,2}:\d{2}(?::\d{2})?(?:[.,]\d+)?(?:\s*[AaPp][Mm]|Z)?\]?"
+_WORDS = (
+    r"\[?(?:recv|received|rcvd|rx|read|send|sending|sent|tx|write|client|console|feeder|serial\w*|info|"
+    r"debug)\b\s*[:>|<\]-]+"
+)
 _BEFORE = re.compile(
-    rf"\s*(?:{_DATE}|{_TIME}|{_WORDS}(?=\s*[:>|<\]-])|echo:|config:|[<>│┃]+|->|<-|=>|[:|](?=\s)|-(?=\s))\s*",
+    rf"\s*(?:{_DATE}|{_TIME}|{_WORDS}|echo:|config:|[<>│┃]+|->|<-|=>|[:|-](?=\s))\s*",
     re.IGNORECASE,
 )
 

@@ -78,14 +78,14 @@ def _sections(lines: Sequence[str], file: str) -> dict[str, Keys]:
     for number, line in enumerate(lines, start=1):
         place = Place(file, number)
         code = line.strip()
-        if not code or code[0] in ";#":
-            continue
         if code.upper().startswith("#INCLUDE"):
             raise MachineError(
                 f"{code[:60]} is not followed",
                 place=place,
                 remedy="Put the text of that file in its place.",
             )
+        if not code or code[0] in ";#":
+            continue
         header = _SECTION.match(re.sub(r"\s*[;#].*", "", code))
         if header is not None:
             section = sections.setdefault(header[1].upper(), {})
@@ -164,14 +164,14 @@ def _say_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: 
         if key in joint:
             text, place = joint[key]
             size = repr(abs(number_or_nan(text)) / factor)
-            settings.say(letter, "steps", size, place, f"{letter} {key}", text)
+            settings.say(letter, "steps", size, place, f"{letter} {key}", text.removeprefix("-"))
             break
     low, high = (_end(key, axis, joint) for key in ("MIN_LIMIT", "MAX_LIMIT"))
     if low is not None and high is not None and not settings.turning[letter]:
         way = number_or_nan(high[0]) - number_or_nan(low[0])
         if not way >= _ENDLESS:
-            typed = f"{low[0]} to {high[0]}"
-            settings.say(letter, "travel", repr(way * factor), high[1], f"{letter} limits", typed)
+            name = f"{letter} MIN_LIMIT {low[0]} MAX_LIMIT"
+            settings.say(letter, "travel", repr(way * factor), high[1], name)
     backlash = joint.get("BACKLASH")
     if backlash is not None and number_or_nan(backlash[0]) != 0.0:
         settings.leave_out(
