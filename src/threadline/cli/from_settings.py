@@ -224,4 +224,6 @@ def _job(settings: Settings, rotary: str) -> str:
     way = _WAY_MM if said.travel is None else min(_WAY_MM, said.travel.value / 2.0)
     feed = _FEED_MM_MIN if said.rate is None else min(_FEED_MM_MIN, said.rate.value / 2.0)
     lines = ["; There and back", "G21", "G90", f"G1 {axis}{way:g} F{feed:g}", f"G1 {axis}0"]
+    if settings.firmware == "linuxcnc":
+        lines.append("M2")
     return "\n".join(lines) + "\n"

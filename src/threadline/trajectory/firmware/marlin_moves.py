@@ -92,7 +92,7 @@ def held_back(length: FloatArray, asked: FloatArray, first: int, short_s: float)
     takes_s = length / asked
     short = (ahead >= _FEW[0]) & (ahead <= _FEW[1]) & (takes_s < short_s)
     slow_s = takes_s + 2.0 * (short_s - takes_s) / np.maximum(ahead, 1)
-    return np.where(short, length / slow_s, asked)
+    return np.where(short, length / np.where(short, slow_s, 1.0), asked)
 
 
 def whole_rates(moves: Moves, asked: FloatArray, most: float, steps: FloatArray) -> FloatArray:
