@@ -329,6 +329,20 @@ def test_the_configuration_in_a_log_of_klipper_counts(tmp_path: Path) -> None:
     )
 
 
+def test_the_step_distance_of_an_old_klipper_is_its_steps(tmp_path: Path) -> None:
+    text = "[stepper_x]\nstep_distance: .0125\nposition_max: 200\n[printer]\nmax_velocity: 9\n"
+    assert numbers(read(tmp_path, text))["X steps"] == 80.0
+
+
+def test_jumps_of_reprapfirmware_a_second_are_those_a_minute(tmp_path: Path) -> None:
+    """M205 X15 is M566 X900."""
+    jumps = [
+        read(tmp_path, f"M584 X0\nM92 X80\n{line}\n").planner["jump.X"].value
+        for line in ("M566 X900", "M205 X15")
+    ]
+    assert jumps == pytest.approx([15.0, 15.0])
+
+
 def test_a_corexy_of_klipper_has_limits_and_no_motors(tmp_path: Path) -> None:
     """Klipper limits X, Y and Z there, but a motor moves both X and Y."""
     text = KLIPPER.replace("kinematics: cartesian", "kinematics: corexy")
@@ -348,6 +362,7 @@ def test_a_corexy_of_klipper_has_limits_and_no_motors(tmp_path: Path) -> None:
         "M350 X8 Y16\nM92 X40\nM350 X32",
         "M92 X80 M350 X32 Y16",
         "N7 M92 X80\nT0 M350 X32",
+        "m92 x80\nm350 x32",
     ],
 )
 def test_microsteps_of_reprapfirmware_come_in_any_order(lines: str, tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """Settings in a ``config.g`` of RepRapFirmware: what its M codes say of axes and planner.
 
-Sources: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M208, M350, M425, M556, M566,
-M579, M584, M593, M595; RepRapFirmware, ``GCodes2.cpp``: M350 keeps the way of a full step, and
-``DDARing.cpp``: M595 makes the ring of moves larger and never smaller.
+Sources: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M205, M208, M350, M425, M556,
+M566, M579, M584, M593, M595; RepRapFirmware, ``GCodes2.cpp``: M350 keeps the way of a full step,
+and ``DDARing.cpp``: M595 makes the ring of moves larger and never smaller.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from threadline.machine.firmware.axis_settings import Settings, number_or_nan, t
 _OWN = re.compile(r"\s*M(?:550|552|563|566|574|584|595|669|950)\s", re.IGNORECASE)
 _LETTERS = "XYZABCUVW"
 _READ = {203: "rate", 201: "acceleration"}
-_OTHERS = (92, 204, 208, 350, 566, 595)
+_OTHERS = (92, 204, 205, 208, 350, 566, 595)
 Steps = tuple[float, str, Place]
 _MICROSTEPS = 16.0  # of a driver that M350 has not set
 _RING = 60  # what M595 P may enlarge
 _CODE = re.compile(r"M(\d{1,4})(?![\d.])(.*)$")
 _COMMANDS = re.compile(r"(?<=\s)(?=[GM]\d)")  # the firmware obeys each command of a line
-_CONDITION = re.compile(r"\s*(?:if|elif|else|while)\b")
+_CONDITION = re.compile(r"\s*(?:if|elif|else|while)\b", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*(-?[0-9.]+(?::-?[0-9.]+)*)(?=\s|[A-Z]|$)")
 
 
@@ -73,7 +73,8 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
         if _CONDITION.match(plain):
             under = indent if under < 0 else under
             continue
-        for command in _COMMANDS.split(plain.strip()):
+        obeyed = plain.strip() if "{" in plain else plain.strip().upper()
+        for command in _COMMANDS.split(obeyed):
             match = _CODE.match(command)
             code = int(match[1]) if match is not None else 0
             if match is None or (code not in _READ and code not in _OTHERS):
@@ -120,10 +121,9 @@ def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
             settings.say_of_planner("acceleration", text, place, name, zero=False)
         elif letter not in _LETTERS:
             continue
-        elif code == 566:
-            settings.say_of_planner(
-                f"jump.{letter}", times(text, 1.0 / 60.0), place, name, typed=text
-            )
+        elif code in (205, 566):  # mm/s, mm/min
+            jump = times(text, 1.0 if code == 205 else 1.0 / 60.0)
+            settings.say_of_planner(f"jump.{letter}", jump, place, name, typed=text)
         elif code == 208:
             _end(read.ends, letter, text, words, place)
         elif code == 92:

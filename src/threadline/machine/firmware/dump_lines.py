@@ -1,7 +1,7 @@
 """Lines of a terminal's log: prompts, time stamps and echoes taken off, and the dump in force.
 
 What a firmware answers to ``$$`` or ``M503`` is copied from terminals and logs of senders, of which
-each writes something before the answer: ``>>> $$``, ``< $0=10``, ``Recv: echo:  M92 X80.00``,
+each writes something before the answer: ``> $$``, ``< $0=10``, ``Recv: echo:  M92 X80.00``,
 ``22:24:55.009 : echo:``, ``[12:31:07] $0=10``, ``Config:  M92 X80``.
 """
 

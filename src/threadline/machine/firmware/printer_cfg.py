@@ -345,6 +345,10 @@ def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:
             )
         settings.say(axis, "steps", repr(steps), line, f"[{section}] rotation_distance", typed)
         settings.say(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")
+    elif "step_distance" in keys:  # until 2020
+        typed, line = keys["step_distance"]
+        steps = 1.0 / settings.number(typed, line, f"[{section}] step_distance")
+        settings.say(axis, "steps", repr(steps), line, f"[{section}] step_distance", typed)
     if "position_max" in keys:
         way = number("position_max", "200") - number("position_min", "0")
         settings.say(
