@@ -130,6 +130,15 @@ def test_the_last_whole_dump_of_a_log_counts(tmp_path: Path) -> None:
     assert numbers(read(tmp_path, older + GRBL + cut)) == numbers(read(tmp_path, GRBL))
 
 
+def test_what_an_older_dump_did_besides_is_over(tmp_path: Path) -> None:
+    older = FIRST.replace("M204 S3000", "M204 S2000") + "echo:  M852 I0.0100\n"
+    newer = FIRST + "echo:  M852 I0.0200\n"
+    (told,) = read(tmp_path, older + newer).unheeded
+    assert "M852 I0.0200" in told
+    (told,) = read(tmp_path, newer + newer).unheeded
+    assert "M852 I0.0200" in told
+
+
 @pytest.mark.parametrize("behind", [">>> $110=6000\nok\n", ">>> $$\n$11=0.020\n$100=111.000\n"])
 def test_what_contradicts_the_last_whole_dump_is_refused(behind: str, tmp_path: Path) -> None:
     """A setting sent behind the dump, or a dump that was cut off: neither is passed over."""
@@ -457,6 +466,8 @@ def test_an_ini_of_linuxcnc_becomes_a_machine(tmp_path: Path) -> None:
     assert asked == ["radius"]  # TYPE says which axis turns
     file = tmp_path / "machine.toml"
     file.write_text(machine_text(settings, parse_answers(["radius=40 mm"]), "m", limits_only=True))
+    with pytest.raises(OptionError, match="the settings say that A turns, and rotary=none says"):
+        machine_text(settings, parse_answers(["rotary=none"]), "m", limits_only=True)
     made = load_machine(file)
     assert list(made.rotary) == ["A"]
     assert made.programs.dialect == "linuxcnc" and made.planner.tolerance_m == pytest.approx(2e-5)

@@ -94,8 +94,8 @@ def new(
         typer.Option(
             "--from",
             help="Settings of the controller: what grbl answers to $$, Marlin to M503, a FluidNC "
-            "YAML, a printer.cfg, a config.g of RepRapFirmware, an INI of LinuxCNC. A terminal's "
-            "log does, with prompts and time stamps.",
+            "YAML, a printer.cfg, a config.g of RepRapFirmware, an INI of LinuxCNC. A log of a "
+            "terminal will do, prompts and time stamps included.",
         ),
     ] = None,
     answers: Annotated[

@@ -90,9 +90,9 @@ def in_force(
     same
         Whether two texts are the same value.
     """
-    values: dict[str, str] = {}
-    if all(same(values.setdefault(one.key, one.text), one.text) for one in sayings):
-        return list(sayings), ""
+    first: dict[str, Saying] = {}
+    if all(same(first.setdefault(one.key, one).text, one.text) for one in sayings):
+        return list(first.values()), ""
     dumps: list[list[Saying]] = [[]]
     for one in sayings:
         if dumps[-1] and one.order < dumps[-1][-1].order:

@@ -165,6 +165,13 @@ def check_answers(settings: Settings, answers: Answers) -> None:
             f"the settings have no axis {wrong[0][:20]}",
             remedy=f"They have {', '.join(settings.axes)}.",
         )
+    for axis, turns in settings.turning.items():
+        if "rotary" in answers.given and turns != (axis in answers.rotary):
+            raise OptionError(
+                f"the settings say that {axis} {'turns' if turns else 'moves along a line'}, and "
+                f"rotary={answers.given['rotary'][:20]} says otherwise",
+                remedy="Leave rotary out.",
+            )
     for key, text in answers.given.items():
         base, _, axis = key.partition(".")
         if base == "rotary":

@@ -91,6 +91,7 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
     settings = Settings("marlin", file)
     evidence = _Evidence()
     sayings: list[Saying] = []
+    besides: dict[tuple[int, str], Place] = {}
     for line in dump_lines(lines, file):
         match = _CODE.match(line.text)
         if match is None:
@@ -105,16 +106,19 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
         if code in _LIMITS and not (words and _COMMENT.match(rest)):
             raise unknown(line.text, line.place, "echo:  M92 X80.00 Y80.00")
         if code in _HEEDED:
-            _heed(settings, code, match[3].split(";", 1)[0], line.place)
+            besides[code, match[3].split(";", 1)[0].strip()] = line.place
         elif evidence.stealth and code in (203, 201):
             settings.notes.append(f"{line.place}: M{code} of the stealth mode is not read")
         else:
-            sayings += [s for s in _sayings(code, words, line.place, evidence) if s is not None]
+            sayings += _sayings(code, words, line.place, evidence)
     kept, note = in_force(sayings, lambda a, b: number_or_nan(a) == number_or_nan(b))
     settings.notes += [note] if note else []
+    for (code, text), place in besides.items():
+        if not note or place.line > kept[0].place.line:  # of the dump in force
+            _heed(settings, code, text, place)
     _interpret(settings, evidence, kept)
     settings.notes.append(
-        "a motor for each axis: M503 does not say whether the machine is a CoreXY"
+        "a motor for each axis is assumed: M503 does not say whether the machine is a CoreXY"
     )
     return settings
 
@@ -140,9 +144,7 @@ def _words(text: str) -> tuple[dict[str, str], str]:
     return found, text[at:]
 
 
-def _sayings(
-    code: int, words: dict[str, str], place: Place, evidence: _Evidence
-) -> list[Saying | None]:
+def _sayings(code: int, words: dict[str, str], place: Place, evidence: _Evidence) -> list[Saying]:
     """Return the settings of a command, but those of extruders and tools."""
     order = _ORDER.index(code) if code in _ORDER else len(_ORDER)
     letters = {letter.rstrip("'") for letter in words}
@@ -227,8 +229,8 @@ def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str])
     if "jump.X" in said and "jump.Y" not in said and "Y" in settings.axes and whole:
         said["jump.Y"] = said["jump.X"]
         settings.notes.append(
-            f"{said['jump.X'].place}: M205 X is the jerk of X and Y, here of each by itself; "
-            "Marlin 1.0 held both together"
+            f"{said['jump.X'].place}: M205 X is the jerk of X and Y together; each has it by "
+            "itself here, so that a diagonal corner may be passed faster than on the machine"
         )
     for axis in settings.axes:
         default = _DEFAULT_JERK.get(form, _LATER_JERK).get(axis)
