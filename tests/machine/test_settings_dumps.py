@@ -276,6 +276,7 @@ Acceleration: P=print, R=retract, T=travel
         ("echo: M425 F1 X0.1", "backlash"),
         ("echo:  M420 S1 Z10.00", "moves Z by the mesh"),
         ("echo:  M493 S1", "fixed-time motion"),
+        ("echo:  M201 F20 G100", "frequency"),
     ],
 )
 def test_what_marlin_does_besides_is_told_and_kept(line: str, said: str, tmp_path: Path) -> None:
@@ -491,13 +492,22 @@ def test_inches_of_linuxcnc_are_converted(tmp_path: Path) -> None:
     assert found == pytest.approx(numbers(read(tmp_path, mm)))
 
 
+def test_an_ini_may_include_files_and_continue_lines(tmp_path: Path) -> None:
+    head, _, rest = INI.partition("[AXIS_X]")
+    (tmp_path / "axes.inc").write_text("[AXIS_X]" + rest)
+    split = head.replace("G94 G64", "G94 \\\n  G64").replace("X Y Y A", "X Y \\\nY A")
+    settings = read(tmp_path, split + "#INCLUDE axes.inc\n", "mill.ini")
+    assert numbers(settings) == numbers(read(tmp_path, INI, "mill.ini"))
+    assert str(settings.axes["X"].acceleration.place) == "axes.inc:3"
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (("trivkins", "genhexkins"), "KINEMATICS = genhexkins"),
         (("LINEAR_UNITS = mm", "LINEAR_UNITS = cubit"), "LINEAR_UNITS is 'cubit'"),
         (("coordinates=XYYA", "coordinates=XQ"), "must be letters of X, Y, Z"),
-        (("[TRAJ]", "#INCLUDE traj.inc\n[TRAJ]"), "#INCLUDE traj.inc is not followed"),
+        (("[TRAJ]", "#INCLUDE traj.inc\n[TRAJ]"), "#INCLUDE traj.inc: no such file lies beside"),
         (("MAX_VELOCITY = 90", "MAX_VELOCITY 90"), "'MAX_VELOCITY 90' is no line"),
         (("MAX_VELOCITY = 90", "MAX_VELOCITY = fast"), "MAX_VELOCITY is 'fast'"),
     ],

@@ -1,4 +1,4 @@
-"""Lines of a terminal's log: prompts, time stamps and echoes taken off, and the dump in force.
+"""Lines of settings: a log without its prompts, the dump in force, and files that are included.
 
 What a firmware answers to ``$$`` or ``M503`` is copied from terminals and logs of senders, of which
 each writes something before the answer: ``> $$``, ``< $0=10``, ``Recv: echo:  M92 X80.00``,
@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from threadline.errors import Place
 
@@ -109,3 +110,13 @@ def in_force(
             f"{kept[0].place.line} to {kept[-1].place.line}"
         )
     return [one for dump in dumps[last:] for one in dump], note
+
+
+def files_beside(pattern: str, folder: Path) -> list[Path]:
+    """Return the files that ``pattern`` names in ``folder`` and below it; none anywhere else."""
+    try:
+        found = sorted(folder.glob(pattern)) if pattern.strip("/") else []
+    except (NotImplementedError, ValueError, IndexError):
+        found = []
+    whole = [path.resolve() for path in found if path.is_file()]
+    return [path for path in whole if path.is_relative_to(folder)]

@@ -9,10 +9,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 from threadline.errors import MachineError, Place
-from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times, unknown
+from threadline.input_files import read_text
+from threadline.machine.firmware.axis_settings import (
+    AxisSettings,
+    Settings,
+    number_or_nan,
+    times,
+    unknown,
+)
+from threadline.machine.firmware.dump_lines import files_beside
 
 _LETTERS = "XYZABCUVW"
 _TURNING = "ABC"
@@ -28,6 +37,7 @@ _LIMITS = {
     "MAX_VELOCITY": ("rate", 60.0), "MAX_ACCELERATION": ("acceleration", 1.0),
 }  # fmt: skip
 _SCALES = ("STEP_SCALE", "SCALE", "OUTPUT_SCALE", "INPUT_SCALE")
+_MOST_BYTES = 1_000_000
 _ENDLESS = 1e9  # a limit as good as none, and what INI files have for it
 
 Keys = dict[str, tuple[str, Place]]
@@ -61,6 +71,7 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
         axis = sections.get(f"AXIS_{letter}", {}) if joints == "JOINT" else {}
         turns = _turns(letter, joint, axis)
         settings.turning[letter] = turns
+        settings.axes[letter] = AxisSettings()
         factor = angle if turns else length
         _say_axis(settings, letter, axis, joint, factor)
     _most_of_path(settings, traj, length)
@@ -75,31 +86,56 @@ def _sections(lines: Sequence[str], file: str) -> dict[str, Keys]:
     """Return the sections by name, in capitals; a key that comes again has a mark behind it."""
     sections: dict[str, Keys] = {}
     section: Keys | None = None
-    for number, line in enumerate(lines, start=1):
-        place = Place(file, number)
-        code = line.strip()
-        if code.upper().startswith("#INCLUDE"):
-            raise MachineError(
-                f"{code[:60]} is not followed",
-                place=place,
-                remedy="Put the text of that file in its place.",
-            )
-        if not code or code[0] in ";#":
-            continue
+    for place, code in _joined(lines, (Path(file).resolve(),)):
         header = _SECTION.match(re.sub(r"\s*[;#].*", "", code))
         if header is not None:
             section = sections.setdefault(header[1].upper(), {})
             continue
         key, equals, value = (part.strip() for part in code.partition("="))
         if not equals:
-            raise unknown(line, place, "MAX_VELOCITY = 100.0")
+            raise unknown(code, place, "MAX_VELOCITY = 100.0")
         if section is None:
-            raise unknown(line, place, "[TRAJ], with its keys behind it")
+            raise unknown(code, place, "[TRAJ], with its keys behind it")
         key = key.upper()
         while key in section:
             key += "'"
         section[key] = re.sub(r"\s+[;#].*", "", value), place
     return sections
+
+
+def _joined(lines: Sequence[str], within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
+    """Yield the lines with their places: continued ones in one, and those of included files."""
+    begun, begins = "", Place(str(within[-1]))
+    for number, line in enumerate(lines, start=1):
+        place = Place(str(within[-1]), number)
+        code = line.strip()
+        if code.upper().startswith("#INCLUDE"):
+            yield from _included(code[len("#INCLUDE") :].strip(), place, within)
+            continue
+        if not begun and (not code or code[0] in ";#"):
+            continue
+        begins = begins if begun else place
+        begun += code
+        if begun.endswith("\\"):
+            begun = begun.removesuffix("\\").rstrip() + " "
+            continue
+        yield begins, begun
+        begun = ""
+    if begun:
+        yield begins, begun
+
+
+def _included(name: str, place: Place, within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
+    """Yield the lines of a file that lies beside, or below."""
+    found = files_beside(name, within[-1].parent)
+    if len(found) != 1 or found[0] in within:
+        raise MachineError(
+            f"#INCLUDE {name[:60]}: no such file lies beside this one, or it includes itself",
+            place=place,
+            remedy="Put it there, or its text in the place of this line.",
+        )
+    text = read_text(found[0], _MOST_BYTES, MachineError, "INI")
+    yield from _joined(text.splitlines(), (*within, found[0]))
 
 
 def _check_kinematics(settings: Settings, kins: Keys) -> None:

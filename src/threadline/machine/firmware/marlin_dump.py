@@ -191,6 +191,10 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) 
             settings.say(letter, _OF_AXES[code], written, one.place, one.key, one.text)
         elif code in _ENDS and letter in _LETTERS:
             ends.setdefault(letter, {})[_ENDS[code]] = one.text, one.place
+        elif code == 201 and letter == "F" and number_or_nan(one.text) != 0.0:
+            settings.leave_out(one.key, "slows X and Y in short zigzags (frequency)", one.place)
+        elif code == 205 and letter == "S" and number_or_nan(one.text) != 0.0:
+            settings.notes.append(f"{one.place}: M205 S{one.text}: of moves with extrusion alone")
         elif code == 204 and letter in travel:
             settings.say_of_planner("acceleration", one.text, one.place, one.key, zero=False)
         elif code == 205 and letter == "J":

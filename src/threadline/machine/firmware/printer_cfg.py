@@ -16,6 +16,7 @@ from pathlib import Path
 from threadline.errors import MachineError, Place
 from threadline.input_files import read_text
 from threadline.machine.firmware.axis_settings import Settings, times, unknown
+from threadline.machine.firmware.dump_lines import files_beside
 
 _LETTERS = "XYZABCUVW"
 _OF_KINEMATICS = "XYZ"
@@ -38,6 +39,7 @@ _CHANGES_MOTION = {
     "input_shaper": "shapes the motion",
     "bed_mesh": "moves Z by the mesh of the bed, once a mesh is loaded",
     "bed_tilt": "moves Z by the tilt of the bed",
+    "z_thermal_adjust": "moves Z by the temperature of the frame",
     "axis_twist_compensation": "moves Z along X",
     "skew_correction": "moves an axis by a share of another's way, once a profile is loaded",
     "dual_carriage": "gives an axis a second carriage",
@@ -192,24 +194,19 @@ def _included(
     pattern: str, place: Place, settings: Settings, within: tuple[Path, ...]
 ) -> Iterator[Path]:
     """Yield the files that ``[include pattern]`` names, where they lie beside; else note it."""
-    folder = within[-1].parent
-    try:
-        found = sorted(folder.glob(pattern)) if pattern.strip("/") else []
-    except (NotImplementedError, ValueError):
-        found = []
-    found = [path for path in found if path.is_file() and path.resolve().is_relative_to(folder)]
+    found = files_beside(pattern, within[-1].parent)
     if not found:
         settings.notes.append(
             f"{place}: [include {pattern}] is not read: no such file lies beside this one"
         )
     for path in found:
-        if path.resolve() in within:
+        if path in within:
             raise MachineError(
                 f"[include {pattern}] includes the file that it stands in",
                 place=place,
                 remedy="Take it out, as Klipper asks for.",
             )
-        yield path.resolve()
+        yield path
 
 
 def _note_axis(settings: Settings, read: _File, code: str, place: Place) -> None:
