@@ -38,7 +38,7 @@ _SEGMENT_US = 20_000.0
 _ENDS = {210: "low", 211: "high"}
 _CODE = re.compile(r"(?:N\d+\s+)?([GM])(\d{1,4})(?:\.\d+)?(?![\d.])(.*)$")
 _COUNTS = re.compile(r"(?<![\w.])M(?:92|20[1345])\s+[A-Z]\s*-?\d")
-_WORD = re.compile(r"\s*([A-FH-LN-Z])\s*(-?(?:\d+\.?\d*|\.\d+))(?![\d.])")
+_WORD = re.compile(r"\s*([A-LN-Z])\s*(-?(?:\d+\.?\d*|\.\d+))(?![\d.])")
 _COMMENT = re.compile(r"\s*(?:$|[;#(<*/>-].*|=.*)")
 _HEEDED = (206, 420, 425, 493, 593, 665, 666, 852)
 _ASSUMED = "default of marlin"
