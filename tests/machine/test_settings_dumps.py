@@ -381,6 +381,17 @@ def test_microsteps_of_reprapfirmware_come_in_any_order(lines: str, tmp_path: Pa
     assert found["X steps"] == 160.0 and found["X microsteps"] == 32.0
 
 
+def test_commands_that_marlin_has_too_are_reprapfirmware_s_if_their_owner_says_so(
+    tmp_path: Path,
+) -> None:
+    """M203 X6000 is 6000 mm/min there, and 6000 mm/s in Marlin."""
+    text = "M92 X80\nM203 X6000\nM201 X500\n"
+    assert numbers(read(tmp_path, text))["X rate"] == 360_000.0
+    told = read_settings(tmp_path / "settings.txt", "reprapfirmware")
+    assert told.firmware == "reprapfirmware" and numbers(told)["X rate"] == 6000.0
+    assert read(tmp_path, "M350 X16 I1\n" + text).firmware == "reprapfirmware"
+
+
 def test_the_queue_of_reprapfirmware_only_grows(tmp_path: Path) -> None:
     more = read(tmp_path, REPRAPFIRMWARE + "M595 P100\n")
     assert more.planner["blocks"].value == 100.0

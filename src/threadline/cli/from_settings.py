@@ -93,8 +93,8 @@ def settings_of(kind: str, source: Path) -> Settings:
     OptionError
         If they are another controller's.
     """
-    settings = read_settings(source)
     firmware = FIRMWARES[kind]
+    settings = read_settings(source, firmware)
     if settings.firmware == "grbl" and firmware == "fluidnc":  # it answers $$ as grbl does
         return replace(settings, firmware="fluidnc")
     if settings.firmware != firmware:

@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times
 
-_OWN = re.compile(r"\s*M(?:550|552|563|566|574|584|595|669|950)\s", re.IGNORECASE)
+_OWN = re.compile(
+    r"\s*M(?:(?:550|552|563|566|574|584|595|669|950)\s|350\s.*\sI[01]\b)", re.IGNORECASE
+)
 _LETTERS = "XYZABCUVW"
 _READ = {203: "rate", 201: "acceleration"}
 _OTHERS = (92, 204, 205, 208, 350, 566, 595)

@@ -25,7 +25,7 @@ _DEFAULTS = {
 _WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16, as some senders save logs
 
 
-def read_settings(path: str | Path) -> Settings:
+def read_settings(path: str | Path, firmware: str = "") -> Settings:
     """Return the settings of axes and motion planner in a settings file.
 
     Parameters
@@ -34,6 +34,9 @@ def read_settings(path: str | Path) -> Settings:
         File with grbl's answer to ``$$``, Marlin's answer to ``M503``, FluidNC's YAML, Klipper's
         ``printer.cfg``, RepRapFirmware's ``config.g`` or LinuxCNC's INI; logs of terminals may
         have prompts and time stamps around the answer.
+    firmware
+        Whose settings they are, as their owner says: ``reprapfirmware`` for commands that Marlin
+        has, too, with other units; empty for what the content says.
 
     Raises
     ------
@@ -45,7 +48,8 @@ def read_settings(path: str | Path) -> Settings:
     lines = text.splitlines()
     for belongs, read in _READERS:
         if belongs(lines):
-            settings = read(lines, str(path))
+            told = read is read_marlin and firmware == "reprapfirmware"
+            settings = (read_config_g if told else read)(lines, str(path))
             if not settings.axes:
                 raise MachineError(
                     f"the settings say nothing of any axis ({settings.firmware})",
