@@ -179,7 +179,8 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
     A record that is not complete is the last: the program that wrote the file ended there. What a
     checksum does not confirm is refused, at the latest with the last record.
     """
-    if file.read(len(_MAGIC)) != _MAGIC:
+    magic = file.read(len(_MAGIC))
+    if not _MAGIC.startswith(magic):
         raise RecordingError("the file is no MCAP file", place=Place(str(path)))
     crc, bare = zlib.crc32(_MAGIC), False
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
@@ -208,7 +209,7 @@ def _is_of_a_run(file: IO[bytes]) -> bool:
     """Say whether a file begins as one of ``TraceWriter``, or nothing was written to it yet."""
     file.seek(0)
     head = file.read(len(_MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
-    return head == _MAGIC or head.endswith(_PROFILE.encode())
+    return _MAGIC.startswith(head) or head.endswith(_PROFILE.encode())
 
 
 def _damaged(why: str, path: Path) -> RecordingError:
