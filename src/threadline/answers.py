@@ -78,11 +78,11 @@ class Proved(Answer):
 
         return write_report(studied(self.of), Path(folder))
 
-    def write(self, file: PathLike) -> Written:
-        """Write the proof as a file, see ``docs/files.md``."""
-        from threadline.proof_file import write_proof
+    def write(self, file: PathLike, sign: PathLike | None = None) -> Written:
+        """Write the proof as a file, see ``docs/files.md``; ``sign`` is the file of a key."""
+        from threadline.proof_file import read_key, write_proof
 
-        return write_proof(self.of, file)
+        return write_proof(self.of, file, None if sign is None else read_key(sign))
 
     def record(self, file: PathLike) -> Written:
         """Write the recording; the ending of the file says how."""

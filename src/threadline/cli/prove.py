@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.chosen import machine_from, options_of
+from threadline.cli.chosen import key_of, machine_from, options_of
 from threadline.cli.level import (
     EndsOption,
     NominalOption,
@@ -37,6 +37,7 @@ from threadline.cli.shared_options import (
     ReportOption,
     RobustOption,
     ShaperOption,
+    SignOption,
     SmoothingOption,
     SpecOption,
     ToleranceOption,
@@ -92,6 +93,7 @@ def prove(
             "the verdict; threadline verify reads it.",
         ),
     ] = None,
+    sign: SignOption = None,
     nominal: NominalOption = False,
     repeats: RepeatsOption = None,
     tolerances: TolerancesOption = False,
@@ -115,9 +117,10 @@ def prove(
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
     trials = trials_of(nominal, repeats, tolerances, wished, ends)
+    key = key_of("--sign", sign, proof_file)
     chosen = machine_from(machine, par)
     for output in (recording, proof_file):
-        keep_inputs(output, job, chosen.file, par, spec)
+        keep_inputs(output, job, chosen.file, par, spec, sign)
         check_outputs(file=output, folder=report)
     options = options_of(
         interpolation,
@@ -144,7 +147,7 @@ def prove(
                 watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
-                write_proof(proof, proof_file)
+                write_proof(proof, proof_file, key)
             written = None
             if report is not None:
                 # Searches take a while to load, and most proofs are without a report.

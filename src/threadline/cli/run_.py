@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.arrays import finite
-from threadline.cli.chosen import machine_from, options_of
+from threadline.cli.chosen import key_of, machine_from, options_of
 from threadline.cli.continued import (
     AtOption,
     ConfirmedOption,
@@ -35,6 +35,7 @@ from threadline.cli.shared_options import (
     InterpolationOption,
     JobArgument,
     JsonOption,
+    KeyOption,
     LawOption,
     LimitsOption,
     MachineOption,
@@ -119,6 +120,7 @@ def run(
             "are now; default: the job is proved first.",
         ),
     ] = None,
+    key: KeyOption = None,
     override: Annotated[
         str | None,
         typer.Option(help="Why it is run out of specification; kept with the run."),
@@ -167,6 +169,7 @@ def run(
     Example: threadline run examples/x-180.prg -m lathe-winder --link sim --speed 0
     """
     check_override(override)
+    secret = key_of("--key", key, proof_file)
     trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)
     fault = None if inject is None else parse_fault(inject, chosen)
@@ -193,7 +196,7 @@ def run(
     asked = with_shaping(load_spec(spec, chosen), chosen, options)
     check_machine(chosen)
     if proof_file is not None:
-        read_proof(proof_file)  # one that cannot be read is told before anything is planned
+        read_proof(proof_file, secret)  # one that cannot be read is told before any planning
     with (
         progress_bar(not json) as progress,
         tempfile.TemporaryDirectory() as folder,
@@ -206,7 +209,7 @@ def run(
             proof = prove_plan(plan, asked, progress, trials)
             tell(doubts(proof))
             write_proof(proof, proof_file)
-        known = check_runnable(proof_file, plan, asked, override)
+        known = check_runnable(proof_file, plan, asked, override, secret)
         for line in over.prepare(plan):
             note(line)
         leaves_m = way_of(chosen).hold_deviation_m(plan)

@@ -184,6 +184,24 @@ ActualOption = Annotated[
     ),
 ]
 
+SignOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--sign",
+        metavar="KEY",
+        help="With --proof: sign the proof with the key in this file (16 bytes and more), "
+        "HMAC-SHA256.",
+    ),
+]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--key",
+        metavar="KEY",
+        help="Refuse a proof that was not signed with the key in this file (prove --sign KEY).",
+    ),
+]
+
 
 def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
     """Refuse an output file that is one of the input files, which would be overwritten.

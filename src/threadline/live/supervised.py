@@ -28,7 +28,9 @@ _ASK_S = 0.05
 """Time in s from one look for an answer of the operator to the next."""
 
 
-def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | None) -> ProofFile:
+def check_runnable(
+    proof_file: Path, plan: Plan, spec: Spec, override: str | None, key: bytes | None = None
+) -> ProofFile:
     """Return the proof of a plan, if it allows the plan to be run.
 
     Parameters
@@ -39,15 +41,18 @@ def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | Non
         The plan, and the specification that it was judged by.
     override
         Reason to run a plan that is out of specification; None to run only one that is not.
+    key
+        What the proof has to be signed with; None does not look for a signature.
 
     Raises
     ------
     ProofError
-        If the proof is of another plan, or is out of specification and ``override`` is None.
+        If the proof is of another plan, is not signed with the key, or is out of specification and
+        ``override`` is None.
     OptionError
         If there is an override for a plan in specification.
     """
-    proof = read_proof(proof_file)
+    proof = read_proof(proof_file, key)
     place = Place(str(proof_file))
     differences = check_proof(proof, plan, spec)
     if differences:

@@ -193,6 +193,8 @@ class MachineYield:
         ------
         OptionError
             If there are none, or the seed is out of range.
+        RecordingError
+            If the first machine comes to something else than the state has of it.
         """
         if variants < 1:
             raise OptionError(f"variants must be at least 1, got {variants}")
@@ -200,6 +202,7 @@ class MachineYield:
         through = 0
         if state is not None and state.known is not None:
             through = min(state.known.runs, variants)
+            state.check_first(self.judged(drawn(self.plan.machine, seed, np.arange(1))))
             found.append(state.known.taken(np.arange(through)))
             if done is not None:
                 done(through)

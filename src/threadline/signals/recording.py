@@ -143,6 +143,10 @@ class Recording:
             return self
         return replace(self, blocks=Stream(_of_one_run, self.blocks, number - 1), runs=1)
 
+    def is_empty(self) -> bool:
+        """Say whether no channel has a sample; reads as far as the first one."""
+        return not any(len(values) for block in self for values in block.samples.values())
+
     def outcome(self) -> Outcome:
         """Return how the run ended and whether its rows came in time; reads every block."""
         known = Outcome()
