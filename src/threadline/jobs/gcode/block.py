@@ -6,13 +6,19 @@ from typing import NamedTuple
 
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.dialects import CANCEL, Reading
+from threadline.jobs.gcode.grammar import (
+    PLAIN,
+    check_first_alone,
+    check_line,
+    check_words,
+    one_command,
+)
 from threadline.jobs.gcode.refusals import refuse_number, refuse_without_point, refuse_word, whole
 from threadline.jobs.gcode.words import (
     MAX_MAGNITUDE,
     ONE,
     RawBlock,
     exact,
-    one_command,
     split_words,
 )
 
@@ -28,6 +34,9 @@ _SPINDLE: dict[str, float] = {"on": 1.0, "off": 0.0}
 _ENDS = frozenset({"stop", "end", "call", "return"})
 _CURVE = "IJKRQ"
 _CURVED = (2, 3, 5)
+DWELL, RESET = 40, 921
+TAKES_AXES = (280, 920)
+"""Actions that take the axis words of their block; beside others these belong to the motion."""
 
 
 class Block(NamedTuple):
@@ -87,6 +96,11 @@ class Block(NamedTuple):
     label: int
     tags: tuple[tuple[str, float], ...]
 
+    @property
+    def goes(self) -> bool:
+        """Whether its axis words are a move."""
+        return bool(self.axes) and self.action != 920
+
 
 def parse_block(text: str, line: int, reading: Reading) -> Block | None:
     """Return the block on a line, None when it has no words.
@@ -96,8 +110,11 @@ def parse_block(text: str, line: int, reading: Reading) -> Block | None:
     JobError
         If a word is unknown, doubled, out of range, or has no use in its block.
     """
-    if reading.dialect.one_command:
-        text = one_command(text)
+    dialect, place = reading.dialect, Place(reading.file, line)
+    if dialect.one_command:
+        text = one_command(text, place)
+    else:
+        check_line(text, dialect.grammar, dialect.name, place)
     raw = split_words(text, reading.file, line)
     return block_of(raw, line, reading) if raw.words else None
 
@@ -114,6 +131,10 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     """
     dialect = reading.dialect
     words, tags = raw
+    if dialect.one_command:
+        check_first_alone(words, dialect.name, Place(reading.file, line))
+    if dialect.grammar is not PLAIN:
+        check_words(words, reading.axes, dialect.grammar, dialect.name, Place(reading.file, line))
     motion = action = program = label = -1
     ends = ""
     settings: tuple[int, ...] = ()
@@ -183,7 +204,16 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         seen += letter
         if action == 40 and letter in dialect.dwell_s:
             p = value if letter == "P" else p
-            dwell_s = value / ONE * dialect.dwell_s[letter]["." in number]
+            if dwell_s is not None and not dialect.one_command:
+                raise JobError(
+                    f"G4 has two times, the second is {letter}{number}",
+                    place=Place(reading.file, line),
+                    remedy="Keep one of them.",
+                )
+            if dialect.one_command and letter == "P":
+                value -= value % ONE  # parts of a millisecond are not read
+            if dwell_s is None or letter != "P":  # S goes over P
+                dwell_s = value / ONE * dialect.dwell_s[letter]["." in number]
             continue
         index = reading.axes.get(letter)
         if index is not None:
@@ -265,7 +295,7 @@ def _check_use(
         )
     if dwell_s is not None and dwell_s < 0:
         raise JobError(f"the dwell of {dwell_s:g} s must not be negative", place=place)
-    if action not in (-1, 40) and motion not in (-1, CANCEL):
+    if action in TAKES_AXES and motion not in (-1, CANCEL):
         raise JobError(
             f"G{action / 10:g} and G{motion} both take the axis words of the block",
             place=place,
@@ -285,7 +315,7 @@ def _check_use(
         raise JobError("L has no use in this block", place=place, remedy="L belongs to M98.")
     if passes == 0:
         raise JobError("L 0 calls the subroutine no times", place=place, remedy="Give L 1 or more.")
-    if action in (920, 281) and not (axes or action == 281):
+    if action == 920 and not axes:
         raise JobError(
             "G92 names no axis", place=place, remedy="Write the axes that get other positions."
         )

@@ -125,7 +125,7 @@ class Interpreter(Modal):
                 if frame.pass_ < frame.passes:
                     frame.pass_ += 1
                     if self._fold and frame.pass_ == _STEADY_PASS:
-                        frame.fold_rest((*self._exact, *self._zeros.offset))
+                        frame.fold_rest((*self._exact, *self._zeros.offset, *self._zeros.kept))
                     frame.lines = self._text.lines_of(frame.program)
                     self._passes = (*self._passes[:-1], frame.pass_)
                 else:
@@ -143,11 +143,12 @@ class Interpreter(Modal):
 
     def _advance(self, frame: Frame) -> None:
         """Set the position to the one after all passes that were folded into one."""
-        axes, offset = len(self._exact), self._zeros.offset
+        axes = len(self._exact)
         for index, start in enumerate(frame.start[:axes]):
             self._put(index, start + frame.folded * (self._exact[index] - start))
-        for index, start in enumerate(frame.start[axes:]):
-            offset[index] = start + frame.folded * (offset[index] - start)
+        for at, values in ((axes, self._zeros.offset), (2 * axes, self._zeros.kept)):
+            for index, start in enumerate(frame.start[at : at + axes]):
+                values[index] = start + frame.folded * (values[index] - start)
 
     def _read_plain(self, lines: Lines) -> MoveRun | None:
         """Read plain blocks with the compiled reader; return their moves, None without any."""
@@ -167,6 +168,7 @@ class Interpreter(Modal):
         before = tuple(self._position)
         count = plain.read(lines)
         self._motion = int(state[kernel.MOTION])
+        self._cancelled = self._cancelled and self._motion == -1
         self._relative = bool(state[kernel.RELATIVE])
         if count == 0:
             return None

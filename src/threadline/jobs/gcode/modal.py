@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.block import DWELL, RESET, TAKES_AXES, Block
 from threadline.jobs.gcode.curved_blocks import CURVED, Curves
 from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.f_words import FRule
@@ -76,6 +76,7 @@ class Modal:
         self._curves = Curves(program.reading, program.linear)
         self._position = [0.0] * len(program.linear)
         self._motion = -1
+        self._cancelled = False  # by G80
         self._relative = False
         self._tenth_mm = MILLIMETRE  # in the unit of length
         self._feed_tenth_mm = MILLIMETRE  # and in that in which the feed was given
@@ -106,15 +107,23 @@ class Modal:
             self._feed_tenth_mm = self._tenth_mm
         if block.motion >= 0:
             self._motion = -1 if block.motion == CANCEL else block.motion
+            self._cancelled = block.motion == CANCEL
+        self._check_modes(block)
         if block.action == 40:
             yield Dwell(block.dwell_s, self._source(block))
         elif block.action == 280:
             yield from self._return_to_start(block)
-        elif block.action != -1:
-            given = {index: self._scaled(index, value) for index, value in block.axes}
-            self._zeros.take(block.action, self._exact, given)
-        elif block.axes or (block.curve and self._motion in CURVED):
-            yield from self._move(block)
+        else:
+            later = block.action == RESET and self._dialect.grammar.reset_last
+            if block.action != -1 and not later:
+                given = {index: self._scaled(index, value) for index, value in block.axes}
+                self._zeros.take(block.action, self._exact, given)
+            if block.action not in TAKES_AXES and (
+                block.axes or (block.curve and self._motion in CURVED)
+            ):
+                yield from self._move(block)
+            if later:
+                self._zeros.take(block.action, self._exact, {})
         if block.spindle is not None:
             yield ToolEvent("spindle", block.spindle, self._source(block))
         if block.waits:
@@ -123,6 +132,58 @@ class Modal:
             yield Stop(block.ends == "end", self._source(block))
         elif block.ends == "end":
             yield Dwell(0.0, self._source(block))
+
+    def _check_modes(self, block: Block) -> None:
+        """Refuse words that the modes in force leave without use, or forbid."""
+        grammar = self._dialect.grammar
+        if block.curve and not (
+            self._motion in CURVED and block.action not in (*TAKES_AXES, DWELL)
+        ):
+            raise self._error(
+                block.line,
+                f"{block.curve[0][0]} has no use in this block",
+                "I J K R Q belong to G2, G3 and G5.",
+            )
+        if block.axes and self._cancelled and grammar.cancelled:
+            raise self._error(
+                block.line,
+                f"axis words while G80 is in force, which {self._dialect.name} refuses",
+                "Write G0 or G1 before them.",
+            )
+        if MACHINE in block.settings and not (block.axes and self._motion in (0, 1)):
+            raise self._error(
+                block.line,
+                "G53 needs axis words, and G0 or G1",
+                "Write them in its block.",
+            )
+        if grammar.feed_first and block.motion in (1, 2, 3):
+            self._check_feed(block)
+        if block.motion in (2, 3) and not (
+            block.axes or (block.curve and not grammar.arc_ends) or self._dialect.one_command
+        ):
+            raise self._error(
+                block.line,
+                f"{self._dialect.name} takes no G{block.motion} without axis words",
+                "Write the end of the arc, that of a full circle, too.",
+            )
+
+    def _check_feed(self, block: Block) -> None:
+        """Refuse a word of motion at a feed, whether it moves or not, before there is one."""
+        if self._inverse_time and block.feed is None:
+            raise self._error(
+                block.line,
+                f"in G93 every G{block.motion} block needs its own F",
+                "Give F as 1 / minutes of the move.",
+            )
+        if self._feed is None:
+            raise self._error(
+                block.line,
+                f"G{block.motion} moves before any feed F"
+                if block.axes
+                else f"G{block.motion} before any feed F, which {self._dialect.name} refuses in a "
+                "block without axis words, too",
+                "Give F, in mm/min.",
+            )
 
     def _source(self, block: Block) -> Source:
         return Source(self._path, block.line, self._passes)
@@ -133,7 +194,9 @@ class Modal:
                 self._relative = code == 910
             elif code in (200, 210):
                 self._tenth_mm = 254 if code == 200 else 10
-            elif code in (930, 940) and self._inverse_time != (code == 930):
+            elif code in (930, 940) and (
+                self._inverse_time != (code == 930) or self._dialect.grammar.forgets_feed
+            ):
                 # A number that was a speed is no inverse of a time.
                 self._inverse_time = code == 930
                 self._feed = None
@@ -188,12 +251,6 @@ class Modal:
         if self._motion in CURVED:
             yield from self._along(block, before, feed, source, tags)
             return
-        if block.curve:
-            raise self._error(
-                block.line,
-                f"{block.curve[0][0]} has no use in a block of G{self._motion}",
-                "I J K R Q belong to G2, G3 and G5.",
-            )
         if (
             self._feed_tenth_mm != MILLIMETRE
             and feed.mode is FeedMode.IN_TURN
