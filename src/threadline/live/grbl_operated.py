@@ -116,7 +116,7 @@ class GrblOperated(GrblRun):
         """
         next_state(self.state, Cause.RESET)
         if self._port.lost:
-            raise CommandError("the link is gone", remedy="Connect again.")
+            raise CommandError("the link is gone", remedy="Reconnect.")
         if self.under_way:
             raise CommandError("the machine is still braking", remedy="Wait until it stands.")
         self.controller.unlock()

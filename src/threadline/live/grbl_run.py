@@ -31,7 +31,7 @@ from threadline.live.grbl_words import (
 )
 from threadline.live.kept import Sink
 from threadline.live.place_words import place_words
-from threadline.live.states import MOVING, Cause, State, next_state
+from threadline.live.states import MOVING, Cause, State, homed_after, next_state
 from threadline.signals import Ended
 
 POLL_S = 0.1
@@ -66,6 +66,8 @@ class GrblRun:
         Number of lines whose ends the position reports have passed.
     ended
         How it ended, and why; None before.
+    homed
+        Whether it is known where the axes are, or where they were when a fault came.
     stops
         Number of stops that were heard, in any state.
     """
@@ -77,6 +79,7 @@ class GrblRun:
         self._port, self._machine = controller.port, controller.machine
         machine = self._machine
         self.state, self.stops, self.stopped_by = State.DISABLED, 0, OPERATOR
+        self.homed = False
         self._at: FloatArray = np.zeros(len(machine.axes))
         self._asked_s = self._heard_s = 0.0
         self._none = program_of(b"", machine.axis_names, np.ones(len(machine.axes)), self._at)
@@ -96,6 +99,11 @@ class GrblRun:
         self._braking = False
         self._brakes_until_s = self._stood_s = np.inf
         self._resumed_s = -np.inf
+
+    @property
+    def lost(self) -> bool:
+        """Whether the link is gone, so that the machine can be had only by connecting again."""
+        return self._port.lost
 
     @property
     def time_s(self) -> float:
@@ -382,4 +390,5 @@ class GrblRun:
 
     def _go(self, cause: Cause, text: str = "") -> None:
         self.state = next_state(self.state, cause)
+        self.homed = homed_after(cause, self.homed)
         self._sink.state(self._trace.tick, self.state, cause, text)

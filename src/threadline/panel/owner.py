@@ -35,6 +35,9 @@ _BY_DESK = {"hold": Cause.HOLD, "resume": Cause.RESUME}
 _LATER = frozenset({"start", "continue"})
 """What is answered when it was checked, which takes seconds."""
 _MOVES = frozenset({"zero", "zero-axis", "approach"})
+_DRIVES = frozenset({"enable", "disable", "home", "reset"})
+_NO_START = frozenset({"disable", "home", "jog", "step", "approach-rest", "start-rest", *_MOVES})
+"""What ends a start that is being checked: the machine would be elsewhere, or off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +161,8 @@ class Owner:
     def _obey(self, asked: _Asked) -> None:
         executor, head = self._executor, asked.head
         what = asked.what
+        if what in _NO_START:
+            self._runs.give_up(what)
         if what in _BY_DESK:
             self._refuse_impossible(_BY_DESK[what])
             self._desk.ask(_BY_DESK[what])
@@ -192,17 +197,23 @@ class Owner:
             self._refuse_impossible(Cause.START)
             self._runs.set_out(self._ready_rest(), executor)
             self._rest = None
-        elif what == "enable":
-            executor.enable()
-        elif what == "disable":
-            executor.disable()
-        elif what == "home":
-            self._rest = None
-            executor.home()
-        elif what == "reset":
-            executor.reset()
+        elif what in _DRIVES:
+            self._obey_drives(what)
         else:
             raise CommandError(f"{what[:40]!r} is no command", remedy="Use the panel's own page.")
+
+    def _obey_drives(self, what: str) -> None:
+        """Switch or home the machine; what it was to move, and has not begun, is dropped."""
+        self._moves.clear()
+        if what == "home":
+            self._rest = None
+        executor = self._executor
+        {
+            "enable": executor.enable,
+            "disable": executor.disable,
+            "home": executor.home,
+            "reset": executor.reset,
+        }[what]()
 
     def _ready_rest(self) -> Prepared:
         if self._rest is None:
@@ -214,8 +225,10 @@ class Owner:
             raise CommandError(
                 f"{cause.value!r} is not possible while the machine is {self._executor.state.value}"
             )
-        if cause in (Cause.JOG, Cause.START) and (self._runs.busy or self._moves.left):
-            raise CommandError("the machine is busy with what was asked before", remedy="Wait.")
+        if cause in (Cause.JOG, Cause.START) and self._moves.left:
+            raise CommandError("the machine moves as it was asked before", remedy="Wait.")
+        if cause is Cause.START and self._runs.busy:
+            raise CommandError(f"no run can begin now: {self._runs.busy}", remedy="Wait.")
 
     # --- what goes on by itself ------------------------------------------------------------
 
@@ -282,11 +295,14 @@ class Owner:
             state=executor.state.value,
             why=self._runs.why,
             time_s=executor.time_s,
-            axes=positions(channels, executor.latest, machine, executor.stands),
+            axes=positions(
+                channels, executor.latest, machine, executor.stands if executor.homed else None
+            ),
             signals=signals(channels, executor.latest),
             late_ticks=executor.late_ticks,
             moving=executor.under_way or bool(self._moves.left),
             busy=self._runs.busy,
+            lost=executor.lost,
             progress=self._runs.progress(executor),
             rest=None if self._rest is None else self._rest.told_rest(),
             age_s=executor.age_s,

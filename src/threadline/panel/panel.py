@@ -41,7 +41,10 @@ _CAUSES = {
 }  # fmt: skip
 _OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
 _OF_REST = frozenset({"approach-rest", "start-rest"})
-_OF_IDLE = frozenset({Cause.JOG, Cause.START, Cause.HOME, Cause.DISABLE})
+_OF_REST_ALONE = frozenset({Cause.JOG, Cause.HOME})
+"""Causes that wait until nothing moves, and for nothing else; to switch off waits for nothing."""
+_BROKEN = frozenset({State.FAULT, State.DISABLED})
+"""States in which a link may be begun anew."""
 
 
 class Panel:
@@ -89,11 +92,17 @@ class Panel:
         """Begin with an owner of the machine; to be called on the event loop."""
         self._owner.connect(self._heard)
 
+    def busy(self) -> str:
+        """Return why no run and no calculation can begin now, for people; empty where they can."""
+        if self.calculation.share is not None:
+            return "a program is being calculated"
+        return str(self._owner.now.get("busy", ""))
+
     async def close(self) -> None:
         """Stop the machine, leave the owner, and end a calculation; ``ended`` tells of it."""
         self.ended = await self._stopped()
         await self.calculation.close()
-        await asyncio.to_thread(self._owner.close)
+        await self._owner.close()
 
     async def _stopped(self) -> str:
         """Stop the machine, wait until it is told that it stands, and return what was told."""
@@ -196,11 +205,10 @@ class Panel:
                 f"the state that you have seen is older than {SEEN_S:g} s", remedy="Look again."
             )
         if command.what not in {*self.allowed(), "renew", "let-go"}:
-            now = self._owner.now
-            state, busy = now.get("state", "not known"), now.get("busy", False)
+            busy = self.busy()
             raise CommandError(
-                f"{command.what!r} is not possible now: the machine is {state}"
-                f"{', and busy with what was asked before' if busy else ''}",
+                f"{command.what!r} is not possible now: the machine is "
+                f"{self._owner.now.get('state', 'not known')}{f', and {busy}' if busy else ''}",
                 remedy="Wait." if busy else "",
             )
         if isinstance(command, say.Calculate):
@@ -208,7 +216,7 @@ class Panel:
         elif command.what == "cancel":
             self.calculation.cancel()
         elif command.what == "reconnect":
-            self.connect()
+            self._owner.connect(self._heard)
         else:
             self._requests += 1
             self._asked[self._requests] = (client.number, act.number)
@@ -273,12 +281,14 @@ class Panel:
         now, calculation = self._owner.now, self.calculation
         if not now:
             return []
-        state = State(now["state"])
-        at_rest = not (now["moving"] or now["busy"] or calculation.share is not None)
+        state, stands = State(now["state"]), not now["moving"]
+        free = stands and not self.busy()
         found = [
             what
             for what, cause in _CAUSES.items()
-            if (state, cause) in TRANSITIONS and (at_rest or cause not in _OF_IDLE)
+            if (state, cause) in TRANSITIONS
+            and (stands or cause not in _OF_REST_ALONE)
+            and (free or cause is not Cause.START)
         ]
         if not way_of(self.machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
@@ -287,8 +297,11 @@ class Panel:
         if now["rest"] is None:
             found = [what for what in found if what not in _OF_REST]
         found = [what for what in found if what not in self._far_end.lacks]
-        calculates = ["cancel"] if calculation.share is not None else []
-        return [*found, *(["calculate"] if at_rest else calculates)]
+        if stands and (state in _BROKEN or now["lost"]):
+            found.append("reconnect")
+        if calculation.share is not None:
+            return [*found, "cancel"]
+        return [*found, *(["calculate"] if free else [])]
 
     # --- what is shown ---------------------------------------------------------------------
 
@@ -344,6 +357,7 @@ class Panel:
             rest=None if not now.get("rest") else say.RestOfRun.model_validate(now["rest"]),
             proven=self.calculation.proven,
             calculating=self.calculation.share,
+            busy=self.busy(),
             clients=len(self._clients),
         )
 
