@@ -38,8 +38,9 @@ def panel(
     link: Annotated[
         str,
         typer.Option(
-            help="Link to the machine: sim is a simulated one, in its own process; "
-            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
+            help="Link to the machine: sim is a simulated one, in its own process; sim:slower goes "
+            "slower where the computer is too busy for real time; grbl:HOST:PORT or "
+            "grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
             "hal:plant are LinuxCNC's HAL without a machine."
         ),
     ] = "sim",

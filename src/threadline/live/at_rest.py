@@ -40,6 +40,8 @@ class AtRest:
         Last sample of each channel that the machine has reported.
     homed
         Whether it is known where the axes are, or where they were when a fault came.
+    why
+        Reason of the latest change of state; empty where there was none.
     stops
         Number of stops that were heard, in any state.
     stopped_by
@@ -55,7 +57,7 @@ class AtRest:
         self.ended: tuple[Ended, str] | None = None
         self.over = False  # the run has ended and the machine has settled
         self.latest: Mapping[str, float] = {}
-        self.homed = False
+        self.homed, self.why = False, ""
         self._homed = False
         self._stands = np.zeros(len(machine.axes), dtype=np.int64)
         self._began = self._stands  # where the run began
@@ -202,6 +204,7 @@ class AtRest:
     def _go(self, cause: Cause, text: str = "") -> None:
         self.state = next_state(self.state, cause)
         self.homed = homed_after(cause, self.homed)
+        self.why = text
         self.stops += cause is Cause.STOP
         self._sink.state(self.tick, self.state, cause, text)
 

@@ -205,11 +205,13 @@ class Panel:
                 f"the state that you have seen is older than {SEEN_S:g} s", remedy="Look again."
             )
         if command.what not in {*self.allowed(), "renew", "let-go"}:
-            busy = self.busy()
+            runs = command.what == "calculate" or _CAUSES.get(command.what) is Cause.START
+            busy = self.busy() if runs else ""
+            lost = self._owner.gone or self._owner.now.get("lost", False)
             raise CommandError(
-                f"{command.what!r} is not possible now: the machine is "
-                f"{self._owner.now.get('state', 'not known')}{f', and {busy}' if busy else ''}",
-                remedy="Wait." if busy else "",
+                f"{command.what!r} is not possible now: the machine is {self.state().state}"
+                f"{f', and {busy}' if busy else ''}",
+                remedy="Reconnect." if lost else "Wait." if busy else "",
             )
         if isinstance(command, say.Calculate):
             self.calculation.begin(command, self._told)
@@ -297,6 +299,8 @@ class Panel:
         if now["rest"] is None:
             found = [what for what in found if what not in _OF_REST]
         found = [what for what in found if what not in self._far_end.lacks]
+        if now["lost"]:
+            found.clear()  # there is nobody who would hear it
         if stands and (state in _BROKEN or now["lost"]):
             found.append("reconnect")
         if calculation.share is not None:
