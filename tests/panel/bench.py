@@ -272,6 +272,12 @@ class Operator:
         self.see("idle")
         return self
 
+    def allows(self, what: str) -> dict[str, Any]:
+        """Wait until a command is possible, and keep control meanwhile; return the state."""
+        while what not in self.until("state")["allowed"]:
+            self.say(type="alive", lease=self.lease)
+        return self.state
+
     def x_mm(self) -> float:
         return float(self.state["axes"]["X"]["commanded"]) * 1e3
 
