@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import uvicorn
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
@@ -19,7 +23,8 @@ from starlette.websockets import WebSocketDisconnect
 from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
 from threadline.errors import InputError, JobError, OptionError
 from threadline.machine import load_machine
-from threadline.panel.admission import Admission
+from threadline.panel import admission
+from threadline.panel.admission import Admission, PromptHttp
 from threadline.panel.project_programs import (
     planned,
     program_names,
@@ -341,3 +346,94 @@ def test_what_the_project_holds_is_read(tmp_path: Path, monkeypatch: pytest.Monk
         Path("other-name/../project"),
     ):
         planned(folder, asked, load_machine("stitcher"))
+
+
+# --- who connects and does not finish a request -------------------------------------------
+
+
+@contextmanager
+def listening() -> Iterator[tuple[str, int]]:
+    """Serve something that answers whole requests with 204, by connections that are dropped."""
+
+    async def app(_: Any, receive: Any, send: Any) -> None:
+        while (await receive()).get("more_body"):
+            pass
+        await send({"type": "http.response.start", "status": 204, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+
+    own = socket.create_server(("127.0.0.1", 0))
+    config = uvicorn.Config(app, http=PromptHttp, lifespan="off", log_level="critical")
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, args=([own],), daemon=True)
+    thread.start()
+    try:
+        yield own.getsockname()
+    finally:
+        server.should_exit = True
+        thread.join(60.0)
+        own.close()
+
+
+HEAD = b"PUT /api/programs/x.prg HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+
+
+def sent(address: tuple[str, int], content: bytes) -> socket.socket:
+    found = socket.create_connection(address, 60.0)
+    found.sendall(content)
+    return found
+
+
+def dropped(one: socket.socket) -> bytes:
+    """Return what comes until a connection is closed by the other side, and close it."""
+    came = b""
+    with one, suppress(ConnectionResetError):  # it was closed with something unread
+        while more := one.recv(4096):
+            came += more
+    return came
+
+
+@pytest.mark.parametrize(
+    "half",
+    [
+        b"",
+        HEAD,
+        HEAD + b"Content-Length: 10\r\n\r\n",
+        HEAD + b"Content-Length: 10\r\n\r\n12345",
+        HEAD + b"Transfer-Encoding: chunked\r\n\r\n5\r\n12",
+        HEAD + b"Content-Length: 2\r\n\r\n12" + HEAD,
+    ],
+)
+def test_half_a_request_is_dropped_in_time(half: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "HALF_OPEN_S", 0.3)
+    with listening() as address:
+        came = dropped(sent(address, half))
+        assert came.count(b"204 No Content") == half.count(b"Content-Length: 2\r")
+        assert not PromptHttp.half_open
+
+
+def test_a_slow_body_is_taken_and_one_without_end_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "HALF_OPEN_S", 4.0)
+    with listening() as address:
+        slow = sent(address, HEAD + b"Content-Length: 4\r\nConnection: close\r\n\r\n")
+        for _ in range(4):
+            time.sleep(0.7)
+            slow.sendall(b"1")
+        assert b"204 No Content" in dropped(slow)
+        monkeypatch.setattr(admission, "_MOST_BODY_S", 0.3)
+        endless = sent(address, HEAD + b"Content-Length: 40\r\n\r\n")
+        time.sleep(0.2)
+        endless.sendall(b"1")
+        assert dropped(endless) == b""
+
+
+def test_a_stop_gets_through_past_many_half_requests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest is dropped where there is one more than are kept; time drops none here."""
+    monkeypatch.setattr(admission, "HALF_OPEN_S", 600.0)
+    monkeypatch.setattr(admission, "MOST_HALF_OPEN", 20)
+    with listening() as address:
+        many = [sent(address, HEAD) for _ in range(60)]
+        stop = sent(address, HEAD + b"Content-Length: 0\r\nConnection: close\r\n\r\n")
+        assert b"204 No Content" in dropped(stop)
+        assert [dropped(one) for one in many[:40]] == [b""] * 40
+        for one in many[40:]:
+            one.close()
