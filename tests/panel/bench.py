@@ -227,8 +227,8 @@ class Operator:
         """Wait for a state; a jog is not renewed meanwhile."""
         end = time.monotonic() + 60.0
         while self.hear()["type"] != "state" or self.state["state"] not in states:
-            assert time.monotonic() < end, self.state
-            assert self.state.get("state") not in {"fault", "gone"}, self.state
+            assert time.monotonic() < end, str(self.state)  # all of it: a text is told whole
+            assert self.state.get("state") not in {"fault", "gone"}, str(self.state)
         return self.state
 
     def catch_up(self, client: TestClient) -> Operator:

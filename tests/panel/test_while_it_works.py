@@ -18,7 +18,8 @@ from tests.panel import bench
 from tests.panel.bench import Known, Operator, operator, proven, served
 from threadline.cli.panel_ import _to_standard_error
 from threadline.errors import CommandError
-from threadline.panel import kept_runs
+from threadline.live.lateness import clock_s
+from threadline.panel import kept_runs, owner_link
 from threadline.panel.calculation import Calculation
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner_link import OwnerLink
@@ -253,6 +254,19 @@ def test_axes_that_were_never_homed_have_no_place(project: Path) -> None:
         assert anna.act("disable") == ""
         anna.see("disabled")
         assert places() == {None}
+
+
+def test_what_was_asked_before_a_sleep_is_not_obeyed(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing begins to move on a request that has waited while the computer slept."""
+    with served(project) as client, operator(client) as anna:
+        anna.ready()
+        monkeypatch.setattr(owner_link, "clock_s", lambda: clock_s() - 60.0)
+        assert "it was asked for 60 s ago" in anna.act("step", axis="X", by=1e-3)
+        assert "60 s ago" in anna.act("disable")
+        anna.say(type="stop")
+        assert anna.until("state")["state"] == "idle"
 
 
 # --- errors that nobody is there to raise -------------------------------------------------

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
 from threadline.errors import LinkFaultError
+from threadline.live.lateness import clock_s
 from threadline.live.wire import Connection, Message
 
 _ENDS_S = 2.0
@@ -31,7 +31,7 @@ class OwnerLink:
     now
         Latest report: state, axes, progress; see ``Owner``.
     heard_s
-        When it came, on the monotonic clock.
+        When it came, on the clock that counts sleep.
     gone
         Why there is no owner; empty while there is one.
     """
@@ -41,7 +41,7 @@ class OwnerLink:
     ) -> None:
         self._start = start
         self.now: Mapping[str, Any] = {}
-        self.heard_s = time.monotonic()
+        self.heard_s = clock_s()
         self.gone = "not connected"
         self._heard: Callable[[Message], None] = lambda _: None
         self._process: subprocess.Popen[bytes] | None = None
@@ -83,9 +83,9 @@ class OwnerLink:
         threading.Thread(target=self._listen, args=(self._connection, loop), daemon=True).start()
 
     def send(self, kind: str, **head: Any) -> None:
-        """Send a request."""
+        """Send a request, with the time at which it was asked for."""
         if self._connection is not None:
-            self._connection.send(Message(kind, head))
+            self._connection.send(Message(kind, {"at_s": clock_s(), **head}))
 
     def _listen(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
         while True:
@@ -104,7 +104,7 @@ class OwnerLink:
         if message is None:
             self.gone = self.gone or _GONE
         elif message.kind == "now":
-            self.now, self.heard_s = message.head, time.monotonic()
+            self.now, self.heard_s = message.head, clock_s()
         elif message.kind == "dead":
             self.gone = str(message.head["why"])
         else:

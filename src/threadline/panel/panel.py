@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, assert_never
 
 from threadline.errors import CommandError, ThreadlineError
 from threadline.live.jogging import manual_feed
+from threadline.live.lateness import clock_s
 from threadline.live.link_operated import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.ways import way_of
@@ -106,11 +106,11 @@ class Panel:
 
     async def _stopped(self) -> str:
         """Stop the machine, wait until it is told that it stands, and return what was told."""
-        owner, since_s = self._owner, time.monotonic()
+        owner, since_s = self._owner, clock_s()
         if not owner.gone and not owner.now:
             return "the machine was not reached yet"
         owner.send("stop")
-        while not owner.gone and time.monotonic() < since_s + _STANDS_S:
+        while not owner.gone and clock_s() < since_s + _STANDS_S:
             known = owner.heard_s > since_s + 2.0 * TELL_S  # what was on its way has come
             if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
                 return _told_end(owner.now)
@@ -138,7 +138,7 @@ class Panel:
 
     def take(self, client: Client, message: say.Stop | say.Control | say.Alive | say.Act) -> None:
         """Act on a message of a client; a refusal is answered."""
-        now_s = time.monotonic()
+        now_s = clock_s()
         match message:
             case say.Stop():
                 self.stop(client.number, message.number)
@@ -173,7 +173,7 @@ class Panel:
 
     def may_change(self, lease: str) -> bool:
         """Return whether a lease is the one in force, and renew it."""
-        return self._control.renew(lease, time.monotonic())
+        return self._control.renew(lease, clock_s())
 
     def _word(self, client: Client, word: str, now_s: float) -> None:
         if word == "take":
@@ -330,7 +330,7 @@ class Panel:
 
     def state(self) -> say.State:
         """Return the state now, without a number of its own."""
-        now_s, now, control = time.monotonic(), self._owner.now, self._control
+        now_s, now, control = clock_s(), self._owner.now, self._control
         held = control.holder(now_s)
         names = {number: client.name for number, client in self._clients.items()}
         holder = None if held is None else held.client
@@ -370,7 +370,7 @@ class Panel:
         while True:
             if self._owner.now:  # it reads from then on
                 self._owner.send("alive")
-            self._granted(self._control.passes(time.monotonic()))
+            self._granted(self._control.passes(clock_s()))
             self._seq += 1
             text = self.state().model_dump_json()
             for client in self._clients.values():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import re
 import shutil
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -20,6 +19,7 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp
 
 from threadline.errors import InputError, StoreError
+from threadline.live.lateness import clock_s
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
 from threadline.panel.clients import Client
@@ -262,7 +262,7 @@ async def _greeted(socket: WebSocket, panel: Panel, admission: Admission) -> Cli
 
 async def _send(socket: WebSocket, client: Client) -> None:
     while not client.full:
-        if (text := await client.next_text(time.monotonic)) is not None:
+        if (text := await client.next_text(clock_s)) is not None:
             await socket.send_text(text)
     await _close(socket, _SLOW, "the client does not take what it is sent")
 
