@@ -99,8 +99,9 @@ def run(
     link: Annotated[
         str,
         typer.Option(
-            help="Link to the machine: sim is a simulated one, in its own process; "
-            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
+            help="Link to the machine: sim is a simulated one, in its own process; sim:slower goes "
+            "slower where the computer is too busy for real time; grbl:HOST:PORT or "
+            "grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
             "hal:plant are LinuxCNC's HAL without a machine."
         ),
     ] = "sim",
@@ -135,6 +136,14 @@ def run(
     continue_: ContinueOption = None,
     at: AtOption = None,
     confirmed: ConfirmedOption = False,
+    approach: Annotated[
+        bool,
+        typer.Option(
+            "--approach",
+            help="Of grbl: move the axes to where the program begins, one after the other at their "
+            "manual feeds, linear ones first.",
+        ),
+    ] = False,
     pass_stops: Annotated[
         bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
     ] = False,
@@ -173,7 +182,7 @@ def run(
     trials = trials_of(nominal, repeats, tolerances)
     chosen = machine_from(machine, par)
     fault = None if inject is None else parse_fault(inject, chosen)
-    over = link_of(link, chosen, speed, fault)
+    over = link_of(link, chosen, speed, fault, approach=approach)
     check_folder(store)
     check_continued(store, continue_, at, confirmed=confirmed)
     keep_inputs(recording, job, chosen.file, par, spec, proof_file)

@@ -15,7 +15,7 @@ from threadline.arrays import IntArray
 from threadline.errors import CommandError
 from threadline.kinds import kind_of
 from threadline.live.derived import Rest, rest_from_row
-from threadline.live.grbl_controller import units_of
+from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
 from threadline.live.ways import way_of
 from threadline.plan import Plan
@@ -119,15 +119,9 @@ def _first_row(plan: Plan, operation: int) -> int:
     )
 
 
-def notes_on(program: Program, blocks: int) -> tuple[str, ...]:
-    """Return what the operator has to know before a program is sent.
-
-    Parameters
-    ----------
-    blocks
-        Blocks that the controller's planner holds.
-    """
-    goes_s, _ = runs_out(program, blocks)
+def notes_on(program: Program, controller: Controller) -> tuple[str, ...]:
+    """Return what the operator has to know before a program is sent to a controller."""
+    goes_s, _ = runs_out(program, controller.blocks, controller.room)
     return (
         "grbl plans its own ramps: what is proved is the program's path, not its timing",
         f"if the link is lost, the controller runs out its own buffer: up to {goes_s:.1f} s at "
