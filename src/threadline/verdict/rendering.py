@@ -14,6 +14,7 @@ from threadline.units import without_noise
 from threadline.verdict.demands import VELOCITY_STEPS
 from threadline.verdict.types import Level, Result, Status, Verdict
 
+_TOLD_SHARE = 10.0  # of a limit
 _IN_SECONDS = 10.0  # milliseconds beyond it would have an exponent
 _SHOWN = {
     "m": (1e3, "mm"),
@@ -176,13 +177,17 @@ def _used(result: Result) -> str:
 def percent_used(share: float, digits: int = 0) -> str:
     """Return the share of a limit that is used, in per cent, rounded up.
 
-    A result never reads better than it is: 100 % is never more than the limit.
+    A result never reads better than it is: 100 % is never more than the limit. What is more than
+    ten times its limit is only told as that: such a figure says nothing but that something else is
+    wrong.
 
     >>> percent_used(0.9401), percent_used(1.0), percent_used(1.0004), percent_used(0.9401, 1)
     ('95 %', '100 %', '101 %', '94.1 %')
+    >>> percent_used(10.0), percent_used(112137.9)
+    ('1000 %', 'more than 1000 %')
     """
-    if math.isinf(share):
-        return "inf %"
+    if share > _TOLD_SHARE:
+        return f"more than {100.0 * _TOLD_SHARE:.0f} %"
     fine = 10.0**digits
     return f"{math.ceil(100.0 * share * fine - 1e-9) / fine:.{digits}f} %"
 
@@ -239,7 +244,7 @@ def of_moving_axes(results: Sequence[Result]) -> list[Result]:
     left out.
     """
     speeds = {r.axis: r.measured for r in results if r.name == "velocity"}
-    still = {axis for axis, speed in speeds.items() if speed == 0.0}
+    still = {axis for axis, v in speeds.items() if v is not None and without_noise(v) == 0.0}
     if len(still) == len(speeds):
         return list(results)
     of_no_interest = (Status.PASSED, Status.REPORTED)
@@ -248,7 +253,7 @@ def of_moving_axes(results: Sequence[Result]) -> list[Result]:
         for r in results
         if r.axis not in still
         or r.status not in of_no_interest
-        or not (r.measured == 0.0 or r.name == "travel")
+        or not (r.name == "travel" or without_noise(r.measured or 0.0, r.limit) == 0.0)
     ]
 
 
