@@ -100,11 +100,22 @@ class Judge:
                     findings[key] = joined(findings.get(key, []), found)
         outcomes = [listener.outcome() for listener in listened]
         why = next(filter(None, map(told_end, outcomes)), "")
+        stops = [
+            listener.stopped_s
+            for listener, outcome in zip(listened, outcomes, strict=True)
+            if outcome.incomplete
+        ]
+        stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
         told = [
             with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
             if MEASURES[criterion.name].of_plan(plan) is not None
-            else not_beyond(_told(_run_told(result, found, count), runs), why)
+            else not_beyond(
+                _told(_run_told(result, found, count), runs),
+                why,
+                stopped_s,
+                of_worst=kind.of_worst,
+            )
             for criterion in spec.criteria
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
