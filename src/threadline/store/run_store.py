@@ -166,7 +166,7 @@ class RunStore:
             with suppress(StoreError, OSError, ValueError, KeyError, TypeError):
                 content = json.loads(file.read_bytes())
                 if "late_ticks" in content:  # of a run that was judged
-                    _tell(self.index, record.run, {"text": record.text, **content})
+                    _tell(self.index, record.run, {**content, "text": record.text})
 
     def find(self, run: str) -> Path:
         """Return the folder of a run by its name; ``last`` stands for the latest one.
@@ -403,7 +403,7 @@ class OpenRun:
             Why the index could not be told, and what tells it later; empty where it was told. The
             run is kept all the same.
         """
-        self._write({**content, "text": text})
+        self._write(content)
         try:
             _tell(self._index, self.path.name, {**content, "ended": ended, "text": text})
         except StoreError as error:

@@ -81,8 +81,9 @@ class Judge:
             Recordings of other machines within the tolerances. Their worst counts too, except in
             measures of many runs together (repeatability), which compare runs of one machine.
         recorded
-            Whether recordings of a machine are judged, and not runs that were simulated for this
-            verdict: limits of travel and velocity are then measured on them as well.
+            Whether recordings are judged, and not runs that were simulated for this verdict. Of a
+            machine, limits of travel and velocity are then measured on them as well: what was
+            simulated played the very commands of the plan.
 
         Raises
         ------
@@ -91,9 +92,10 @@ class Judge:
             lengths of a rotary one, or a trace is damaged.
         """
         plan, spec = self.plan, self.spec
-        findings, runs, listened = self._measured(recordings, recorded=recorded)
+        live = recorded and not all(recording.simulated for recording in recordings)
+        findings, runs, listened = self._measured(recordings, recorded=live)
         for other in others:
-            measured, _, ended = self._measured([other], together=False, recorded=recorded)
+            measured, _, ended = self._measured([other], together=False, recorded=live)
             listened = [*listened, *ended]
             for key, found in measured.items():
                 if key not in self._of_plan:
@@ -108,7 +110,7 @@ class Judge:
         stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
         told = [
-            with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
+            with_recording(result, findings, plan, spec, complete=not why, recorded=live)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
                 _told(_run_told(result, found, count), runs),
