@@ -73,7 +73,16 @@ from threadline.signals import Ended, Recording
 from threadline.signals.files import write_recording
 from threadline.store.run_store import OpenRun, RunStore, check_folder
 from threadline.store.whole_trace import as_one, joined_with, whole_recording
-from threadline.verdict import Spec, Verdict, closing, judge, load_spec, verdict_json, verdict_rows
+from threadline.verdict import (
+    Spec,
+    Verdict,
+    closing,
+    happened_lines,
+    judge,
+    load_spec,
+    verdict_json,
+    verdict_rows,
+)
 
 _MOST_SPEED = 1e6
 
@@ -222,7 +231,7 @@ def run(
         for line in over.prepare(plan):
             note(line)
         leaves_m = way_of(chosen).hold_deviation_m(plan)
-        at_rest = _holds_at_rest(plan, asked, leaves_m)
+        at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
         told = {
             "link": link,
             **({"label": over.label} if over.label else {}),
@@ -260,6 +269,8 @@ def run(
         "trace": str(kept.trace),
         "ended": ended.value,
         "hold_deviation_m": finite(leaves_m),
+        "hold_waits_for_rest": at_rest,
+        "spoiled_by_holds": spoiled,
         **({"judged_with": before} if before else {}),
     }
     _judged(kept, content, ended, text)
@@ -311,7 +322,8 @@ def _is_over(
 
 def _judged(kept: OpenRun, content: Mapping[str, Any], ended: Ended, text: str) -> None:
     with _moved(kept):
-        kept.judged(content, ended.value, text)
+        if said := kept.judged(content, ended.value, text):
+            warning(said)
 
 
 @contextmanager
@@ -339,12 +351,18 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
     )
 
 
-def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> bool:
-    """Say how far beside its path a hold would stand; return whether it waits for a rest."""
-    at_rest = hold_waits(plan, spec, leaves_m)
-    if words := hold_words(plan, leaves_m, waits=at_rest):
+def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> tuple[bool, list[dict[str, Any]]]:
+    """Say what a hold would do to the work; return whether it waits for a rest, and why."""
+    at_rest, spoiled = hold_waits(plan, spec, leaves_m), ()
+    if not at_rest:
+        spoiled = way_of(plan.machine).spoiled_by_holds(plan, spec)
+        at_rest = bool(spoiled)
+    if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
         note(words)
-    return at_rest
+    told = (
+        {"name": r.name, "axis": r.axis, "measured": r.measured, "limit": r.limit} for r in spoiled
+    )
+    return at_rest, list(told)
 
 
 def _show(
@@ -361,6 +379,8 @@ def _show(
         header, rows = verdict_rows(verdict)
         print_table(f"{plan.job.name} run on {plan.machine.name}, link {content['link']}",
                     header, rows)  # fmt: skip
+        for line in happened_lines(verdict):
+            say(line)
         say(closing(verdict) + (f"; {label}" if label else ""))
         if before := content.get("judged_with"):
             say(as_one(before))
