@@ -12,7 +12,7 @@ from threadline.cli.prove import show_steps
 from threadline.cli.shared_options import JsonOption, SpecOption
 from threadline.option_defaults import FEED_FORWARD
 from threadline.recorded import judge_files
-from threadline.verdict import closing, verdict_json, verdict_rows
+from threadline.verdict import closing, happened_lines, verdict_json, verdict_rows
 
 _DEFAULT = "default: what the recording names"
 _AS_WITH_PROVE = f"As with prove; {_DEFAULT}."
@@ -84,6 +84,8 @@ def judge(
             f"{', '.join(p.name for p in recordings)} against {plan.job.name}", header, rows
         )
         show_steps(verdict)
+        for line in happened_lines(verdict):
+            say(line)
         say(closing(verdict))
     raise typer.Exit(0 if verdict.passed else 1)
 

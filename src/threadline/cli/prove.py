@@ -55,6 +55,7 @@ from threadline.signals.files import write_recording
 from threadline.verdict import (
     Verdict,
     closing,
+    happened_lines,
     load_spec,
     step_rows,
     verdict_json,
@@ -180,7 +181,7 @@ def show_proof(proof: Proof) -> None:
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.planned_with}", header, rows)
     show_steps(proof.verdict, f", shaper {plan.options.get('shaper', 'none')}")
-    for line in about(proof):
+    for line in (*about(proof), *happened_lines(proof.verdict)):
         say(line)
     say(closing(proof.verdict))
 

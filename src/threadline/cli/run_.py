@@ -72,7 +72,16 @@ from threadline.signals import Ended, Recording
 from threadline.signals.files import write_recording
 from threadline.store.run_store import OpenRun, RunStore, check_folder
 from threadline.store.whole_trace import as_one, joined_with, whole_recording
-from threadline.verdict import Spec, Verdict, closing, judge, load_spec, verdict_json, verdict_rows
+from threadline.verdict import (
+    Spec,
+    Verdict,
+    closing,
+    happened_lines,
+    judge,
+    load_spec,
+    verdict_json,
+    verdict_rows,
+)
 
 _MOST_SPEED = 1e6
 
@@ -349,6 +358,8 @@ def _show(
         header, rows = verdict_rows(verdict)
         print_table(f"{plan.job.name} run on {plan.machine.name}, link {content['link']}",
                     header, rows)  # fmt: skip
+        for line in happened_lines(verdict):
+            say(line)
         say(closing(verdict) + (f"; {label}" if label else ""))
         if before := content.get("judged_with"):
             say(as_one(before))

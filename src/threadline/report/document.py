@@ -12,6 +12,7 @@ from threadline.escaping import plain
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.option_words import parse_tolerance_m, tolerance_words
+from threadline.verdict import Verdict, happened_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +47,12 @@ class Table:
             or (len(self.header) == 2 and not self.headed)
             for column, name in enumerate(self.header)
         )
+
+
+def changes(verdict: Verdict) -> list[Table]:
+    """Return a table of what changed the motion of the runs; none where nothing did."""
+    header, rows = happened_rows(verdict)
+    return [Table(title="What changed the motion", header=header, rows=rows)] if rows else []
 
 
 def failing(row: Sequence[str]) -> tuple[bool, ...]:

@@ -16,6 +16,7 @@ from threadline.report.circuits import count_circuits
 from threadline.report.document import (
     Document,
     Table,
+    changes,
     options_facts,
     origin_facts,
 )
@@ -64,6 +65,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
             warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
+                *changes(proof.verdict),
                 Table(
                     title="The job",
                     header=("", ""),

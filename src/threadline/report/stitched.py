@@ -16,6 +16,7 @@ from threadline.report.document import (
     Document,
     Printed,
     Table,
+    changes,
     options_facts,
     origin_facts,
 )
@@ -80,6 +81,7 @@ def write_stitched(studied: Studied, folder: Path) -> Path:
             warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
+                *changes(proof.verdict),
                 Table(title="Stitches", header=["", ""], rows=stitch_rows(plan)),
                 _worst_table(proof, run),
             ],

@@ -15,6 +15,7 @@ from threadline.report.document import (
     Document,
     Printed,
     Table,
+    changes,
     options_facts,
     origin_facts,
 )
@@ -110,6 +111,7 @@ def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = 
             warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
+                *changes(proof.verdict),
                 *steps,
                 *(Table(title=t, header=h, rows=r) for t, h, r in tables),
             ],
