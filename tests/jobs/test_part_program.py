@@ -83,9 +83,7 @@ def test_what_g0_g4_g28_and_stops_become(tmp_path: Path) -> None:
     via_x_only = [op for op in operations if isinstance(op, Move)][3]
     assert via_x_only.target[2] == 0.003
     assert [op.duration_s for op in operations if isinstance(op, Dwell)] == [0.25]
-    assert [(op.name, op.value) for op in operations if isinstance(op, ToolEvent)] == [
-        ("spindle", 0)
-    ]
+    assert [op.words for op in operations if isinstance(op, ToolEvent)] == ["M5"]
     assert [op.final for op in operations if isinstance(op, Stop)] == [False, True]
 
 

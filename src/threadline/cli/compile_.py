@@ -140,7 +140,7 @@ def compile_(
         )
     plan = plan_job(open_job(job, chosen, options), chosen, options)
     more = [*plan.intent.warnings, *tolerance_warnings(plan)]
-    warn(chosen, plan.job, more, own_feed=options.feed is None)
+    warn(chosen, plan.job, more, own_feed=options.own_feeds)
     with together(out):
         files = write(plan, target, out)
     if json:

@@ -2,9 +2,10 @@
 
 A firmware speeds up and slows down by itself, so that it is told where to go and how fast at most:
 chords of the planned path, as long as they stay within 0.01 mm of it, each with the greatest speed
-that was planned along it. A chord ends where the planned speed rises again after it has fallen, and
-where the job changes its feed. The text is read back in the dialect it was written in, and held
-against the plan, before there is a file.
+that was planned along it. A chord ends where the planned speed rises again after it has fallen,
+where the job changes its feed or goes over from G0 to G1, and where its words switch something. The
+text is read back in the dialect it was written in, and held against the plan, before there is a
+file.
 """
 
 from __future__ import annotations
@@ -23,7 +24,16 @@ from threadline.jobs.feed_times import feed_time_s
 from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.jobs.gcode.f_words import RULES
 from threadline.jobs.gcode.part_program import read_part_program
-from threadline.jobs.operations import Dwell, Feed, Job, Move, Operation, Stop, ToolEvent
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    Operation,
+    Stop,
+    ToolEvent,
+)
 from threadline.jobs.programmed_time import programmed_time_s
 from threadline.machine import Machine
 from threadline.machine.motion_planner import LinuxCncPlanner
@@ -31,9 +41,10 @@ from threadline.path import plan_path, programmed_path
 from threadline.path.interpolations import FIRMWARE
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.boards import BOARDS, LINUXCNC_BLENDS, dialect_of
+from threadline.targets.carried_words import refuse_lost
 from threadline.targets.merged_chords import CLOSE_M, merged
 from threadline.targets.nc_blocks import operation_words
-from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_job
+from threadline.targets.planned_job import CHORD_TOLERANCE_M, planned_operations
 from threadline.trajectory import plan_trajectory
 from threadline.trajectory.types import Trajectory
 
@@ -44,12 +55,15 @@ _MOST_POINTS = 100_000
 class Chord(NamedTuple):
     """A straight move: from ``points[0]`` on past the (n, axes) points, at ``speed`` at most.
 
-    ``speed`` is in m/s as F of the target counts it.
+    ``speed`` is in m/s as F of the target counts it. ``feed`` is that of the programmed move;
+    ``acts`` happen as the chord begins.
     """
 
     points: FloatArray
     speed: float
     duration_s: float
+    feed: Feed | None = None
+    acts: tuple[ToolEvent, ...] = ()
 
 
 def write_firmware_program(
@@ -59,14 +73,14 @@ def write_firmware_program(
     machine: Machine,
     path: Path,
     *,
-    as_programmed: bool = True,
+    override: float | None = 1.0,
 ) -> Written:
     """Write a plan for a firmware; the file is there when it has been read back and found right.
 
     Parameters
     ----------
-    as_programmed
-        Whether the feeds of the job hold: none of them is then exceeded.
+    override
+        By which the feeds of the job hold: none is exceeded. None where another took their place.
 
     Raises
     ------
@@ -74,9 +88,8 @@ def write_firmware_program(
         If the job holds what the dialect has no word for, a line is too long, or what was read back
         is not what was planned.
     """
-    timed = planned_job(job, trajectory, machine)
-    plain = replace(machine, operator=None)
-    merged = Chords(target, timed, job, plain, as_programmed)
+    refuse_lost(job, machine, target)
+    merged = Chords(target, job, trajectory, machine, override)
     lines = _Lines(merged)
     with atomic_file(path) as file:
         file.writelines(f"{line}\n".encode() for line in lines)
@@ -91,37 +104,38 @@ class Chords:
 
     Parameters
     ----------
-    timed
-        Of ``planned_job``.
-    job
-        The job that was planned.
-    as_programmed
-        Whether its feeds hold: no chord of a feed is then faster.
+    target, job, trajectory
+        What is written, and for which firmware.
+    planned_on
+        The machine of the plan.
+    override
+        As ``write_firmware_program`` has it.
     """
 
     target: str
-    timed: Job
     job: Job
-    machine: Machine
-    as_programmed: bool
+    trajectory: Trajectory
+    planned_on: Machine
+    override: float | None
+
+    @property
+    def machine(self) -> Machine:
+        """The machine, without the feed of its operator: that is in the plan already."""
+        return replace(self.planned_on, operator=None)
 
     def __iter__(self) -> Iterator[Operation | Chord]:
         """Yield them in order."""
-        originals = (item for item in self.job if isinstance(item, Move))
-        original = next(originals, None)
-        stretch = _Stretch(np.array(self.job.start), self.target, self.job, self.machine)
-        for item in self.timed:
+        stretch = _Stretch(self)
+        planned = planned_operations(self.job, self.trajectory, self.planned_on)
+        for item, feed in planned:
             if not isinstance(item, Move):
                 yield from stretch.end()
                 yield item
                 continue
-            while original is not None and original.source != item.source:
-                original = next(originals, None)
             assert item.feed is not None
-            feed = original.feed if original is not None and self.as_programmed else None
-            if feed != stretch.feed or len(stretch.ends) >= _MOST_POINTS:
+            if stretch.ends_before(feed, item.acts):
                 yield from stretch.end()
-                stretch.feed = feed
+                stretch.feed, stretch.acts = feed, item.acts
             stretch.ends.append(item.target)
             stretch.durations_s.append(1.0 / item.feed.value)
         yield from stretch.end()
@@ -134,19 +148,31 @@ class _Stretch:
     ----------
     ends, durations_s
         Of each move.
-    feed
-        The programmed one.
+    feed, acts
+        The programmed one, and what happens as the first move begins.
     """
 
-    def __init__(self, start: FloatArray, target: str, job: Job, machine: Machine) -> None:
-        mode, _ = RULES[DIALECTS[dialect_of(target)].feed_rule]
-        self._unit = Feed(mode, 1.0)
+    def __init__(self, chords: Chords) -> None:
+        job, machine = chords.job, chords.machine
+        dialect = DIALECTS[dialect_of(chords.target)]
+        mode, _ = RULES[dialect.feed_rule]
+        self._unit, self._override = Feed(mode, 1.0), chords.override
+        self._rapid_is_feed = dialect.rapid_is_feed
         self._axes, self._machine = job.axes, machine
         self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
-        self._start = start
+        self._start = np.array(job.start)
         self.ends: list[tuple[float, ...]] = []
         self.durations_s: list[float] = []
         self.feed: Feed | None = None
+        self.acts: tuple[ToolEvent, ...] = ()
+
+    def ends_before(self, feed: Feed | None, acts: tuple[ToolEvent, ...]) -> bool:
+        """Say whether a move belongs to another stretch."""
+        if not self.ends or acts or len(self.ends) >= _MOST_POINTS:
+            return True
+        if self._override is None:  # one feed for all that are no G0
+            return _travels(feed) != _travels(self.feed)
+        return feed != self.feed
 
     def end(self) -> Iterator[Chord]:
         """Yield the chords of the moves in hand and begin at their end."""
@@ -156,18 +182,28 @@ class _Stretch:
         seconds = np.array(self.durations_s)
         lengths = feed_time_s(np.diff(points, axis=0), self._unit, self._axes, self._machine)
         speeds = lengths / seconds
-        if self.feed is not None and self.feed.mode is self._unit.mode:
+        if self.feed is not None and self.feed.mode is FeedMode.RAPID:
+            if not self._rapid_is_feed:
+                speeds = np.full(len(speeds), speeds.max())  # it is not written
+        elif self.feed is not None and self._override and self.feed.mode is self._unit.mode:
             # Into a faster move the plan speeds up on the last of a slower one: F does not.
-            speeds = np.minimum(speeds, self.feed.value)
-        at_tool = points * self._radius_m
-        for part in merged(at_tool, speeds):
+            speeds = np.minimum(speeds, self._override * self.feed.value)
+        acts = self.acts
+        for part in merged(points * self._radius_m, speeds):
             yield Chord(
                 points[part.first : part.stop + 1],
                 part.speed,
                 float(seconds[part.first : part.stop].sum()),
+                self.feed,
+                acts,
             )
+            acts = ()
         self._start = points[-1]
-        self.ends, self.durations_s = [], []
+        self.ends, self.durations_s, self.acts = [], [], ()
+
+
+def _travels(feed: Feed | None) -> bool:
+    return feed is not None and feed.travels
 
 
 def planned_instants(
@@ -176,15 +212,13 @@ def planned_instants(
     trajectory: Trajectory,
     machine: Machine,
     *,
-    as_programmed: bool = True,
+    override: float | None = 1.0,
 ) -> FloatArray:
     """Return the instant of the plan, in s, at which each line that is written begins.
 
     Parameters are as for ``write_firmware_program``.
     """
-    timed = planned_job(job, trajectory, machine)
-    plain = replace(machine, operator=None)
-    lines = _Lines(Chords(target, timed, job, plain, as_programmed))
+    lines = _Lines(Chords(target, job, trajectory, machine, override))
     return np.array([begins_s for begins_s, _ in lines.timed()])
 
 
@@ -215,14 +249,18 @@ class _Lines:
             told = self._board.head(self._machine, self._job.axes)
             yield from ((now_s, f"; {line}") for line in told)
         yield from ((now_s, line) for line in self._board.begin)
-        modal = False
+        modal = -1
+        waiting: list[ToolEvent] = []  # of chords too short for a printed digit
         for item in self._merged:
             begins_s = now_s
             if not isinstance(item, Chord):
+                yield from ((begins_s, act.words) for act in waiting)
+                waiting = []
                 now_s += item.duration_s if isinstance(item, Dwell) else 0.0
                 yield from ((begins_s, line) for line in self._other(item))
                 continue
             now_s += item.duration_s
+            waiting += item.acts
             now = _written_position(item.points[-1], self._linear)
             words = [
                 f"{name}{self._number(text)}"
@@ -232,14 +270,28 @@ class _Lines:
             if not words:
                 continue
             at = now
+            yield from ((begins_s, act.words) for act in waiting if not act.beside)
+            words += [act.words for act in waiting if act.beside]
+            waiting = []
+            g = self._motion(item.feed)
+            if g != modal or self._dialect.each_g:
+                words.insert(0, f"G{g}")
+            modal = g
             wanted = f"{60_000.0 * item.speed:.6g}"
             if "e" in wanted:
                 wanted = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
-            g = "" if modal and not self._dialect.each_g else "G1 "
-            modal = True
-            yield begins_s, g + " ".join(words) + ("" if wanted == feed else f" F{wanted}")
-            feed = wanted
+            if wanted != feed and (g == 1 or self._dialect.rapid_is_feed):
+                words.append(f"F{wanted}")
+                feed = wanted
+            yield begins_s, " ".join(words)
+        yield from ((now_s, act.words) for act in waiting)
         yield from ((now_s, line) for line in self._board.end)
+
+    def _motion(self, feed: Feed | None) -> int:
+        """Return the G word of a chord: a G0 at the feed is one only where G0 goes at the feed."""
+        if feed is not None and feed.mode is FeedMode.RAPID:
+            return 0
+        return 0 if _travels(feed) and self._dialect.rapid_is_feed else 1
 
     def _number(self, text: str) -> str:
         return f"{text}." if self._dialect.points and "." not in text else text
@@ -249,11 +301,12 @@ class _Lines:
             letter, units = self._board.pause
             text = _decimal(item.duration_s * units)
             yield f"G4 {letter}{self._number(text)}"
-        elif isinstance(item, Stop) and (item.final or self._board.stops):
-            if not item.final:
-                yield "M0"
-        elif self._board.stops and isinstance(item, ToolEvent) and item.name == "spindle":
-            yield "M3" if item.value else "M5"
+        elif isinstance(item, Stop) and item.final:
+            pass
+        elif isinstance(item, Stop | ToolEvent) and item.words:
+            yield item.words
+        elif isinstance(item, Stop) and self._board.stops:
+            yield "M0"
         else:
             raise PlanError(
                 f"{self._target} has no word for {operation_words(item)}",

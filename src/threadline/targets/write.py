@@ -15,6 +15,7 @@ from threadline.signals.files.beside import Beside
 from threadline.signals.files.common import Written, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.boards import BOARDS
+from threadline.targets.carried_words import refuse_lost
 from threadline.targets.firmware_program import write_firmware_program
 from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
@@ -71,8 +72,8 @@ class WrittenPlan(Protocol):
         ...
 
     @property
-    def feeds_as_programmed(self) -> bool:
-        """Whether the feeds of the job hold, and none was given in their place."""
+    def feed_override(self) -> float | None:
+        """By which the feeds of the job hold; None where another was given in their place."""
         ...
 
     @property
@@ -109,6 +110,7 @@ class Target:
 
 def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> Written:
     """Write the planned motion as a part program: chords with their times (G93), blended (G64)."""
+    refuse_lost(job, machine, NcStyle.LINUXCNC)
     timed = planned_job(job, trajectory, machine)
     # The plan has already been held to the operator's normal feed; its times are not to be
     # stretched again.
@@ -125,7 +127,7 @@ def _of_firmware(name: str) -> Target:
                 plan.motion.trajectory,
                 plan.machine,
                 path,
-                as_programmed=plan.feeds_as_programmed,
+                override=plan.feed_override,
             )
         ],
         takes_shaped=False,
