@@ -31,6 +31,7 @@ from threadline.cli.told import warning
 from threadline.cli.warn import warn
 from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
+from threadline.jobs.operations import FeedMode
 from threadline.kinds import kind_of
 from threadline.machine.radii import with_radii
 from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
@@ -38,7 +39,7 @@ from threadline.option_words import parse_feed
 from threadline.path.interpolations import OPTIMAL
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
-from threadline.search import Comparison, Rung
+from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job
 from threadline.targets.schedule_options import UNSHAPED_WORD
 from threadline.verdict import in_a_word, load_spec, verdict_json
@@ -129,7 +130,8 @@ def compare(
         contour=contour,
     )
     read = open_job(job, chosen, options)
-    warn(chosen, read, own_feed=None in feeds)
+    own = any(one is None or one.mode is FeedMode.OVERRIDE for one in feeds)
+    warn(chosen, read, own_feed=own)
     with progress_bar(not json) as progress:
         found = compare_job(
             read,
@@ -219,11 +221,11 @@ def comparison_tables(
     tables = [(f"{first.job.name} on {first.machine.name}, {level}", header, rows)]
     if found.fastest:
         reference = next(iter(found.fastest))
-        slowest = found.fastest[reference].best.found.best
-        body = [_fastest_row(name, f.best, slowest) for name, f in found.fastest.items()]
+        body = [_fastest_row(n, f, found.fastest[reference]) for n, f in found.fastest.items()]
+        by_share = any(f.by is FeedMode.OVERRIDE for f in found.fastest.values())
         head = [
             "interpolation",
-            "mm/s",
+            "feed" if by_share else "mm/s",
             f"times {reference}",
             "acceleration limits used",
             "job s",
@@ -233,14 +235,19 @@ def comparison_tables(
     return tables
 
 
-def _fastest_row(name: str, rung: Rung, reference_m_s: float | None) -> list[str]:
+def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[str]:
+    rung, slowest = result.best, reference.best.found.best
     best = rung.found.best
     if best is None:
         return [name, "none", "-", "-", "-", rung.found.limited_by]
+    mixed = reference.by is FeedMode.OVERRIDE
+    told = f"{best * 1e3:.1f}{' mm/s' if mixed else ''}"
+    if result.by is FeedMode.OVERRIDE:
+        told = f"{best * 100.0:.4g} %"
     return [
         name,
-        f"{best * 1e3:.1f}{' alone' if rung.alone else ''}",
-        f"{best / reference_m_s:.2f}" if reference_m_s else "-",
+        f"{told}{' alone' if rung.alone else ''}",
+        f"{best / slowest:.2f}" if slowest and result.by is reference.by else "-",
         f"{rung.share:.0%}",
         f"{rung.duration_s:.3f}",
         limit_words(rung.found.limited_by, AXES_ALONE),
@@ -259,7 +266,7 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
         "fastest": {
             name: {
                 "best": f.best.found.best,
-                "unit": "m/s",
+                "unit": "" if f.by is FeedMode.OVERRIDE else "m/s",
                 "intervals": [[i.low, i.high] for i in f.best.found.intervals],
                 "alone": list(f.best.found.alone),
                 "limited_by": f.best.found.limited_by,
