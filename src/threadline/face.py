@@ -281,6 +281,7 @@ def compile(
     out: PathLike,
     *,
     par: PathLike | None = None,
+    slower: bool = False,
     **words: Any,
 ) -> list[Written]:
     """Plan a job and write it for a controller; return the files with their hashes.
@@ -295,6 +296,8 @@ def compile(
         machine ``st``, ``plcopen`` or ``scl``; for an embroidery machine ``steps`` or ``t15``.
     out
         The file.
+    slower
+        Whether to write a program that takes longer on its firmware than the job as it stands.
     **words
         As ``prove`` takes them.
 
@@ -307,7 +310,8 @@ def compile(
 
     chosen, options = load_machine(machine, par), _options(words)
     target_of(target, chosen)
-    return write(plan_job(open_job(Path(job), chosen, options), chosen, options), target, out)
+    plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
+    return write(plan, target, out, slower=slower)
 
 
 def shaper(text: str) -> Shaper | dict[str, Shaper]:

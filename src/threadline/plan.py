@@ -255,6 +255,11 @@ class Plan:
         return 1.0 if text == "programmed" else None
 
     @property
+    def limits_in_full(self) -> bool:
+        """Whether it may use all of the limits of acceleration and jerk."""
+        return float(self.options.get("limits", "100 %").removesuffix("%")) == 100.0
+
+    @property
     def nominal_s(self) -> float | None:
         """Time by the programmed feeds alone, s; None without a rule for F, or with ``--feed``."""
         override = self.feed_override

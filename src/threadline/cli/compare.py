@@ -203,15 +203,19 @@ def comparison_tables(
     stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
     sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
     columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS if sewn else COLUMNS
-    header = [*shown, "time s", *(title for _, title in columns), "verdict"]
+    planner = first.machine.planner
+    as_run = planner is not None and any(found.as_run_s)
+    own = [f"{planner.kind} runs it in s"] if planner is not None and as_run else []
+    header = [*shown, "time s", *own, *(title for _, title in columns), "verdict"]
     rows = [
         [
             *(_label(proof, key) for key in shown),
             f"{proof.plan.duration_s:.3f}",
+            *(["-" if run_s is None else f"{run_s:.3f}"] if own else []),
             *(_worst(proof, name) for name, _ in columns),
             in_a_word(proof.verdict),
         ]
-        for proof in found.proofs
+        for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
     ]
     if "shaper" in shown:
         blank = [""] * (len(header) - len(shown) - 1)
@@ -260,7 +264,8 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
         "proofs": [
             verdict_json(proof.verdict, proof.plan)
             | {"feed": proof.plan.options["feed"], "shaper": proof.plan.options.get("shaper")}
-            for proof in found.proofs
+            | {"as_run_s": run_s}
+            for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
         ],
         "refused": [{"shaper": name, "why": why} for name, why in found.refused],
         "fastest": {

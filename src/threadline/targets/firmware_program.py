@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from threadline.machine import Machine
 from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.path import plan_path, programmed_path
 from threadline.path.interpolations import FIRMWARE
+from threadline.path.types import ProgrammedPath
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.targets.boards import BOARDS, LINUXCNC_BLENDS, dialect_of
 from threadline.targets.carried_words import refuse_lost
@@ -50,6 +51,8 @@ from threadline.trajectory.types import Trajectory
 
 _DECIMALS = 4  # of a millimetre or a degree
 _MOST_POINTS = 100_000
+_NO_SLOWER = 1e-3
+"""Share by which a program may be slower than the job as it stands: F and ends are rounded."""
 
 
 class Chord(NamedTuple):
@@ -73,29 +76,83 @@ def write_firmware_program(
     machine: Machine,
     path: Path,
     *,
+    programmed: ProgrammedPath,
     override: float | None = 1.0,
+    slower: bool = True,
 ) -> Written:
     """Write a plan for a firmware; the file is there when it has been read back and found right.
 
     Parameters
     ----------
+    programmed
+        The path of the job, with its times at the feeds that were asked for.
     override
         By which the feeds of the job hold: none is exceeded. None where another took their place.
+    slower
+        Whether the planner of the firmware may take longer over the program than over the job as
+        it stands. Where it may not and does, F is that of the job in place of the planned speeds:
+        the blocks are fewer, and the firmware slows down by itself where the plan does.
 
     Raises
     ------
     PlanError
-        If the job holds what the dialect has no word for, a line is too long, or what was read back
-        is not what was planned.
+        If the job holds what the dialect has no word for, a line is too long, what was read back is
+        not what was planned, or the program is slower than it may be.
     """
     refuse_lost(job, machine, target)
-    merged = Chords(target, job, trajectory, machine, override)
-    lines = _Lines(merged)
+    planned = Chords(target, job, trajectory, machine, override)
     with atomic_file(path) as file:
-        file.writelines(f"{line}\n".encode() for line in lines)
-        file.flush()
-        told = _read_back(merged, Path(file.name), trajectory.duration_s)
-    return written(path, (f"{path.name}: {told}",))
+        told, as_run_s = _written_once(planned, file, programmed)
+        if not slower and _is_slower(as_run_s):
+            if override is not None:
+                told, as_run_s = _written_once(replace(planned, own_feeds=True), file, programmed)
+                told += "; F is that of the job, since the planned speeds as F would be slower"
+            refuse_slower(target, job, as_run_s)
+    return replace(written(path, (f"{path.name}: {told}",)), as_run_s=as_run_s)
+
+
+def _written_once(
+    chords: Chords, file: IO[bytes], programmed: ProgrammedPath
+) -> tuple[str, tuple[float, float] | None]:
+    """Write a program into a file, in place of what is in it, and hold it against the plan."""
+    target, machine = chords.target, chords.planned_on
+    file.seek(0)
+    file.truncate()
+    file.writelines(f"{line}\n".encode() for line in _Lines(chords))
+    file.flush()
+    told, again = _read_back(chords, Path(file.name))
+    as_run_s = _as_run_s(target, programmed, again, machine)
+    planned_by = "which the firmware makes itself"
+    if as_run_s is not None:
+        planned_by = (
+            f"{as_run_s[1]:.4g} s as the planner of {BOARDS[target].planner} runs it, which takes "
+            f"{as_run_s[0]:.4g} s over {chords.job.name} as it stands"
+        )
+    rate = _rate_words(target, Path(file.name), again, machine)
+    planned_s = chords.trajectory.duration_s
+    return f"{told}, {planned_s:.4g} s as planned with its ramps, {planned_by}{rate}", as_run_s
+
+
+def _is_slower(as_run_s: tuple[float, float] | None) -> bool:
+    return as_run_s is not None and as_run_s[1] > as_run_s[0] * (1.0 + _NO_SLOWER)
+
+
+def refuse_slower(target: str, job: Job, as_run_s: tuple[float, float] | None) -> None:
+    """Refuse a program over which the planner of its firmware takes longer than over the job.
+
+    Raises
+    ------
+    PlanError
+        With both times.
+    """
+    if as_run_s is None or not _is_slower(as_run_s):
+        return
+    raise PlanError(
+        f"the program for {target} would be slower: the planner of the firmware takes "
+        f"{as_run_s[1]:.5g} s over it, and {as_run_s[0]:.5g} s over {job.name} as it stands",
+        remedy=f"Run {job.name} itself, or give another --interpolation, a wider --tolerance or a "
+        "higher --feed; --slower writes it all the same.",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +167,8 @@ class Chords:
         The machine of the plan.
     override
         As ``write_firmware_program`` has it.
+    own_feeds
+        Whether F is that of the job, where its rule is that of the target.
     """
 
     target: str
@@ -117,6 +176,7 @@ class Chords:
     trajectory: Trajectory
     planned_on: Machine
     override: float | None
+    own_feeds: bool = False
 
     @property
     def machine(self) -> Machine:
@@ -157,6 +217,7 @@ class _Stretch:
         dialect = DIALECTS[dialect_of(chords.target)]
         mode, _ = RULES[dialect.feed_rule]
         self._unit, self._override = Feed(mode, 1.0), chords.override
+        self._own_feeds = chords.own_feeds
         self._rapid_is_feed = dialect.rapid_is_feed
         self._axes, self._machine = job.axes, machine
         self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
@@ -187,7 +248,8 @@ class _Stretch:
                 speeds = np.full(len(speeds), speeds.max())  # it is not written
         elif self.feed is not None and self._override and self.feed.mode is self._unit.mode:
             # Into a faster move the plan speeds up on the last of a slower one: F does not.
-            speeds = np.minimum(speeds, self._override * self.feed.value)
+            most = self._override * self.feed.value
+            speeds = np.full(len(speeds), most) if self._own_feeds else np.minimum(speeds, most)
         acts = self.acts
         for part in merged(points * self._radius_m, speeds):
             yield Chord(
@@ -327,8 +389,8 @@ def _written_position(position: FloatArray, linear: list[bool]) -> list[str]:
     ]
 
 
-def _read_back(merged: Chords, path: Path, planned_s: float) -> str:
-    """Hold the written program against the plan; return what it is, in words.
+def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
+    """Hold the written program against the plan; return what it is in words, and its job.
 
     Raises
     ------
@@ -363,34 +425,40 @@ def _read_back(merged: Chords, path: Path, planned_s: float) -> str:
             raise _not_the_plan(target, "leaves it by", worst_m)
     if next(moves, None) is not None:
         raise _not_the_plan(target, "goes on behind it", 0.0)
-    by_f_s = programmed_time_s(again, machine)
-    size = path.stat().st_size
-    board = BOARDS[target]
-    rate = size / max(by_f_s, 1e-9)
-    slow = ""
-    if board.bytes_s and rate > board.bytes_s:
-        slow = (
-            f"; its {rate:.0f} characters a second are more than a port of 115200 baud takes "
-            f"({board.bytes_s})"
-        )
     return (
         f"{count} blocks, read back: within {1e3 * worst_m:.2g} mm of the plan, "
-        f"{by_f_s:.4g} s by F alone, {planned_s:.4g} s as planned with its ramps, "
-        f"{_by_planner(target, again, machine)}{slow}"
+        f"{programmed_time_s(again, machine):.4g} s by F alone",
+        again,
     )
 
 
-def _by_planner(target: str, job: Job, machine: Machine) -> str:
-    """Return how long the planner of the firmware takes over ``job``, in words."""
+def _rate_words(target: str, path: Path, again: Job, machine: Machine) -> str:
+    """Return a note where a port is too slow for a program, else nothing."""
+    most = BOARDS[target].bytes_s
+    rate = path.stat().st_size / max(programmed_time_s(again, machine), 1e-9)
+    if not most or rate <= most:
+        return ""
+    return (
+        f"; its {rate:.0f} characters a second are more than a port of 115200 baud takes ({most})"
+    )
+
+
+def _as_run_s(
+    target: str, programmed: ProgrammedPath, again: Job, machine: Machine
+) -> tuple[float, float] | None:
+    """Return how long the planner of the firmware takes over the job and over its program.
+
+    None where the machine file does not say how it plans.
+    """
     planner = machine.planner
     if planner is None or planner.kind != BOARDS[target].planner:
-        return "which the firmware makes itself"
+        return None
+    own = replace(machine, operator=None)
+    before = plan_trajectory(plan_path(programmed, own, FIRMWARE), own).duration_s
     if isinstance(planner, LinuxCncPlanner):
-        planner = LINUXCNC_BLENDS  # the program itself says how it is blended
-    own = replace(machine, planner=planner)
-    path = plan_path(programmed_path(job, own), own, FIRMWARE)
-    own_s = plan_trajectory(path, own).duration_s
-    return f"{own_s:.4g} s as the planner of {planner.kind} runs it"
+        own = replace(own, planner=LINUXCNC_BLENDS)  # the program itself says how it is blended
+    path = plan_path(programmed_path(again, own), own, FIRMWARE)
+    return before, plan_trajectory(path, own).duration_s
 
 
 def _not_the_plan(target: str, what: str, off_m: float) -> PlanError:
