@@ -51,6 +51,7 @@ from threadline.trajectory.types import Trajectory
 
 _DECIMALS = 4  # of a millimetre or a degree
 _MOST_POINTS = 100_000
+_HOMES = "G28"
 _NO_SLOWER = 1e-3
 """Share by which a program may be slower than the job as it stands: F and ends are rounded."""
 
@@ -409,6 +410,8 @@ def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
     worst_m, count = 0.0, 0
     for chord in merged:
         if not isinstance(chord, Chord):
+            if isinstance(chord, ToolEvent) and chord.words.startswith(_HOMES):
+                next(moves, None)  # the reader's own, to where the plan is already
             continue
         text = _written_position(chord.points[-1], linear)
         if text != text_at:
