@@ -98,11 +98,11 @@ class Found:
     Parameters
     ----------
     best
-        The highest feed (m/s of the fastest axis) or needle speed (stitch/s) in spec, the shortest
-        cycle of a move list (s), or the shortest duration of an embroidery design (s); None where
-        nothing is in spec.
+        The highest feed (m/s of the fastest axis, or a share of the program's feeds where these
+        differ) or needle speed (stitch/s) in spec, the shortest cycle of a move list (s), or the
+        shortest duration of an embroidery design (s); None where nothing is in spec.
     unit
-        ``"m/s"``, ``"stitch/s"`` or ``"s"``.
+        ``"m/s"``, ``"stitch/s"`` or ``"s"``; empty for a share.
     limited_by
         The criterion that forbids more.
     of

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import islice
 
-from threadline.described import PROGRAMMED
 from threadline.jobs.operations import FeedMode, Job, MoveRun
 from threadline.option_words import parse_tolerance_m
 from threadline.path.interpolations import KEEPING_TOLERANCE, on_chords
@@ -28,7 +27,7 @@ def doubts(proof: Proof) -> list[str]:
     return [
         *suspicions(plan.machine),
         *(plan.machine.planner.left_out if plan.machine.planner is not None else []),
-        *plan.job.suspicions(own_feed=plan.options.get("feed") == PROGRAMMED),
+        *plan.job.suspicions(own_feed=plan.feed_override is not None),
         *plan.intent.warnings,
         *proof_warnings(proof),
         *needle_warnings(proof),

@@ -287,6 +287,7 @@ def compile(
     out: PathLike,
     *,
     par: PathLike | None = None,
+    slower: bool = False,
     **words: Any,
 ) -> list[Written]:
     """Plan a job and write it for a controller; return the files with their hashes.
@@ -301,6 +302,8 @@ def compile(
         machine ``st``, ``plcopen`` or ``scl``; for an embroidery machine ``steps`` or ``t15``.
     out
         The file.
+    slower
+        Whether to write a program that takes longer on its firmware than the job as it stands.
     **words
         As ``prove`` takes them; ``interpolation`` is ``"auto"`` unless given, on every machine.
 
@@ -313,7 +316,8 @@ def compile(
 
     chosen, options = load_machine(machine, par), _options({"interpolation": AUTO, **words})
     target_of(target, chosen)
-    return write(plan_job(open_job(Path(job), chosen, options), chosen, options), target, out)
+    plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
+    return write(plan, target, out, slower=slower)
 
 
 def shaper(text: str) -> Shaper | dict[str, Shaper]:

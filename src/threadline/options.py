@@ -106,7 +106,7 @@ class Options:
     interpolation
         Name of the interpolation; ``DEFAULT_INTERPOLATION`` until a machine is known: ``on``.
     feed
-        Replaces every programmed feed; None keeps the job's.
+        Replaces every programmed feed, or multiplies it (an override); None keeps the job's.
     dialect
         Name of the dialect of a part program; None is what the machine file says.
     feed_mode
@@ -167,6 +167,11 @@ class Options:
             return self
         own = machine.planner is not None and self.following is Following.MOTOR
         return replace(self, interpolation=FIRMWARE if own else AUTO)
+
+    @property
+    def own_feeds(self) -> bool:
+        """Whether the feeds of the job hold, as they are or times an override."""
+        return self.feed is None or self.feed.mode is FeedMode.OVERRIDE
 
     @property
     def follows_contour(self) -> bool:
@@ -256,7 +261,8 @@ def options_of(
             f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
         )
     given = None if feed is None else parse_feed(feed)
-    if given is not None and given.mode is not FeedMode.F_WORD and feed_mode is not None:
+    by_f = given is None or given.mode in {FeedMode.F_WORD, FeedMode.OVERRIDE}
+    if not by_f and feed_mode is not None:
         raise OptionError(
             f"--feed-mode {feed_mode!r} says what F means, and --feed {feed!r} replaces every F",
             remedy='Leave one of them out, or give the feed as an F, like "F 3000".',

@@ -234,7 +234,7 @@ def target_of(name: str, machine: Machine) -> Target:
     )
 
 
-def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
+def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> list[Written]:
     """Write ``plan`` for a controller; whole files or none.
 
     Parameters
@@ -247,6 +247,8 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
         ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
         the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
         stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
+    slower
+        Whether a program may take longer on its firmware than the job as it stands.
 
     Returns
     -------
@@ -258,12 +260,14 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
     OptionError
         If there is no such target, or not of this kind of machine.
     PlanError
-        If the commands break a limit; nothing is written then.
+        If the commands break a limit, or the program is slower than it may be; nothing is written
+        then.
     """
     chosen = target_of(target, plan.machine)
     kind_of(plan.machine).release(plan)
     with together():
-        files = chosen.write(plan, Path(out))
+        writer = chosen.write if slower else chosen.write_no_slower or chosen.write
+        files = writer(plan, Path(out))
     if chosen.takes_shaped or not files:
         return files
     # What is written was held against the plan; the plan itself leaves the program, too.

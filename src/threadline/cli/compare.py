@@ -31,6 +31,7 @@ from threadline.cli.told import warning
 from threadline.cli.warn import warn
 from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
+from threadline.jobs.operations import FeedMode
 from threadline.kinds import kind_of
 from threadline.machine.radii import with_radii
 from threadline.option_defaults import AUTO, DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
@@ -38,7 +39,7 @@ from threadline.option_words import parse_feed
 from threadline.path.interpolations import FIRMWARE, OPTIMAL
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
-from threadline.search import Comparison, Rung
+from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job
 from threadline.targets.schedule_options import UNSHAPED_WORD
 from threadline.verdict import in_a_word, load_spec, verdict_json
@@ -132,7 +133,8 @@ def compare(
         contour=contour,
     )
     read = open_job(job, chosen, options)
-    warn(chosen, read, own_feed=None in feeds)
+    own = any(one is None or one.mode is FeedMode.OVERRIDE for one in feeds)
+    warn(chosen, read, own_feed=own)
     with progress_bar(not json) as progress:
         found = compare_job(
             read,
@@ -204,15 +206,19 @@ def comparison_tables(
     stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
     sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
     columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS if sewn else COLUMNS
-    header = [*shown, "time s", *(title for _, title in columns), "verdict"]
+    planner = first.machine.planner
+    as_run = planner is not None and any(found.as_run_s)
+    own = [f"{planner.kind} runs it in s"] if planner is not None and as_run else []
+    header = [*shown, "time s", *own, *(title for _, title in columns), "verdict"]
     rows = [
         [
             *(_label(proof, key) for key in shown),
             f"{proof.plan.duration_s:.3f}",
+            *(["-" if run_s is None else f"{run_s:.3f}"] if own else []),
             *(_worst(proof, name) for name, _ in columns),
             in_a_word(proof.verdict),
         ]
-        for proof in found.proofs
+        for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
     ]
     if "shaper" in shown:
         blank = [""] * (len(header) - len(shown) - 1)
@@ -222,11 +228,11 @@ def comparison_tables(
     tables = [(f"{first.job.name} on {first.machine.name}, {level}", header, rows)]
     if found.fastest:
         reference = next(iter(found.fastest))
-        slowest = found.fastest[reference].best.found.best
-        body = [_fastest_row(name, f.best, slowest) for name, f in found.fastest.items()]
+        body = [_fastest_row(n, f, found.fastest[reference]) for n, f in found.fastest.items()]
+        by_share = any(f.by is FeedMode.OVERRIDE for f in found.fastest.values())
         head = [
             "interpolation",
-            "mm/s",
+            "feed" if by_share else "mm/s",
             f"times {reference}",
             "acceleration limits used",
             "job s",
@@ -236,14 +242,19 @@ def comparison_tables(
     return tables
 
 
-def _fastest_row(name: str, rung: Rung, reference_m_s: float | None) -> list[str]:
+def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[str]:
+    rung, slowest = result.best, reference.best.found.best
     best = rung.found.best
     if best is None:
         return [name, "none", "-", "-", "-", rung.found.limited_by]
+    mixed = reference.by is FeedMode.OVERRIDE
+    told = f"{best * 1e3:.1f}{' mm/s' if mixed else ''}"
+    if result.by is FeedMode.OVERRIDE:
+        told = f"{best * 100.0:.4g} %"
     return [
         name,
-        f"{best * 1e3:.1f}{' alone' if rung.alone else ''}",
-        f"{best / reference_m_s:.2f}" if reference_m_s else "-",
+        f"{told}{' alone' if rung.alone else ''}",
+        f"{best / slowest:.2f}" if slowest and result.by is reference.by else "-",
         f"{rung.share:.0%}",
         f"{rung.duration_s:.3f}",
         limit_words(rung.found.limited_by, AXES_ALONE),
@@ -256,13 +267,14 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
         "proofs": [
             verdict_json(proof.verdict, proof.plan)
             | {"feed": proof.plan.options["feed"], "shaper": proof.plan.options.get("shaper")}
-            for proof in found.proofs
+            | {"as_run_s": run_s}
+            for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
         ],
         "refused": [{"shaper": name, "why": why} for name, why in found.refused],
         "fastest": {
             name: {
                 "best": f.best.found.best,
-                "unit": "m/s",
+                "unit": "" if f.by is FeedMode.OVERRIDE else "m/s",
                 "intervals": [[i.low, i.high] for i in f.best.found.intervals],
                 "alone": list(f.best.found.alone),
                 "limited_by": f.best.found.limited_by,

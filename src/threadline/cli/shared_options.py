@@ -75,7 +75,8 @@ FeedOption = Annotated[
     str | None,
     typer.Option(
         help='Replaces every programmed feed: "10 count/tick", "36 mm/s" '
-        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant).'
+        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant). "120 %" '
+        "multiplies each, so that they keep their ratios."
     ),
 ]
 FeedModeOption = Annotated[

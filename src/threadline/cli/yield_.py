@@ -133,7 +133,7 @@ def yield_(
     judged = MachineYield(plan, asked)
     if wished is not None:
         _check_reachable(variants, wished, at_least or "")
-    warn(chosen, plan.job, own_feed=options.feed is None)
+    warn(chosen, plan.job, own_feed=options.own_feeds)
     state = None if resume is None else _opened(resume, plan, asked, seed)
     with progress_bar(not json) as progress:
         found = judged.drawn(

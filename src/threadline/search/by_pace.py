@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from threadline.errors import OptionError
-from threadline.jobs.operations import Job, Pace
+from threadline.jobs.operations import FeedMode, Job, Pace
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import Trials
@@ -54,7 +54,8 @@ def _feed(asked: Question) -> Answer:
         actual=asked.actual, trials=asked.trials,
     )  # fmt: skip
     found = result.best.found
-    return found.best, "m/s", found.limited_by, result
+    unit = "" if result.by is FeedMode.OVERRIDE else "m/s"
+    return found.best, unit, found.limited_by, result
 
 
 def _needle(asked: Question) -> Answer:

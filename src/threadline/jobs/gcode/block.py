@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import CANCEL, Reading
+from threadline.jobs.gcode.dialects import CANCEL, SILENT, Reading
 from threadline.jobs.gcode.grammar import (
     PLAIN,
     check_first_alone,
@@ -32,6 +32,7 @@ _FIRST_SYSTEM = 540  # without effect where it is the only one
 _OUTPUTS = (62, 63, 64, 65)
 _SPINDLE: dict[str, float] = {"on": 1.0, "off": 0.0}
 _ENDS = frozenset({"stop", "end", "call", "return"})
+_ACTS = frozenset({"stop", "on", "off", "wait", "idle"})
 _CURVE = "IJKRQ"
 _CURVED = (2, 3, 5)
 DWELL, RESET = 40, 921
@@ -76,6 +77,10 @@ class Block(NamedTuple):
         O number, else -1.
     tags
         Names and numbers of a comment like ``tension=6.5``.
+    acts
+        Words that work the machine beside its axes, as written: ``M3``, ``S300``, ``M280 P0 S90``.
+    power
+        Number of the S among them, 0 without one.
     """
 
     line: int
@@ -95,6 +100,8 @@ class Block(NamedTuple):
     idle: tuple[str, ...]
     label: int
     tags: tuple[tuple[str, float], ...]
+    acts: tuple[str, ...] = ()
+    power: float = 0.0
 
     @property
     def goes(self) -> bool:
@@ -141,6 +148,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     axes: tuple[tuple[int, int], ...] = ()
     curve: tuple[tuple[str, int], ...] = ()
     idle: tuple[str, ...] = ()
+    acts: tuple[str, ...] = ()
+    power = 0.0
     feed = p = passes = spindle = None
     dwell_s: float | None = None
     p_number = ""
@@ -192,7 +201,13 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
                 waits = waits or effect in {"rest", "wait"}
                 idle = (*idle, f"M{number}") if effect in {"idle", "wait"} else idle
                 output = output or code in _OUTPUTS
+            if effect in _ACTS and code not in SILENT:
+                acts = (*acts, f"M{code}")
             if dialect.one_command:
+                if acts:
+                    own = words[words.index((letter, number)) + 1 :]
+                    acts = (*acts, *map("".join, own))
+                    power = next((float(text) for name, text in own if name == "S"), 0.0)
                 break
             continue
         if letter in seen:
@@ -233,7 +248,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         elif letter in _CURVE and 20 in dialect.g:
             curve = (*curve, (letter, value))
         elif letter in dialect.idle_letters:
-            idle = (*idle, letter)
+            idle, acts = (*idle, letter), (*acts, f"{letter}{number}")
+            power = value / ONE if letter == "S" else power
         else:
             refuse_word(letter, number, -1, line, reading)
     if curve and 640 in settings and not axes and motion not in _CURVED:
@@ -263,6 +279,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     return Block(
         line, motion, action, settings, axes, feed, p, 1 if passes is None else passes, curve,
         dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
+        (*acts, f"P{p_number}") if output else acts, power,
     )  # fmt: skip
 
 

@@ -94,6 +94,8 @@ class Dialect:
     one_command
         Whether a line has one command: words after an M word belong to it, and a checksum may
         follow.
+    off_behind
+        Whether M5 and M9 beside a move act behind it. RS274/NGC and its like switch before.
     flavour
         How parameters, expressions and O words are taken; None where they are not read.
     grammar
@@ -116,6 +118,7 @@ class Dialect:
     dwell_s: Mapping[str, tuple[float, float]] = field(default_factory=lambda: {"P": (1.0, 1.0)})
     points: bool = False
     one_command: bool = False
+    off_behind: bool = False
     flavour: Flavour | None = None
     grammar: Grammar = grammar.PLAIN
 
@@ -126,6 +129,32 @@ _GRBL = Dialect(
     m={code: effect for code, effect in _CNC_M.items() if code != 6}, idle_letters="ST",
     needs_end=False, streams=True, grammar=grammar.GRBL,
 )  # fmt: skip
+SILENT = frozenset(
+    (
+        30,
+        31,
+        73,
+        75,
+        76,
+        77,
+        78,
+        105,
+        110,
+        111,
+        113,
+        114,
+        115,
+        117,
+        118,
+        119,
+        154,
+        155,
+        500,
+        503,
+    )
+)
+"""M words that show, tell or keep something, and work nothing: a program loses nothing with them.
+M30 deletes a file in Marlin, and ends a program elsewhere, which is no word of the tool either."""
 _CYCLE = "a canned cycle, whose moves are not modelled"
 _RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
 _BUILT = "what marlin knows only where it is built with"
@@ -158,7 +187,11 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
 """What words are that the control alone makes something else of, by dialect and word."""
 DIALECTS: Mapping[str, Dialect] = {
     "winder": Dialect(
-        name="winder", feed_rule="fastest-axis", g=_WINDER, m={**_PROGRAM, **_CALLS}
+        name="winder",
+        feed_rule="fastest-axis",
+        g=_WINDER,
+        m={**_PROGRAM, **_CALLS},
+        off_behind=True,
     ),
     "linuxcnc": Dialect(
         name="linuxcnc",
@@ -210,6 +243,7 @@ DIALECTS: Mapping[str, Dialect] = {
         ),
         dwell_s={"P": (1e-3, 1.0), "X": (1.0, 1.0), "U": (1.0, 1.0)},
         points=True,
+        off_behind=True,
     ),
 }  # fmt: skip
 """Dialects by name; X-Winder programs have other words and a reader of their own."""

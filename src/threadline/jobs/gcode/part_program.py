@@ -107,6 +107,7 @@ def read_part_program(
         warnings=_warnings(findings, file, spoken.rapid_is_feed),
         capped=_capped(findings, moved, label, machine, file),
         feed_rule=rule.text,
+        dialect=spoken.name,
     )
 
 

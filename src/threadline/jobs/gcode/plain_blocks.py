@@ -102,7 +102,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     feed
         (1,) F in m/s, or 1/s in G93; nan before the first F; updated.
     out_position, out_feed, out_line
-        (room, axes), (room,), (room,): the moves; the feed of a G0 is -1.
+        (room, axes), (room,), (room,): the moves; the feed of a G0 is -1, or with its sign turned
+        where it goes at the feed.
     out_word
         (room,) F of the block times 1e7, -1 where it has none.
     used
@@ -315,7 +316,10 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 position[k] = new[k]
                 out_position[moves, k] = new[k]
             feed[0] = value_f
-            out_feed[moves] = value_f if at_feed else -1.0
+            if motion == 1:
+                out_feed[moves] = value_f
+            else:
+                out_feed[moves] = -value_f if at_feed else -1.0
             for k in range(book[IN_BLOCK]):
                 which, decimals = book[WHICH + k], book[DECIMALS + k]
                 number = float(book[DIGITS + k])

@@ -126,8 +126,8 @@ class Scanner:
             program.moves += 2
         elif moves:
             program.moves += 1
-        program.stops += (block.action == 40) + (block.spindle is not None) + block.waits
-        program.stops += block.ends in {"stop", "end"}
+        program.stops += (block.action == 40) + (bool(block.acts) or block.waits)
+        program.stops += block.ends == "end"
         self._note(program.label, block)
         if block.program == 98:
             assert block.p is not None

@@ -185,7 +185,7 @@ class ParametricInterpreter(Modal):
         end = Block(
             last, -1, -1, (), (), None, None, 1, (), 0.0, 30, "end", None, False, (), -1, ()
         )
-        yield end, iter((Stop(True, Source(self._path, last)),))
+        yield end, self._rest(Stop(True, Source(self._path, last)))
 
     def _mixed(self, line: int) -> NoReturn:
         raise self._error(
