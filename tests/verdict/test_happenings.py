@@ -24,6 +24,7 @@ from threadline.signals import (
 )
 from threadline.verdict import (
     Criterion,
+    Result,
     Status,
     Verdict,
     closing,
@@ -33,6 +34,7 @@ from threadline.verdict import (
     load_spec,
     verdict_json,
 )
+from threadline.verdict.ended import seen_in
 
 AXES = ("X", "Y")
 POINTS = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.0]]
@@ -186,3 +188,27 @@ def test_a_limit_switch_within_the_travel_is_refused_as_the_machine_is_loaded(
         assert "cuts drives.x from 510 mm on" in error.value.message
         assert f"-500 mm to {end} mm" in error.value.message
         assert f"above {end} mm" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "measured", "change"),
+    [
+        ("dac_saturation", 0.5, "saturation"),
+        ("dac_saturation", 0.0, None),
+        ("step_loss", 1.2, "lost-steps"),
+        ("step_loss", 0.9, None),
+        ("current_peak", 4.0, "saturation"),
+        ("current_peak", 3.9, None),
+    ],
+)
+def test_saturation_and_lost_steps_are_told_by_what_was_measured(
+    name: str, measured: float, change: str | None
+) -> None:
+    """X of the winder has 4 A."""
+    result = Result(
+        name=name, axis="X", measured=measured, limit=None, unit="", status=Status.REPORTED,
+        time_s=1.5, job_line=7,
+    )  # fmt: skip
+    found = seen_in([result], load_machine("lathe-winder"))
+    assert [one.change.value for one in found] == ([] if change is None else [change])
+    assert all((one.time_s, one.job_line, one.axis) == (1.5, 7, "X") for one in found)

@@ -353,10 +353,9 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
 
 def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> tuple[bool, list[dict[str, Any]]]:
     """Say what a hold would do to the work; return whether it waits for a rest, and why."""
-    at_rest, spoiled = hold_waits(plan, spec, leaves_m), ()
-    if not at_rest:
-        spoiled = way_of(plan.machine).spoiled_by_holds(plan, spec)
-        at_rest = bool(spoiled)
+    at_rest = hold_waits(plan, spec, leaves_m)
+    spoiled = () if at_rest else way_of(plan.machine).spoiled_by_holds(plan, spec)
+    at_rest = at_rest or bool(spoiled)
     if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
         note(words)
     told = (

@@ -9,7 +9,7 @@ allow, which may shake a load more than the plan does: that is simulated.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import ceil
@@ -187,7 +187,7 @@ def _told(places: FloatArray, until: int, tick_s: float) -> list[Event]:
 
 
 def _with_events(
-    blocks: Iterator[RecordingBlock], told: Sequence[Event], clock: str
+    blocks: Iterable[RecordingBlock], told: Sequence[Event], clock: str
 ) -> Iterator[RecordingBlock]:
     """Yield blocks with the events ``told``, each in the block of its tick."""
     left = list(told)

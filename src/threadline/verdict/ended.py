@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.machine import Machine
 from threadline.signals import Channel, ChannelKind, Event, Outcome, Recording, RecordingBlock
-from threadline.signals.outcome import Ended, said_once
+from threadline.signals.outcome import said_once
 from threadline.verdict.types import Change, Happening, Result, Status
 
 MOST_TOLD = 50
@@ -122,7 +122,7 @@ class _Events:
             self._late = self._late or event
             self._late_ticks += int(event.value)
         elif event.kind in _ENDS:
-            if event.kind == Ended.STOPPED and self._clock is not None:
+            if event.kind == "stopped" and self._clock is not None:
                 held, until = self._brakes
                 began = (
                     self._held.tick if self._held else held if until >= event.tick else event.tick
@@ -176,7 +176,10 @@ class _Events:
         )
 
 
+_CURRENT = "current_peak"
+_ROUNDING = 1e-9  # of a current: one that is clamped is at its limit
 _CHANGES = {
+    _CURRENT: (Change.SATURATION, 0.0, "the current of {axis} was at its limit, first"),
     "dac_saturation": (
         Change.SATURATION, 0.0, "the controller of {axis} gave all that it has, first",
     ),
@@ -192,13 +195,16 @@ _CHANGES = {
 """By measure: what changes the motion where more than so much of it is measured."""
 
 
-def seen_in(results: Sequence[Result]) -> list[Happening]:
+def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
     """Return what changed the motion of the runs by the measured results of a verdict."""
     found = []
     for result in results:
         if result.name not in _CHANGES or result.measured is None:
             continue
         change, limit, text = _CHANGES[result.name]
+        if result.name == _CURRENT:
+            most = machine.drive_of(result.axis).amplifier.current_limit
+            limit = np.inf if most is None else most.si * (1.0 - _ROUNDING)
         if result.measured > limit:
             share = f"{100.0 * result.measured:.4g} %"
             found.append(

@@ -134,7 +134,7 @@ class Judge:
             incomplete=why,
             late_ticks=sum(outcome.late_ticks for outcome in outcomes),
             recorded=recorded,
-            happenings=tuple(_in_order([*_lined(happened, plan), *seen_in(results)])),
+            happenings=tuple(_in_order([*_lined(happened, plan), *seen_in(results, plan.machine)])),
         )
 
     def each(self, recording: Recording) -> EachRun:
