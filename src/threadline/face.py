@@ -18,7 +18,12 @@ from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine import load_machine as load_machine_file
 from threadline.machine.par import read_parameters
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
+from threadline.option_defaults import (
+    AUTO,
+    DEFAULT_INTERPOLATION,
+    DEFAULT_LIMITS,
+    DEFAULT_TOLERANCE,
+)
 from threadline.option_words import parse_ends, parse_feed, parse_margin
 from threadline.options import Options, options_of, robust_plan
 from threadline.trajectory import retime
@@ -153,6 +158,7 @@ def fastest(
     way = words.get("interpolation", DEFAULT_INTERPOLATION), words.get("feed_forward", False)
     planned = {"robust": robust_plan(robust, *way)} if robust is not None else {}
     chosen, options = load_machine(machine, par), _options({**words, **planned})
+    options = options.on(chosen)
     asked = _spec(spec, chosen).with_margin(parse_margin(margin))
     other = None if actual is None else load_machine(actual, par)
     kind_of(chosen).check_options(chosen, options)
@@ -296,7 +302,7 @@ def compile(
     out
         The file.
     **words
-        As ``prove`` takes them.
+        As ``prove`` takes them; ``interpolation`` is ``"auto"`` unless given, on every machine.
 
     Raises
     ------
@@ -305,7 +311,7 @@ def compile(
     """
     from threadline.pipeline import open_job, plan_job, target_of, write
 
-    chosen, options = load_machine(machine, par), _options(words)
+    chosen, options = load_machine(machine, par), _options({"interpolation": AUTO, **words})
     target_of(target, chosen)
     return write(plan_job(open_job(Path(job), chosen, options), chosen, options), target, out)
 

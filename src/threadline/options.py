@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
 from threadline.machine.radii import written_out
 from threadline.option_defaults import (
+    AUTO,
     DEFAULT_CONTOUR_M,
     DEFAULT_INTERPOLATION,
     DEFAULT_LIMITS,
     DEFAULT_TOLERANCE_M,
     FEED_FORWARD,
     OPTIMAL_FEED_FORWARD,
+    USUAL,
 )
 from threadline.option_words import (
     parse_contour_m,
@@ -25,7 +27,7 @@ from threadline.option_words import (
     parse_tolerance_m,
     parse_width_s,
 )
-from threadline.path.interpolations import BY_LAW, CHORDS, OPTIMAL
+from threadline.path.interpolations import BY_LAW, CHORDS, FIRMWARE, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
 
@@ -102,7 +104,7 @@ class Options:
     Parameters
     ----------
     interpolation
-        Name of the interpolation.
+        Name of the interpolation; ``DEFAULT_INTERPOLATION`` until a machine is known: ``on``.
     feed
         Replaces every programmed feed; None keeps the job's.
     dialect
@@ -155,6 +157,17 @@ class Options:
     robust_share: float | None = None
     change_s: float | None = None
 
+    def on(self, machine: Machine) -> Options:
+        """Return the options with the interpolation that a machine has by default, if none is told.
+
+        A firmware that plans by itself makes of a program what it makes of it: that is then what is
+        to be proved. Commands for the loads do not come from it.
+        """
+        if self.interpolation != DEFAULT_INTERPOLATION:
+            return self
+        own = machine.planner is not None and self.following is Following.MOTOR
+        return replace(self, interpolation=FIRMWARE if own else AUTO)
+
     @property
     def follows_contour(self) -> bool:
         """Whether the timing limits how far the loops leave the path: ``optimal`` for motors."""
@@ -163,7 +176,7 @@ class Options:
     @property
     def path(self) -> PathChoice:
         """The shape of the path: with feed-forward ``auto`` stands for the programmed chords."""
-        chords = self.feed_forward_s is not None and self.interpolation == DEFAULT_INTERPOLATION
+        chords = self.feed_forward_s is not None and self.interpolation in USUAL
         name = CHORDS if chords else self.interpolation  # one by a law is of the chords, too
         return PathChoice(interpolation=name, tolerance_m=self.tolerance_m)
 
@@ -231,7 +244,7 @@ def options_of(
         ``optimal`` followed by the motors.
     """
     if law is not None:
-        if interpolation != DEFAULT_INTERPOLATION:
+        if interpolation not in USUAL:
             raise OptionError(
                 f"--law {law!r} is an interpolation of its own, and --interpolation "
                 f"{interpolation!r} another",
@@ -254,7 +267,7 @@ def options_of(
             f"{interpolation}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
         )
-    if robust is not None and (not feed_forward or interpolation != DEFAULT_INTERPOLATION):
+    if robust is not None and (not feed_forward or interpolation not in USUAL):
         raise OptionError(
             f"--robust {robust!r} is of feed-forward along the programmed chords and times",
             remedy="Give --feed-forward too, and no other --interpolation.",
@@ -284,7 +297,7 @@ def robust_plan(ends: str | None, interpolation: str, feed_forward: bool) -> str
 
     None where the plan has no averages to choose: then the plan for the machine as typed is judged.
     """
-    return ends if feed_forward and interpolation == DEFAULT_INTERPOLATION else None
+    return ends if feed_forward and interpolation in USUAL else None
 
 
 def refuse_axis_options(machine: Machine, options: Options) -> None:
@@ -296,7 +309,8 @@ def refuse_axis_options(machine: Machine, options: Options) -> None:
         If one is given.
     """
     axes = [f.name for f in fields(Options) if not f.name.startswith("shaper")]
-    given = [name for name in axes if getattr(options, name) != getattr(Options(), name)]
+    options, usual = options.on(machine), Options().on(machine)
+    given = [name for name in axes if getattr(options, name) != getattr(usual, name)]
     if given:
         unitless = (name.removesuffix("_m").removesuffix("_s") for name in given)
         names = ["--" + n.replace("limit_share", "limits").replace("_", "-") for n in unitless]

@@ -183,7 +183,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     OptionError
         If an option means nothing to this kind of machine.
     """
-    kind = kind_of(machine)
+    kind, options = kind_of(machine), options.on(machine)
     kind.check_options(machine, options)
     return kind.plan(job, with_radii(machine, options.radius), options)
 

@@ -47,7 +47,7 @@ export class Program {
     this.asked = this.fields();
     const priority = typed("priority") ?? "programmed", tolerance = typed("tolerance");
     this.session.link.act({
-      what: "calculate", program: value("program"), priority, interpolation: typed("interpolation") ?? "auto",
+      what: "calculate", program: value("program"), priority, interpolation: typed("interpolation") ?? "default",
       feed: priority === "programmed" ? typed("feed") : null, law: typed("law"), ...(tolerance === null ? {} : { tolerance }), contour: typed("contour"),
       shaper: typed("shaper"), radius: typed("radius"), offset: typed("offset"),
       feed_forward: typed("feed-forward") !== null && by<HTMLInputElement>("feed-forward").checked, smoothing: typed("smoothing"), robust: typed("robust"),

@@ -33,9 +33,9 @@ from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.machine.radii import with_radii
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
+from threadline.option_defaults import AUTO, DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
 from threadline.option_words import parse_feed
-from threadline.path.interpolations import OPTIMAL
+from threadline.path.interpolations import FIRMWARE, OPTIMAL
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
 from threadline.search import Comparison, Rung
@@ -69,7 +69,8 @@ def compare(
     interpolation: Annotated[
         str | None,
         typer.Option(
-            help="Names, separated by commas; linear,b-spline,b-spline-pulled unless given."
+            help="Names, separated by commas; linear,b-spline,b-spline-pulled unless given, and "
+            "firmware,auto where the machine file names a motion planner."
         ),
     ] = None,
     feed: Annotated[
@@ -113,6 +114,8 @@ def compare(
     check_outputs(folder=report)
     chosen = with_radii(machine_from(machine, par), radius)
     defaults = kind_of(chosen).compared
+    if interpolation is None and chosen.planner is not None:
+        interpolation = f"{FIRMWARE},{AUTO}"
     names = _values(interpolation, defaults, "interpolation", DEFAULT_INTERPOLATION)
     shapers = _values(shaper, defaults, "shaper", UNSHAPED_WORD)
     shown = ["shaper"] if "shaper" in defaults else ["interpolation", "feed"]

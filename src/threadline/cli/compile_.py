@@ -36,7 +36,12 @@ from threadline.cli.warn import warn
 from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
+from threadline.option_defaults import (
+    AUTO,
+    DEFAULT_INTERPOLATION,
+    DEFAULT_LIMITS,
+    DEFAULT_TOLERANCE,
+)
 from threadline.pipeline import open_job, plan_job, target_of, write
 from threadline.signals.files.common import Written
 from threadline.targets.schedule_options import UNSHAPED_WORD
@@ -111,7 +116,7 @@ def compile_(
     asked = None if shaper == UNSHAPED_WORD else shaper
     options = replace(
         options_of(
-            interpolation,
+            AUTO if interpolation == DEFAULT_INTERPOLATION else interpolation,
             feed,
             tolerance,
             limits,

@@ -161,7 +161,7 @@ def fastest(
         radius=radius,
         contour=contour,
         robust=planned,
-    )
+    ).on(chosen)
     read = open_job(job, chosen, options)
     asked = Asked(
         file=job,
@@ -176,7 +176,7 @@ def fastest(
             "-s": spec,
             "--par": par,
             "--actual": actual,
-            "--interpolation": None if law is not None else interpolation,
+            "--interpolation": None if law is not None else options.interpolation,
             "--law": law,
             "--dialect": dialect,
             "--feed-mode": feed_mode,

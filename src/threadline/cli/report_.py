@@ -92,11 +92,15 @@ def report(
         if csv is not None:
             write_recording(recording, csv)
         written = write_report(studied(proof), pages)
+    override = record.override
     if json:
         content = verdict_json(judged.verdict, judged.plan)
+        content |= {"override": override} if override else {}
         print_json({**content, "run": folder.name, "judged_with": before, "report": str(written)})
     else:
         show_proof(proof)
+        if override:
+            say(f"Run although its proof did not pass, by an override: {override}")
         if before:
             say(as_one(before))
         say(f"Report: {written}")

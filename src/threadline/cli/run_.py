@@ -219,7 +219,7 @@ def run(
         for line in over.prepare(plan):
             note(line)
         leaves_m = way_of(chosen).hold_deviation_m(plan)
-        at_rest = _holds_at_rest(plan, asked, leaves_m)
+        at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
         told = {
             "link": link,
             **({"label": over.label} if over.label else {}),
@@ -257,6 +257,8 @@ def run(
         "trace": str(kept.trace),
         "ended": ended.value,
         "hold_deviation_m": finite(leaves_m),
+        "hold_waits_for_rest": at_rest,
+        "spoiled_by_holds": spoiled,
         **({"judged_with": before} if before else {}),
     }
     _judged(kept, content, ended, text)
@@ -308,7 +310,8 @@ def _is_over(
 
 def _judged(kept: OpenRun, content: Mapping[str, Any], ended: Ended, text: str) -> None:
     with _moved(kept):
-        kept.judged(content, ended.value, text)
+        if said := kept.judged(content, ended.value, text):
+            warning(said)
 
 
 @contextmanager
@@ -336,12 +339,17 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
     )
 
 
-def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> bool:
-    """Say how far beside its path a hold would stand; return whether it waits for a rest."""
+def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> tuple[bool, list[dict[str, Any]]]:
+    """Say what a hold would do to the work; return whether it waits for a rest, and why."""
     at_rest = hold_waits(plan, spec, leaves_m)
-    if words := hold_words(plan, leaves_m, waits=at_rest):
+    spoiled = () if at_rest else way_of(plan.machine).spoiled_by_holds(plan, spec)
+    at_rest = at_rest or bool(spoiled)
+    if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
         note(words)
-    return at_rest
+    told = (
+        {"name": r.name, "axis": r.axis, "measured": r.measured, "limit": r.limit} for r in spoiled
+    )
+    return at_rest, list(told)
 
 
 def _show(

@@ -60,7 +60,8 @@ InterpolationOption = Annotated[
     str,
     typer.Option(
         help="auto, optimal, firmware, point-to-point, linear, parabolic, cubic, quintic, "
-        "b-spline, b-spline-pulled, law:NAME."
+        "b-spline, b-spline-pulled, law:NAME. By default firmware where the machine file names "
+        "a motion planner, else auto; compile, which writes another program, has auto."
     ),
 ]
 LawOption = Annotated[

@@ -15,6 +15,7 @@ from threadline.kinds.kind import Kind
 from threadline.kinds.retold import one_by_one
 from threadline.machine import Machine
 from threadline.machine.vary import DAMPING_OF_DAYS, vary
+from threadline.option_defaults import AUTO
 from threadline.options import Options
 from threadline.path.interpolations import BY_LAW
 from threadline.plan import Plan, Stitched
@@ -33,10 +34,11 @@ def _check(machine: Machine) -> None:
 
 
 def _check_options(machine: Machine, options: Options) -> None:
+    options = options.on(machine)
     of_law = options.interpolation.startswith(BY_LAW)
     kept = replace(
-        Options(),
-        interpolation=options.interpolation if of_law else Options().interpolation,
+        Options().on(machine),
+        interpolation=options.interpolation if of_law else AUTO,
         feed=options.feed,
         tolerance_m=options.tolerance_m,
     )

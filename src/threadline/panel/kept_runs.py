@@ -200,8 +200,10 @@ class KeptRuns:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
         leaves_m = way_of(self._machine).hold_deviation_m(plan)
         at_rest = hold_waits(plan, spec, leaves_m)
+        spoiled = () if at_rest else way_of(self._machine).spoiled_by_holds(plan, spec)
+        at_rest = at_rest or bool(spoiled)
         load, number = executor.prepare(plan), int(told["number"])
-        if words := hold_words(plan, leaves_m, waits=at_rest):
+        if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
             load = replace(load, notes=(*load.notes, words))
         found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m, at_rest)
         if "run" not in told:
@@ -299,11 +301,12 @@ class KeptRuns:
         }
         before = joined_with(run.trace)
         content |= {"judged_with": before} if before else {}
-        run.judged(content, ended, why)
+        unsaid = run.judged(content, ended, why)
         if before:
             told = f"; {as_one(before)}"
         else:
             told = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
+        told += f"; {unsaid}" if unsaid else ""
         return _Finished(content, closing(verdict) + told)
 
     @staticmethod

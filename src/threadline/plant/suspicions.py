@@ -171,8 +171,8 @@ def _beyond_drive(machine: Machine, name: str) -> list[str]:
         if limit > _BEYOND * reached:
             found.append(
                 f"axes.{name}: {said} is {_shown(axis, limit)}{unit} by the machine file, and "
-                f"drives.{drive} reaches {_shown(axis, reached)}{unit} at most, with the {why}: the "
-                f"machine falls behind a plan that asks for more; lower axes.{name}.{said}"
+                f"drives.{drive} reaches {_shown(axis, reached)}{unit} at most, with the {why}: "
+                f"the machine falls behind a plan that asks for more; lower axes.{name}.{said}"
             )
     return found
 

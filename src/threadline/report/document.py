@@ -12,6 +12,7 @@ from threadline.escaping import plain
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.option_words import parse_tolerance_m, tolerance_words
+from threadline.signals import Recording
 from threadline.verdict import Verdict, happened_rows
 
 if TYPE_CHECKING:
@@ -157,6 +158,15 @@ def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list
             ("machine sha256", machine.sha256),
         ]
     return facts
+
+
+def run_facts(recording: Recording) -> list[tuple[str, str]]:
+    """Return the facts of a run of the machine; none of a recording that was simulated for a proof.
+
+    ``override`` is the reason why it was run although its proof did not pass.
+    """
+    origin = recording.origin
+    return [(name, origin[name]) for name in ("link", "label", "override") if name in origin]
 
 
 def options_facts(

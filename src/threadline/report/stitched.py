@@ -19,6 +19,7 @@ from threadline.report.document import (
     changes,
     options_facts,
     origin_facts,
+    run_facts,
 )
 from threadline.report.drawn_run import DrawnRun, drawn_run, run_words
 from threadline.report.each_stitch import stitch_lines
@@ -217,6 +218,7 @@ def _facts(proof: Proof) -> list[tuple[str, str]]:
     return [
         *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        *run_facts(proof.recording),
         ("tables", f"{len(commands.library)}, counted by {commands.counted_by}"),
         ("law", plan.stitched.law.name),
         *options_facts(plan.options, plan.machine, _LEFT_OUT),

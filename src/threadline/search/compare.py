@@ -83,6 +83,8 @@ def compare(
         If a plan without a shaper fails, or those of all shapers do.
     """
     check_machine(machine)
+    named = (replace(options, interpolation=name).on(machine) for name in interpolations)
+    interpolations = list(dict.fromkeys(one.interpolation for one in named))
     searched = job.paced_by in ("feed", "needle") and not machine.without_dynamics
     with_fastest = with_fastest and searched
     proofs = []

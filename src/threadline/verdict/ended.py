@@ -24,12 +24,15 @@ class Heard:
     ----------
     happenings
         What changed the motion until then, by limit switches and events.
+    stopped_s
+        When the stop began that ended the run, s; None of a run that nobody stopped.
     """
 
     def __init__(self, recording: Recording, machine: Machine) -> None:
         self._recording, self._machine = recording, machine
         self._outcome: Outcome | None = None
         self.happenings: list[Happening] = []
+        self.stopped_s: float | None = None
 
     def __iter__(self) -> Iterator[RecordingBlock]:
         known, self.happenings = Outcome(), []
@@ -48,7 +51,7 @@ class Heard:
             yield block
         self._outcome = known
         cuts = [switch.found for switch in switches if switch.found is not None]
-        self.happenings = [*cuts, *events.found()]
+        self.happenings, self.stopped_s = [*cuts, *events.found()], events.stopped_s
 
     def outcome(self) -> Outcome:
         """Return how the run ended; reads the recording only if nothing else has read all of it."""
@@ -106,6 +109,8 @@ class _Events:
         self._holds = 0
         self._late: Event | None = None
         self._late_ticks = 0
+        self._brakes = (0, -1)  # ticks at which the latest hold began and ended
+        self.stopped_s: float | None = None
 
     def take(self, event: Event) -> None:
         """Take the next event."""
@@ -117,6 +122,15 @@ class _Events:
             self._late = self._late or event
             self._late_ticks += int(event.value)
         elif event.kind in _ENDS:
+            if event.kind == "stopped" and self._clock is not None:
+                held, until = self._brakes
+                began = (
+                    self._held.tick if self._held else held if until >= event.tick else event.tick
+                )
+                self.stopped_s = float(self._clock.time_s(began))
+            last = self._found[-1] if self._found else None
+            if self._brakes[1] >= event.tick and last and last.change is Change.HOLD:
+                self._found.pop()  # it braked to its end
             why = said_once(event.kind, event.name)
             self._add(_ENDS[event.kind], f"the run ended early, {why},", event)
 
@@ -140,6 +154,8 @@ class _Events:
     def _end_hold(self, until: Event | None) -> None:
         assert self._held is not None
         self._holds += 1
+        if until is not None:
+            self._brakes = self._held.tick, until.tick
         if self._holds <= MOST_TOLD:
             why = f", {self._held.name}," if self._held.name else ""
             lasted = ""
@@ -160,7 +176,10 @@ class _Events:
         )
 
 
+_CURRENT = "current_peak"
+_ROUNDING = 1e-9  # of a current: one that is clamped is at its limit
 _CHANGES = {
+    _CURRENT: (Change.SATURATION, 0.0, "the current of {axis} was at its limit, first"),
     "dac_saturation": (
         Change.SATURATION, 0.0, "the controller of {axis} gave all that it has, first",
     ),
@@ -176,13 +195,16 @@ _CHANGES = {
 """By measure: what changes the motion where more than so much of it is measured."""
 
 
-def seen_in(results: Sequence[Result]) -> list[Happening]:
+def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
     """Return what changed the motion of the runs by the measured results of a verdict."""
     found = []
     for result in results:
         if result.name not in _CHANGES or result.measured is None:
             continue
         change, limit, text = _CHANGES[result.name]
+        if result.name == _CURRENT:
+            most = machine.drive_of(result.axis).amplifier.current_limit
+            limit = np.inf if most is None else most.si * (1.0 - _ROUNDING)
         if result.measured > limit:
             share = f"{100.0 * result.measured:.4g} %"
             found.append(
@@ -219,9 +241,25 @@ def told_end(outcome: Outcome) -> str:
     return f"the run ended{where}, {said_once(outcome.ended.value, outcome.text)}"
 
 
-def not_beyond(result: Result, why: str) -> Result:
-    """Return ``result`` when a run ended early: only a failure seen until then is certain."""
-    if not why or result.status in {Status.FAILED, Status.NOT_MEASURED}:
+def not_beyond(
+    result: Result, why: str, stopped_s: float | None = None, *, of_worst: bool = True
+) -> Result:
+    """Return ``result`` when a run ended early: only a failure seen until then is certain.
+
+    Parameters
+    ----------
+    why
+        How the run ended; empty where it came to its end.
+    stopped_s
+        When somebody began to stop it: what the stop itself does to the work fails nothing.
+    of_worst
+        Whether the measure is the worst of all samples. Others say nothing of a part of a run.
+    """
+    late = result.time_s is None or (stopped_s is not None and result.time_s >= stopped_s)
+    by_stop = stopped_s is not None and (late or not of_worst)
+    if not why or result.status is Status.NOT_MEASURED:
+        return result
+    if result.status is Status.FAILED and not by_stop:
         return result
     so_far = (
         "" if result.measured is None else f" ({_told(result.measured, result.unit)} until then)"

@@ -81,8 +81,9 @@ class Judge:
             Recordings of other machines within the tolerances. Their worst counts too, except in
             measures of many runs together (repeatability), which compare runs of one machine.
         recorded
-            Whether recordings of a machine are judged, and not runs that were simulated for this
-            verdict: limits of travel and velocity are then measured on them as well.
+            Whether recordings are judged, and not runs that were simulated for this verdict. Of a
+            machine, limits of travel and velocity are then measured on them as well: what was
+            simulated played the very commands of the plan.
 
         Raises
         ------
@@ -91,20 +92,32 @@ class Judge:
             lengths of a rotary one, or a trace is damaged.
         """
         plan, spec = self.plan, self.spec
-        findings, runs, listened = self._measured(recordings, recorded=recorded)
+        live = recorded and not all(recording.simulated for recording in recordings)
+        findings, runs, listened = self._measured(recordings, recorded=live)
         for other in others:
-            measured, _, ended = self._measured([other], together=False, recorded=recorded)
+            measured, _, ended = self._measured([other], together=False, recorded=live)
             listened = [*listened, *ended]
             for key, found in measured.items():
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)
         outcomes = [listener.outcome() for listener in listened]
         why = next(filter(None, map(told_end, outcomes)), "")
+        stops = [
+            listener.stopped_s
+            for listener, outcome in zip(listened, outcomes, strict=True)
+            if outcome.incomplete
+        ]
+        stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
         told = [
-            with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
+            with_recording(result, findings, plan, spec, complete=not why, recorded=live)
             if MEASURES[criterion.name].of_plan(plan) is not None
-            else not_beyond(_told(_run_told(result, found, count), runs), why)
+            else not_beyond(
+                _told(_run_told(result, found, count), runs),
+                why,
+                stopped_s,
+                of_worst=kind.of_worst,
+            )
             for criterion in spec.criteria
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
@@ -121,7 +134,7 @@ class Judge:
             incomplete=why,
             late_ticks=sum(outcome.late_ticks for outcome in outcomes),
             recorded=recorded,
-            happenings=tuple(_in_order([*_lined(happened, plan), *seen_in(results)])),
+            happenings=tuple(_in_order([*_lined(happened, plan), *seen_in(results, plan.machine)])),
         )
 
     def each(self, recording: Recording) -> EachRun:
