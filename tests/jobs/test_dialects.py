@@ -30,7 +30,7 @@ def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     [
         ("linuxcnc", "G17 G21 G40 G49 G54 G80 G90 G94 G64 P0.01\nM3 S100\nM8", "G40 G49 G54 S M8"),
         ("linuxcnc", "G54 G64 P0.01 Q0.02\nG64 P0 Q0", "G54"),
-        ("grbl", "G17 G21 G40 G49 G54 G80 G90 G94\nM3 S100\nM8\nT1", "G40 G49 G54 S M8 T"),
+        ("grbl", "G17 G21 G40 G49 G54 G80 G90 G94\nM3 S100\nM8\nT1 M6", "G40 G49 G54 S M8 T"),
         ("fluidnc", "G21 G54\nM4 S5 M7", "G54 S M7"),
         ("marlin", "G21\nM17\nM104 S200\nM82\nM117 wind on! X5\nM30", "M17 M104 M82 M117 M30"),
         ("fanuc", "G17 G40 G49 G80 G69 G15 G21\nT1 M6\nS50 M3\nM8", "G40 G49 G69 G15 T S M8"),

@@ -11,7 +11,7 @@ from tests.jobs.made_machines import made_machine
 from tests.jobs.random_blocks import random_blocks, random_commands
 
 from threadline.errors import InputError, JobError
-from threadline.jobs import Dwell
+from threadline.jobs import Dwell, Stop
 from threadline.jobs.gcode.plain_reader import PlainReader
 from threadline.machine import Machine
 
@@ -92,9 +92,10 @@ REFUSED = [
     ("grbl", "T256", "T256 is beyond 255, the most that grbl takes"),
     ("grbl", "M3 S-1", "S-1 must not be negative for grbl"),
     ("linuxcnc", "G1 N7 X9", "linuxcnc takes N7 in front of the line alone"),
+    ("linuxcnc", "N3. X9", "linuxcnc takes N3. in front of the line alone, and without a point"),
     # words that the control does not know
     ("grbl", "G64", "G64 is no word of grbl"),
-    ("grbl", "T1 M6", "M6 is no word of grbl"),
+    ("grbl", "T1 M6 G1 X9", "grbl refuses M6 with its whole line, G1 too"),
     ("grbl", "O100", "grbl has no word O"),
     ("grbl", "G92.2", "unknown word G92.2"),
     ("fluidnc", "G92.3", "unknown word G92.3"),
@@ -144,6 +145,13 @@ def test_what_a_control_takes_is_read(
 ) -> None:
     job = read(tmp_path, xyza, f"{HEAD}{block}\nM2\n", dialect)
     assert millimetres(job)[-1][0] == pytest.approx(x_mm)
+
+
+def test_m6_of_grbl_is_a_stop_of_what_sends_the_program(tmp_path: Path, xyza: Machine) -> None:
+    job = read(tmp_path, xyza, f"{HEAD}N4 T1 M6\nX7\n", "grbl")
+    assert any("a.nc:3: grbl itself refuses M6" in warning for warning in job.warnings)
+    assert [isinstance(item, Stop) for item in job] == [False, True, False, True]
+    assert not any("M6" in w for w in read(tmp_path, xyza, f"{HEAD}M6\nX7\n", "fluidnc").warnings)
 
 
 @pytest.mark.parametrize(("dialect", "bulge"), [("grbl", 100.0), ("linuxcnc", 100.05)])

@@ -163,8 +163,8 @@ def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"#PES0001", "does not begin with #PES and the place"),
-        (b"not a design at all", "does not begin with #PES and the place"),
+        (b"#PES0001", "it is cut off at byte 8, in its header"),
+        (b"not a design at all", "does not begin with #PES"),
         (pes(b"\x01\x01\xff")[:400], "cut off at byte 400: its stitches begin at byte 550"),
         (b"#PES0001" + struct.pack("<I", 23) + pes(b"\xff")[12:], "no PEC block begins at byte 23"),
         (pes(b"\x01\x01\xc1\x02\x03\xff"), "the byte 0xc1 at 552 begins no record"),

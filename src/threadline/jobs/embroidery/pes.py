@@ -23,6 +23,7 @@ from threadline.errors import JobError, Place
 
 SUFFIXES = (".pes", ".pec")
 _PEC = b"#PEC0001"
+_OFFSET = slice(8, 12)
 _COLOURS, _RECORDS = 48, 528
 _LONG, _BEYOND, _TRIM_FLAG, _JUMP_FLAG = 0x80, 0x40, 0x20, 0x10
 _CHANGE, _END = b"\xfe\xb0", 0xFF
@@ -57,10 +58,12 @@ def _block(content: bytes, place: Place) -> int:
     """Return the byte at which the PEC block begins."""
     if content[:8] == _PEC:
         block = 8
-    elif content[:4] == b"#PES" and len(content) >= 12:
-        block = int.from_bytes(content[8:12], "little")
+    elif content[:4] != b"#PES":
+        raise _refused(place, "it does not begin with #PES")
+    elif len(content) < _OFFSET.stop:
+        raise _refused(place, f"it is cut off at byte {len(content)}, in its header")
     else:
-        raise _refused(place, "it does not begin with #PES and the place of its stitches")
+        block = int.from_bytes(content[_OFFSET], "little")
     if len(content) < block + _RECORDS:
         raise _refused(
             place,

@@ -36,6 +36,8 @@ _ACTS = frozenset({"stop", "on", "off", "wait", "idle"})
 _CURVE = "IJKRQ"
 _CURVED = (2, 3, 5)
 DWELL, RESET = 40, 921
+CHANGE = 6
+"""Number of the M word that changes the tool."""
 TAKES_AXES = (280, 920)
 """Actions that take the axis words of their block; beside others these belong to the motion."""
 

@@ -126,7 +126,7 @@ class Dialect:
 _GRBL_G = {code: group for code, group in {**_CNC, **_SYSTEMS}.items() if code != 640}
 _GRBL = Dialect(
     name="grbl", feed_rule="grbl", g=_GRBL_G,
-    m={code: effect for code, effect in _CNC_M.items() if code != 6}, idle_letters="ST",
+    m=_CNC_M, idle_letters="ST",
     needs_end=False, streams=True, grammar=grammar.GRBL,
 )  # fmt: skip
 SILENT = frozenset(
@@ -168,7 +168,6 @@ WHY: Mapping[int, str] = {
 WHY_IN: Mapping[str, Mapping[str, str]] = {
     "grbl": {
         "G64": "no word of grbl, which blends by its own settings",
-        "M6": "no word of grbl: programs that send to it take it out, or stop there",
     },
     "fluidnc": {"G64": "no word of fluidnc, which blends by its own settings"},
     "marlin": {

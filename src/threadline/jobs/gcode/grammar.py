@@ -55,6 +55,9 @@ class Grammar:
         G words that take the axis words of their block and do nothing with them.
     needs_p
         M words that need a P.
+    of_sender
+        M words that the control refuses with their whole line: what sends the program takes them
+        out, and stops there. No other words than N S T stand beside them.
     split_comments
         Whether a semicolon inside parentheses ends the line.
     feed_first
@@ -90,6 +93,7 @@ class Grammar:
     takes_axes: frozenset[int] = frozenset()
     loses_axes: frozenset[int] = frozenset()
     needs_p: frozenset[int] = frozenset()
+    of_sender: frozenset[int] = frozenset()
     split_comments: bool = False
     feed_first: bool = False
     forgets_feed: bool = False
@@ -112,7 +116,7 @@ GRBL = Grammar(
     longest=79, packed=True, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
     alone=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), feed_first=True, cancelled=True, reset_last=True, arc_ends=True,
-    round_arcs=True, single=True,
+    round_arcs=True, single=True, of_sender=frozenset({6}),
 )  # fmt: skip
 FLUIDNC = Grammar(
     longest=127, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
@@ -307,9 +311,9 @@ def check_words(
         value = exact(number)
         if value is None:
             continue  # refused by who reads it
-        if letter == "N" and place and grammar.numbers_first:
+        if letter == "N" and (place or "." in number) and grammar.numbers_first:
             raise JobError(
-                f"{name} takes N{number} in front of the line alone",
+                f"{name} takes N{number} in front of the line alone, and without a point",
                 place=at,
                 remedy="Write it there.",
             )
@@ -344,6 +348,15 @@ def check_words(
             kind = grammar.m_kinds[value // ONE]
             _refuse_two([kinds[kind], word] if kind in kinds else [], name, at)
             kinds[kind] = word
+        if letter == "M" and value // ONE in grammar.of_sender:
+            beside = [f"{a}{b}" for a, b in words if a not in "NST" and f"{a}{b}" != word]
+            if beside:
+                raise JobError(
+                    f"{name} refuses {word} with its whole line, {beside[0]} too",
+                    place=at,
+                    remedy=f"Write {word} in a line of its own, where what sends the program "
+                    "takes it out and stops.",
+                )
         if (
             letter == "M"
             and value // ONE in grammar.needs_p
