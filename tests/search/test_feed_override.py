@@ -118,8 +118,12 @@ def test_programs_with_feeds_that_differ_are_searched_by_their_override(
     """Up to where the fastest F is as fast as its axes: 30 m/min for F 1000, and no higher."""
     several = job_of(tmp_path, mill, "G1 X5 F333\nX60 F1000\nM2\n")
     single = job_of(tmp_path, mill, "G0 X5\nG1 X60 F1000\nM2\n")
-    assert searched_by(several) is FeedMode.OVERRIDE
-    assert searched_by(single) is FeedMode.F_WORD
+    assert searched_by(several, mill) is FeedMode.OVERRIDE
+    assert searched_by(single, mill) is FeedMode.F_WORD
+    winder = load_machine("lathe-winder")  # whose operator sets one feed
+    assert (
+        searched_by(job_of(tmp_path, winder, "G1 X5 F60\nX9 F90\nM2\n"), winder) == "fastest-axis"
+    )
     _, high = search_range(several, mill, FeedMode.OVERRIDE)
     assert high == pytest.approx(30.0, rel=1e-5)
     beyond = job_of(tmp_path, mill, "G1 X5 F333\nX60 F90000\nM2\n")

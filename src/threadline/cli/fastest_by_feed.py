@@ -69,7 +69,7 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
     """Search the feed and the share of the limits, print the result, and end the program."""
     read, machine, options = asked.job, asked.machine, asked.options
     check_mismatch(asked.mismatch, asked.actual is not None, asked.report)
-    by, low, high = _span(read, asked.low, asked.high)
+    by, low, high = _span(read, machine, asked.low, asked.high)
     warn(machine, read, own_feed=False)
     with progress_bar(not asked.json) as progress:
         result = fastest_job(
@@ -185,7 +185,7 @@ def metres_per_second(text: str) -> float:
 
 
 def _span(
-    read: Job, low: str | None, high: str | None
+    read: Job, machine: Machine, low: str | None, high: str | None
 ) -> tuple[FeedMode, float | None, float | None]:
     """Return what the feeds of the search are of, and its ends in m/s of that.
 
@@ -195,7 +195,7 @@ def _span(
         If an end is in another unit than a speed, or the ends are of different kinds.
     """
     ends = [None if text is None else parse_feed(text) for text in (low, high)]
-    modes = {end.mode for end in ends if end is not None} or {searched_by(read)}
+    modes = {end.mode for end in ends if end is not None} or {searched_by(read, machine)}
     if modes == {FeedMode.F_WORD}:
         as_f_words(1.0, read.feed_rule)
     elif modes not in ({FeedMode.FASTEST_AXIS}, {FeedMode.OVERRIDE}):

@@ -34,16 +34,17 @@ from threadline.search.until import Until
 from threadline.verdict import Spec, Verdict
 
 
-def searched_by(job: Job) -> FeedMode:
+def searched_by(job: Job, machine: Machine) -> FeedMode:
     """Return what a search for a feed varies.
 
     Where a program has feeds that differ it is their override, which keeps their ratios; else F as
-    the job has it, or the speed of the fastest axis.
+    the job has it, or the speed of the fastest axis. An operator whose machine has a normal feed
+    sets one for all moves, and no override.
     """
     named = job.feed_rule.partition(":")[0]
     if named not in RULES:
         return FeedMode.FASTEST_AXIS
-    if _feeds_differ(job):
+    if machine.operator is None and _feeds_differ(job):
         return FeedMode.OVERRIDE
     return FeedMode.FASTEST_AXIS if RULES[named][0] is FeedMode.FASTEST_AXIS else FeedMode.F_WORD
 

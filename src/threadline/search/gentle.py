@@ -103,7 +103,7 @@ def fastest_job(
             trials=trials,
             until=until,
         )
-    by = searched_by(job) if by is None else by
+    by = searched_by(job, machine) if by is None else by
     lowest, highest = search_range(job, machine, by)
     unit = "times the feeds" if by is FeedMode.OVERRIDE else "m/s"
     check_range(lowest if low is None else low, highest if high is None else high, unit)
