@@ -47,14 +47,18 @@ def real_numbers(values: ArrayLike) -> FloatArray:
     Raises
     ------
     TypeError, ValueError
-        If they are texts, complex, nothing, or rows of unequal length.
+        If they are texts, complex, nothing, rows of unequal length, or whole numbers beyond the
+        largest float.
     """
     array = np.asarray(values)
     if array.dtype.kind not in "biufO":
         raise TypeError(f"{array.dtype} are not real numbers")
     if array.dtype.kind == "O" and any(one is None or isinstance(one, str) for one in array.flat):
         raise TypeError("texts, or nothing, are not real numbers")
-    return np.array(array, dtype=np.float64)
+    try:
+        return np.array(array, dtype=np.float64)
+    except OverflowError as error:
+        raise ValueError(str(error)) from error
 
 
 def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
