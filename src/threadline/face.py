@@ -14,6 +14,7 @@ from threadline.answers import Answer as Answer  # noqa: PLC0414 - callers name 
 from threadline.answers import Found as Found  # noqa: PLC0414
 from threadline.answers import PathLike as PathLike  # noqa: PLC0414
 from threadline.answers import Proved as Proved  # noqa: PLC0414
+from threadline.arguments import check_argument, checked
 from threadline.errors import OptionError
 from threadline.machine import Machine
 from threadline.machine import load_machine as load_machine_file
@@ -23,6 +24,7 @@ from threadline.option_defaults import (
     DEFAULT_INTERPOLATION,
     DEFAULT_LIMITS,
     DEFAULT_TOLERANCE,
+    MOST_REPEATS,
 )
 from threadline.option_words import parse_ends, parse_feed, parse_margin
 from threadline.options import Options, options_of, robust_plan
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 __all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
 
 
+@checked
 def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Machine:
     """Return a machine of the library or of a file, with overlays after plus signs.
 
@@ -60,6 +63,7 @@ def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Ma
     return found if par is None else read_parameters(par, found)
 
 
+@checked
 def prove(
     job: PathLike,
     machine: PathLike | Machine,
@@ -113,6 +117,7 @@ def prove(
     return Proved(prove_job(Path(job), chosen, asked, options, None, trials, other))
 
 
+@checked
 def fastest(
     job: PathLike,
     machine: PathLike | Machine,
@@ -155,6 +160,7 @@ def fastest(
     from threadline.search.by_pace import SEARCHES, Question
 
     trials = _trials(level, None, robust)
+    _check_words(words, tuple(_WORDS))
     way = words.get("interpolation", DEFAULT_INTERPOLATION), words.get("feed_forward", False)
     planned = {"robust": robust_plan(robust, *way)} if robust is not None else {}
     chosen, options = load_machine(machine, par), _options({**words, **planned})
@@ -170,6 +176,7 @@ def fastest(
     return Found(*SEARCHES[read.paced_by](question))
 
 
+@checked
 def compare(
     job: PathLike,
     machine: PathLike | Machine,
@@ -225,6 +232,7 @@ def compare(
     )
 
 
+@checked
 def judge(
     recordings: PathLike | Sequence[PathLike],
     *,
@@ -280,6 +288,7 @@ def judge(
     )
 
 
+@checked
 def compile(
     job: PathLike,
     machine: PathLike | Machine,
@@ -320,6 +329,7 @@ def compile(
     return write(plan, target, out, slower=slower)
 
 
+@checked
 def shaper(text: str) -> Shaper | dict[str, Shaper]:
     """Return the shaper that ``text`` describes, or one per axis where it names axes.
 
@@ -358,8 +368,14 @@ def _trials(level: str, repeats: int | None, ends: str | None = None) -> Trials:
     if repeats is not None:
         if repeats < 1:
             raise OptionError(f"repeats must be at least 1, got {repeats}")
+        if repeats > MOST_REPEATS:
+            raise OptionError(f"repeats must be at most {MOST_REPEATS}, got {_short(repeats)}")
         found = Trials(repeats=repeats, machines=found.machines)
     return found if ends is None else replace(found, ends=parse_ends(ends))
+
+
+def _short(number: int) -> str:
+    return str(number) if abs(number) < 10**12 else "a number of many digits"
 
 
 _WORDS = {
@@ -387,9 +403,12 @@ def _options(words: dict[str, Any]) -> Options:
 def _check_words(words: dict[str, Any], known: tuple[str, ...]) -> None:
     from threadline.foreign_messages import nearest
 
-    for name in words:
+    for name, value in words.items():
         if name not in known:
             raise OptionError(f"unknown option {name!r}", remedy=nearest(name, known))
+        default = _WORDS[name]
+        text: Any = str | None if default is None or known is _OF_A_PLAN else str
+        check_argument(name, value, bool if default is False else text)
 
 
 def _spec(spec: PathLike | Spec | None, machine: Machine) -> Spec:

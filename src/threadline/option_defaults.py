@@ -27,3 +27,6 @@ FEED_FORWARD = "40 ms"
 """Default time over which feed-forward smooths the motion."""
 OPTIMAL_FEED_FORWARD = "10 ms"
 """Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
+
+MOST_REPEATS = 1000
+"""Runs of a machine in one verdict at most: each is kept until the last one is judged."""

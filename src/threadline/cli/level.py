@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from threadline.errors import OptionError
+from threadline.option_defaults import MOST_REPEATS
 from threadline.option_words import parse_ends
 from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, yielding
 from threadline.typed_number import parse_number
@@ -22,7 +23,7 @@ RepeatsOption = Annotated[
     int | None,
     typer.Option(
         min=1,
-        max=1000,
+        max=MOST_REPEATS,
         help="How many runs, each with other encoder phases, friction and supply; default 20.",
     ),
 ]
