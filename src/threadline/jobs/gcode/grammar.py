@@ -179,7 +179,7 @@ def one_command(text: str, place: Place) -> str:
     which is compared. Letters without number, which name the axes of G28, get the number 0.
 
     >>> here = Place("a.gcode", 1)
-    >>> one_command("N3 G28 X Y*71", here), one_command("M117 hello X1", here)
+    >>> one_command("N3 G28 X Y*17", here), one_command("M117 hello X1", here)
     (' G28 X0 Y0', 'M117')
 
     Raises
