@@ -202,7 +202,9 @@ def comparison_tables(
     first = found.proofs[0].plan
     stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
     sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
-    columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS if sewn else COLUMNS
+    columns: tuple[tuple[str, str], ...] = COLUMNS
+    if stepwise or sewn:
+        columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS
     if first.machine.without_dynamics:  # placement is not measured: the columns would be empty
         columns = tuple(
             (name, title)
