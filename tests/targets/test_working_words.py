@@ -361,7 +361,7 @@ def test_compare_shows_what_the_firmware_makes_of_the_program(
     assert found == [*reversed(times_of(wanted, capsys))]
     with pytest.raises(SystemExit):
         main([*asked, "--no-fastest"])
-    assert "klipper" in capsys.readouterr().out
+    assert "as run s" in capsys.readouterr().out
 
 
 def test_the_planned_speeds_give_way_where_they_would_be_slower(tmp_path: Path) -> None:

@@ -205,10 +205,16 @@ def comparison_tables(
     first = found.proofs[0].plan
     stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
     sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
-    columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS if sewn else COLUMNS
-    planner = first.machine.planner
-    as_run = planner is not None and any(found.as_run_s)
-    own = [f"{planner.kind} runs it in s"] if planner is not None and as_run else []
+    columns: tuple[tuple[str, str], ...] = COLUMNS
+    if stepwise or sewn:
+        columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS
+    if first.machine.without_dynamics:  # placement is not measured: the columns would be empty
+        columns = tuple(
+            (name, title)
+            for name, title in columns
+            if any(_worst(proof, name) != "-" for proof in found.proofs)
+        )
+    own = ["as run s"] if any(found.as_run_s) else []
     header = [*shown, "time s", *own, *(title for _, title in columns), "verdict"]
     rows = [
         [
