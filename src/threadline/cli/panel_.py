@@ -121,7 +121,7 @@ def panel(
             raise
         except KeyboardInterrupt:  # Ctrl-C is how a panel ends
             pass
-        say(f"The panel has ended: {served.ended}.")
+        say(f"The panel has ended: {served.ended.rstrip('.')}.")
 
 
 def _to_standard_error() -> logging.Handler:
