@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
 import re
 import subprocess
 import sys
@@ -72,6 +73,46 @@ def test_an_interrupt_leaves_no_half_of_machine_code(tmp_path: Path) -> None:
         file.write(b"half")
         raise KeyboardInterrupt
     assert not list(tmp_path.glob("*tmp*"))
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", ["empty", "cut", "a byte"])
+def test_a_damaged_file_is_made_again(tmp_path: Path, ending: str, damage: str) -> None:
+    """numba's own cache ends with an error of pickle, or runs machine code that is none."""
+    cache(tmp_path, "file").save("a float", b"code" * 400)
+    (file,) = tmp_path.glob(f"*.{ending}")
+    whole = file.read_bytes()
+    places = range(0, len(whole), 7) if damage == "a byte" else [0 if damage == "empty" else 20]
+    for at in places:
+        changed = bytearray(whole if damage == "a byte" else whole[:at])
+        if damage == "a byte":
+            changed[at] ^= 0x55
+        file.write_bytes(changed)
+        reader = cache(tmp_path, "file")
+        assert reader.load("a float") is None, at
+        reader.save("a float", b"made again")
+        assert cache(tmp_path, "file").load("a float") == b"made again"
+
+
+def test_machine_code_is_on_the_disk_before_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loss of power after a rename leaves a file of its length that is empty, else."""
+    order: list[str] = []
+    fsync, replace = os.fsync, Path.replace
+    monkeypatch.setattr("os.fsync", lambda file: (order.append("fsync"), fsync(file))[1])
+    monkeypatch.setattr(
+        Path, "replace", lambda self, to: (order.append(Path(to).suffix), replace(self, to))[1]
+    )
+    cache(tmp_path, "file").save("a float", "code")
+    assert order == ["fsync", ".nbc", "fsync", ".nbi"]
+
+
+def test_a_folder_that_cannot_be_written_keeps_nothing_and_stops_nobody(tmp_path: Path) -> None:
+    (tmp_path / "f.nbi").mkdir()
+    full = cache(tmp_path, "file")
+    full.save("a float", "code")
+    assert full.load("a float") is None
 
 
 def test_two_that_write_at_once_never_take_the_code_of_each_other(tmp_path: Path) -> None:
@@ -152,6 +193,25 @@ def test_who_waited_long_enough_compiles_for_itself(
     assert other.load("a float") is None
     other.save("a float", "code")
     assert stopped.load("a float") == "code"
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("NUMBA_DISABLE_JIT=1", "NUMBA_DISABLE_JIT is set: .* Unset it."),
+        ("NUMBA_NUM_THREADS=0", "numba refuses its settings .* Number of threads"),
+        ("NUMBA_NUM_THREADS=-3", "numba refuses its settings .* Number of threads"),
+    ],
+)
+def test_an_environment_without_a_compiler_is_one_line(setting: str, said: str) -> None:
+    name, _, value = setting.partition("=")
+    example = Path(__file__).parents[1] / "examples" / "x-180.prg"
+    ran = subprocess.run(
+        [sys.executable, "-m", "threadline", "prove", str(example), "-m", "lathe-winder"],
+        env={**os.environ, name: value}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 2
+    assert re.fullmatch(rf"error: \[OPTION\] .*{said}.*\n", ran.stderr), ran.stderr
 
 
 def test_nothing_goes_round_it() -> None:

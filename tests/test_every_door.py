@@ -61,7 +61,7 @@ class PlannedError(Exception):
         moves = [repr(one) for one in job]
         axes = {name: (axis.radius, axis.profile) for name, axis in machine.axes.items()}
         super().__init__("planned")
-        self.asked = (options, moves, axes, machine.name)
+        self.asked = (options.on(machine), moves, axes, machine.name)
 
 
 def planned(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> None:

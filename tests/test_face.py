@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import doctest
+import inspect
+import math
 import re
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
+import numpy as np
 import pytest
 
 import threadline as tl
@@ -198,3 +203,101 @@ def test_a_search_is_asked_to_hold_at_the_ends_of_tolerances(
 def test_a_search_of_commands_and_waits_has_no_ends_of_loads() -> None:
     with pytest.raises(OptionError, match=r"--robust '100 %' does not apply to letter-cycle"):
         tl.fastest(ROOT / "examples" / "letter-cycle.toml", "letter-placer", robust="100 %")
+
+
+LOOSE: Any = tl
+"""The package as somebody calls it who has no checker of types."""
+
+
+prove_x = partial(LOOSE.prove, "x.prg", "lathe-winder")
+compare_x = partial(LOOSE.compare, "x.prg", "lathe-winder")
+
+
+def wrong_types() -> list[object]:
+    """Return values that no argument of the face takes."""
+    return [
+        -1, 10**400, 1.5, math.nan, b"x", 1j, {"a": 1}, object(), len, np.zeros(3), [1], (1, 2),
+        "\0", "\udc80", Path("\0"), ["\0"],
+    ]  # fmt: skip
+
+
+def test_no_argument_of_a_wrong_type_ends_in_an_error_of_python(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every function, every argument, every odd value: an InputError of one line."""
+    monkeypatch.chdir(tmp_path)
+    job, machine = ROOT / "examples" / "x-180.prg", "lathe-winder"
+    proof = tl.prove(job, machine, level="nominal", interpolation="linear", feed="10 count/tick")
+    proof.record("good.npz")
+    calls: dict[Callable[..., object], dict[str, Any]] = {
+        tl.load_machine: {"machine": machine},
+        tl.prove: {"job": job, "machine": machine},
+        tl.fastest: {"job": job, "machine": machine},
+        tl.compare: {"job": job, "machine": machine},
+        tl.judge: {"recordings": "good.npz"},
+        tl.compile: {"job": job, "machine": machine, "target": "csv", "out": "out.csv"},
+        tl.shaper: {"text": "zv:10Hz"},
+        proof.report: {"folder": "out"},
+        proof.write: {"file": "out.json"},
+        proof.record: {"file": "out.npz"},
+    }
+    assert {call.__name__ for call in calls} >= {*tl.__all__} - {"retime"}
+    tried = 0
+    for call, right in calls.items():
+        names = list(inspect.signature(call).parameters)
+        assert "words" not in names
+        for name in names:
+            for value in wrong_types():
+                tried += 1
+                with pytest.raises(InputError) as caught:
+                    call(**{**right, name: value})
+                assert "\n" not in str(caught.value), (call, name, value)
+    assert tried > 1000
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["good.npz"]
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (LOOSE.shaper, r"shaper: missing .* 'text'\. It is shaper\(text\)"),
+        (lambda: LOOSE.shaper("zv:10Hz", 1), "shaper: too many positional arguments"),
+        (lambda: prove_x(1), "prove: too many positional arguments"),
+        (
+            lambda: prove_x(repeats=10**9),
+            "repeats must be at most 1000, got 10",
+        ),
+        (
+            lambda: prove_x(repeats=True),
+            "repeats is True, of type bool",
+        ),
+        (
+            lambda: prove_x(feed=5),
+            r"feed is 5, of type int\. Give a text or None",
+        ),
+        (lambda: prove_x(feed_forward="yes"), "Give True or False"),
+        (
+            lambda: compare_x(["linear", 3]),
+            "Give a list, each of it a text",
+        ),
+        (lambda: LOOSE.retime([[0, 0], [1, 0]], 10**400, 1), "velocity is 1000.*one number"),
+        (lambda: LOOSE.retime([[0, 0], [10**400, 0]], 1, 1), "points are not an array of numbers"),
+        (lambda: LOOSE.retime([[0, 0], [1, 0]], 1, 1, tolerance=10**400), "tolerance is 1000"),
+    ],
+)
+def test_what_is_wrong_with_a_call_is_named(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        call()
+
+
+def test_files_that_cannot_be_used_are_wrong_input(tmp_path: Path) -> None:
+    proof = tl.prove(
+        ROOT / "examples" / "x-180.prg", "lathe-winder", level="nominal", interpolation="linear"
+    )
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="it is a file, not a folder"):
+        proof.report(tmp_path / "file")
+    with pytest.raises(InputError, match=r"cannot use .*file"):
+        proof.report(tmp_path / "file" / "below")
+    with pytest.raises(InputError, match="is a folder"):
+        proof.write(tmp_path)
+    assert (tmp_path / "file").read_text() == ""

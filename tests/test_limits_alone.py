@@ -221,7 +221,7 @@ def test_a_plan_of_the_firmware_says_which_limits_it_does_not_keep(tmp_path: Pat
     assert closing(verdict).endswith(
         "; but for acceleration and jerk: the velocity steps at corners)"
     )
-    kept = proof_of(tmp_path, "G1 X20 A90 F600\nG1 X0", Options()).verdict
+    kept = proof_of(tmp_path, "G1 X20 A90 F600\nG1 X0", Options(interpolation="auto")).verdict
     assert "but for" not in closing(kept) and kept.result("acceleration", "X").limit == 0.5
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import hmac
 import io
 import json
 import re
@@ -22,7 +23,14 @@ from threadline.machine import load_machine
 from threadline.option_words import parse_feed
 from threadline.options import Options
 from threadline.pipeline import REPEATED, Trials, open_job, plan_job, prove
-from threadline.proof_file import check_proof, read_proof, spec_sha256, verify_proof, write_proof
+from threadline.proof_file import (
+    check_proof,
+    copy_proof,
+    read_proof,
+    spec_sha256,
+    verify_proof,
+    write_proof,
+)
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -232,12 +240,21 @@ def test_what_is_no_proof_is_refused_in_one_line(tmp_path: Path, name: str) -> N
     assert "\n" not in str(caught.value)
 
 
+def write_again(content: dict[str, Any], file: Path) -> None:
+    """Write a proof that was changed, with the hash of what it says now."""
+    content.pop("sha256", None)
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
+    file.write_text(json.dumps(content), "utf-8")
+
+
 OF_ANOTHER_FORM = [
     ("level", None), ("job", "x-180.prg"), ("job.file", 1), ("machine", []),
     ("machine.par", False), ("actual", {"sha256": ""}), ("spec.file", {}),
     ("commands.sha256", None), ("options.given", None), ("options.given.limits", 1.0),
     ("verdict", None), ("verdict.passed", "no"), ("verdict.passed", 1),
-    ("verdict.criteria", [1]), ("threadline", ...), ("verdict.simulated", ...), ("actual", ...),
+    ("verdict.criteria", [1]), ("runs", True), ("runs", 1.5), ("machines", None),
+    ("threadline", ...), ("verdict.simulated", ...), ("actual", ...),
 ]  # fmt: skip
 
 
@@ -254,10 +271,7 @@ def test_a_proof_of_another_form_is_refused_in_one_line(shop: Path) -> None:
         part.pop(last)
         if value is not ...:
             part[last] = value
-        content.pop("sha256")
-        text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
-        content["sha256"] = hashlib.sha256(text.encode()).hexdigest()
-        file.write_text(json.dumps(content), "utf-8")
+        write_again(content, file)
         status, said = run("verify", str(file))
         assert status == 2, (entry, said)
         assert f"'{entry}" in said, (entry, said)
@@ -274,3 +288,171 @@ def test_a_changed_verdict_is_noticed(shop: Path) -> None:
     status, said = run("verify", str(file))
     assert status == 2
     assert "\n" not in said
+
+
+def first(content: dict[str, Any], status: str) -> dict[str, Any]:
+    """Return the first criterion of a status that has a limit."""
+    found: dict[str, Any] = next(
+        c
+        for c in content["verdict"]["criteria"]
+        if c["status"] == status and (c["limit"] or status == "not-measured")
+    )
+    return found
+
+
+FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "passed alone": (
+        lambda c: c["verdict"].update(passed=True),
+        "says that it passed, where contour_error failed",
+    ),
+    "a status": (
+        lambda c: first(c, "failed").update(status="passed"),
+        "contour_error is 'passed' with 0.000935568 under a limit of 0.0005, which is 'failed'",
+    ),
+    "a status that is none": (
+        lambda c: first(c, "failed").update(status="fine"),
+        "contour_error has the unknown status 'fine'",
+    ),
+    "no value": (
+        lambda c: first(c, "failed").update(measured=None, status="passed"),
+        "contour_error is 'passed' with nothing measured",
+    ),
+    "a limit": (
+        lambda c: first(c, "failed").update(limit=0.002, status="passed"),
+        "the limit of contour_error is 0.002, of the specification 0.0005",
+    ),
+    "no limit": (
+        lambda c: first(c, "failed").update(limit=None, status="reported"),
+        "the limit of contour_error is none, of the specification 0.0005",
+    ),
+    "not required": (
+        lambda c: first(c, "failed").update(
+            required=False, status="not-measured", measured=None
+        ),
+        "contour_error is required by one of proof and specification",
+    ),
+    "a unit": (
+        lambda c: first(c, "failed").update(unit="s", measured=None),
+        "contour_error is measured in m, not in 's'",
+    ),
+    "another name": (
+        lambda c: first(c, "failed").update(name="beauty"),
+        "there is no criterion 'beauty'",
+    ),
+    "no criteria": (lambda c: c["verdict"].update(criteria=[], passed=True), "has no criteria"),
+    "one criterion fewer": (
+        lambda c: c["verdict"]["criteria"].remove(first(c, "failed")),
+        "it lacks contour_error, which the specification asks",
+    ),
+    "a level": (
+        lambda c: c.update(level="over tolerances"),
+        "its level is 'over tolerances', where 1 runs and 0 other machines reach 'nominal'",
+    ),
+    "a level that is none": (lambda c: c.update(level="perfect"), "its level is 'perfect'"),
+    "a level of a machine without dynamics": (
+        lambda c: c.update(level="limits and time alone"),
+        "its level is 'limits and time alone', and lathe-winder has dynamics",
+    ),
+    "less than no runs": (lambda c: c.update(runs=-5), "it is of -5 runs"),
+    "less than no machines": (lambda c: c.update(machines=-1), "and -1 other machines"),
+    "a hash that is none": (
+        lambda c: c["commands"].update(sha256="0" * 63), "the sha256 of commands is none"
+    ),
+    "options of another hash": (
+        lambda c: c["options"]["given"].update(feed="1 count/tick"),
+        "the sha256 of its options is not the one of the options in it",
+    ),
+    "out of specification for no reason": (
+        lambda c: [
+            one.update(measured=0.0, status="passed")
+            for one in c["verdict"]["criteria"]
+            if one["status"] == "failed"
+        ],
+        "says that it did not pass, where no criterion failed",
+    ),
+}  # fmt: skip
+
+
+def test_a_proof_that_contradicts_itself_is_refused_by_verify_and_run(shop: Path) -> None:
+    """Its hash is right: whoever changed it wrote a new one. Only the figures are believed."""
+    how = (
+        "x-180.prg",
+        "-m",
+        "lathe-winder",
+        "--interpolation",
+        "linear",
+        "--feed",
+        "20 count/tick",
+    )
+    file = shop / "x.proof.json"
+    assert run("prove", *how, "--nominal", "--proof", str(file))[0] == 1
+    proof = file.read_text("utf-8")
+    for name, (change, said) in FORGED.items():
+        content = json.loads(proof)
+        change(content)
+        write_again(content, file)
+        for command in (("verify", str(file)), ("run", *how, "--proof", str(file))):
+            status, told = run(*command)
+            assert (status, told.count("\n")) == (2, 0), (name, told)
+            assert "[PROOF] x.proof.json: it contradicts itself: " in told, (name, told)
+            assert said in told, (name, told)
+    assert not (shop / "runs").exists()
+
+
+def test_who_has_the_key_sees_who_signed(shop: Path) -> None:
+    """The signature is an HMAC of the proof without the places of its files: by other means."""
+    (shop / "ours.key").write_text("0123456789abcdef\n")
+    (shop / "theirs.key").write_text("0123456789abcdeF\n")
+    file = proved(shop, *WINDER, "--sign", "ours.key")
+    content = json.loads(file.read_text())
+    signed = {k: v for k, v in content.items() if k not in {"sha256", "signature"}}
+    for what, places in {
+        "job": ["file"],
+        "spec": ["file"],
+        "machine": ["reference", "par"],
+    }.items():
+        signed[what] = {k: v for k, v in signed[what].items() if k not in places}
+    text = json.dumps(signed, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    expected = hmac.new(b"0123456789abcdef", text.encode(), "sha256").hexdigest()
+    assert content["signature"] == {"method": "HMAC-SHA256", "value": expected}
+
+    passed = 0 if content["verdict"]["passed"] else 1
+    assert run("verify", str(file), "--key", "ours.key") == (passed, "")
+    copy_proof(read_proof(file), shop / "deep.json")  # with other names of the same files
+    assert run("verify", "deep.json", "--key", "ours.key") == (passed, "")
+    how = ("x-180.prg", "-m", "mine.toml+slow", *WINDER, "--proof", str(file), "--speed", "0")
+    over = ["--override", "why"] if passed else []
+    assert run("run", *how, "--key", "ours.key", *over)[0] in {0, 1}
+    assert list(shop.glob("runs/*/inputs/*")) and not list(shop.glob("runs/*/*/ours.key"))
+    status, said = run("verify", str(file), "--key", "theirs.key")
+    assert (status, "its signature is not of this key" in said) == (2, True)
+    # Figures that are possible, and not those that were signed.
+    criterion = next(c for c in content["verdict"]["criteria"] if c["measured"])
+    criterion["measured"] *= 0.999
+    write_again(content, file)
+    assert run("verify", str(file)) == (passed, "")
+    for command in (("verify", str(file)), ("run", *how)):
+        status, said = run(*command, "--key", "ours.key")
+        assert (status, "it was changed since it was signed" in said) == (2, True), said
+    del content["signature"]
+    write_again(content, file)
+    status, said = run("verify", str(file), "--key", "ours.key")
+    assert (status, "it is not signed" in said) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("prove", "x-180.prg", "-m", "mine.toml", "--sign", "ours.key"), "--sign needs the file"),
+        (("run", "x-180.prg", "-m", "mine.toml", "--key", "ours.key"), "--key needs the file"),
+        (("verify", "x.json", "--key", "none.key"), "the key 'none.key' cannot be read"),
+        (("verify", "x.json", "--key", "short.key"), "has 3 bytes, not 16 to 65536"),
+    ],
+)
+def test_a_key_that_cannot_be_used_is_one_line(
+    shop: Path, words: tuple[str, ...], said: str
+) -> None:
+    (shop / "ours.key").write_text("0123456789abcdef")
+    (shop / "short.key").write_text("abc\n")
+    status, told = run(*words)
+    assert (status, told.count("\n"), said in told) == (2, 0, True), told

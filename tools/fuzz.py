@@ -2,7 +2,8 @@
 
     python -m tools.fuzz --cases 1000000 --processes 2
 
-A reader may refuse anything, but only with a ``ThreadlineError`` in one line. Everything else, a
+The classes ``same-*`` change what must not matter to a verdict, and what must. A reader may refuse
+anything, but only with a ``ThreadlineError`` in one line. Everything else, a
 warning, a second line in the message, or more than ten seconds of the processor, is a failure; it
 is printed with what repeats it, and the exit status is 1. Cases depend on seed, reader and number
 only, so that ``--reader part-program --first 4711 --cases 1`` runs one of them again.
@@ -33,6 +34,7 @@ from tools.fuzz_bytes import NUMBERS, TOKENS, UNITS, mutate
 from tools.fuzz_designs import fuzz_designs
 from tools.fuzz_drawings import fuzz_drawings
 from tools.fuzz_files import fuzz_targets
+from tools.fuzz_metamorphic import fuzz_metamorphic
 from tools.fuzz_programs import fuzz_programs
 from tools.fuzz_recordings import fuzz_recordings
 
@@ -207,6 +209,7 @@ READERS: dict[str, Reader] = {
     "seam-dxf": Reader("a.dxf", seam_file("seam-dxf"), read_seam_job, 1),
     **{name: Reader(*target) for name, target in fuzz_targets(mutate).items()},
     **{name: Reader(*target) for name, target in fuzz_recordings().items()},
+    **{name: Reader(*target) for name, target in fuzz_metamorphic().items()},
     **{name: Reader(*target) for name, target in fuzz_drawings().items()},
     **{name: Reader(*target) for name, target in fuzz_designs(mutate).items()},
 }

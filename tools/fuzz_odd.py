@@ -82,7 +82,7 @@ PLACES: tuple[Words, ...] = (
     ["cam", "@"],
     ["new", "winder", "@"],
     ["new", "@", "fresh"],
-    ["new", "grbl-winder", "fresh", "--from", "@"],
+    ["new", "grbl", "fresh", "--from", "@"],
     ["run", "@", "-m", "lathe-winder", "--link", "sim"],
     ["yield", "@", "-m", "lathe-winder", "--variants", "2"],
     ["yield", "short.prg", "-m", "lathe-winder", "--variants", "2", "--resume", "@"],

@@ -325,7 +325,7 @@ _WORDS = (
 
 def dialect_program(rng: random.Random, mutate: Mutate) -> bytes:
     """Words of every dialect, with numbers of every size, sometimes mutated."""
-    lines = ["G21 G90", "G1 X1. Y1. F100."]
+    lines = ["G21", "G90", "G1 X1. Y1. F100."]
     good = rng.sample(_WORDS, 6)
     for _ in range(rng.randint(1, 12)):
         odd = rng.choice(("0", "1e3", "", "999999999", "-0.001"))

@@ -42,6 +42,8 @@ class Seed:
     facts: Facts
     period_s: float
     samples: dict[str, np.ndarray]
+    file: Path
+    options: Options
 
 
 @cache
@@ -64,7 +66,7 @@ def seeds() -> tuple[Seed, ...]:
             for c in proof.recording.channels
         }
         period_s = float(proof.recording.channels[0].clock.period_s)
-        found.append(Seed(proof, _facts(proof), period_s, samples))
+        found.append(Seed(proof, _facts(proof), period_s, samples, _FOLDER / file, options))
     return tuple(found)
 
 

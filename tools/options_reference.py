@@ -92,7 +92,8 @@ def _value(one: Option) -> str:
 def _default(one: Option) -> str:
     if one.type is Type.FLAG:
         return "off"
-    return "none" if one.default is None else f"`{one.default}`"
+    others = (f"of {verb} `{text}`" for verb, text in one.defaults.items())
+    return ", ".join(("none" if one.default is None else f"`{one.default}`", *others))
 
 
 def _of_command(name: str) -> str:

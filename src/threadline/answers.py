@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from threadline.arguments import checked
+from threadline.errors import OptionError
 from threadline.verdict import Result, Verdict, verdict_json
 
 if TYPE_CHECKING:
@@ -46,6 +48,7 @@ class Answer:
         """Whether nothing failed and all that is required was measured."""
         return self.of.verdict.passed
 
+    @checked
     def result(self, criterion: str, axis: str = "") -> Result:
         """Return the result of a criterion, of the worst axis where none is named.
 
@@ -72,19 +75,28 @@ class Proved(Answer):
         """What happened on the simulated machine."""
         return self.of.recording
 
+    @checked
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
         from threadline.report import write_report
         from threadline.search.studied import studied
 
-        return write_report(studied(self.of), Path(folder))
+        place = Path(folder)
+        if place.exists() and not place.is_dir():
+            raise OptionError(
+                f"cannot write {str(place)!r}: it is a file, not a folder",
+                remedy="Give the folder of the report.",
+            )
+        return write_report(studied(self.of), place)
 
-    def write(self, file: PathLike) -> Written:
-        """Write the proof as a file, see ``docs/files.md``."""
-        from threadline.proof_file import write_proof
+    @checked
+    def write(self, file: PathLike, sign: PathLike | None = None) -> Written:
+        """Write the proof as a file, see ``docs/files.md``; ``sign`` is the file of a key."""
+        from threadline.proof_file import read_key, write_proof
 
-        return write_proof(self.of, file)
+        return write_proof(self.of, file, None if sign is None else read_key(sign))
 
+    @checked
     def record(self, file: PathLike) -> Written:
         """Write the recording; the ending of the file says how."""
         from threadline.signals.files import write_recording
@@ -99,11 +111,11 @@ class Found:
     Parameters
     ----------
     best
-        The highest feed (m/s of the fastest axis) or needle speed (stitch/s) in spec, the shortest
-        cycle of a move list (s), or the shortest duration of an embroidery design (s); None where
-        nothing is in spec.
+        The highest feed (m/s of the fastest axis, or a share of the program's feeds where these
+        differ) or needle speed (stitch/s) in spec, the shortest cycle of a move list (s), or the
+        shortest duration of an embroidery design (s); None where nothing is in spec.
     unit
-        ``"m/s"``, ``"stitch/s"`` or ``"s"``.
+        ``"m/s"``, ``"stitch/s"`` or ``"s"``; empty for a share.
     limited_by
         The criterion that forbids more.
     of

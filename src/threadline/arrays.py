@@ -47,14 +47,27 @@ def real_numbers(values: ArrayLike) -> FloatArray:
     Raises
     ------
     TypeError, ValueError
-        If they are texts, complex, nothing, or rows of unequal length.
+        If they are texts, complex, nothing, masked, beyond the range of floats, or rows of unequal
+        length.
     """
+    if _is_masked(values):
+        raise TypeError("masked values are not real numbers")
     array = np.asarray(values)
     if array.dtype.kind not in "biufO":
         raise TypeError(f"{array.dtype} are not real numbers")
     if array.dtype.kind == "O" and any(one is None or isinstance(one, str) for one in array.flat):
         raise TypeError("texts, or nothing, are not real numbers")
-    return np.array(array, dtype=np.float64)
+    try:
+        return np.array(array, dtype=np.float64)
+    except OverflowError as error:
+        raise ValueError("a whole number is beyond the range of floats") from error
+
+
+def _is_masked(values: object) -> bool:
+    """Return whether a value is hidden by a mask, which numpy drops without a word."""
+    if isinstance(values, list | tuple):
+        return any(_is_masked(one) for one in values if not isinstance(one, float | int))
+    return np.ma.is_masked(values)
 
 
 def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:

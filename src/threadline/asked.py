@@ -12,12 +12,13 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from threadline.arguments import check_argument
 from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.machine import Machine, load_machine
 from threadline.machine.par import read_parameters
 from threadline.machine.radii import with_radii
-from threadline.option_defaults import DEFAULT_INTERPOLATION, UNSHAPED_WORD
+from threadline.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
 from threadline.option_form import (
     Door,
     Group,
@@ -36,7 +37,6 @@ from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of
 from threadline.verdict import Spec, load_spec
 
 _LEVELS = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
-MOST_REPEATS = 1000
 
 
 def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None) -> Machine:
@@ -73,8 +73,12 @@ class Words:
         Raises
         ------
         OptionError
-            If a word is no option of the verb.
+            If a word is no option of the verb, or in Python of another type.
         """
+        if door is Door.PYTHON:
+            for one in options_for(verb, door):
+                if one.word in words:
+                    check_argument(one.word, words[one.word], _taken(one, verb))
         return cls(verb, known_words(verb, door, words))
 
     def text(self, word: str) -> str | None:
@@ -147,7 +151,7 @@ class Words:
             own: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
             if name != OPTIMAL and OPTIMAL in interpolations:
                 own["contour"] = None
-            if name != DEFAULT_INTERPOLATION and DEFAULT_INTERPOLATION in interpolations:
+            if name not in USUAL and not USUAL.isdisjoint(interpolations):
                 own["robust"] = None
             if shaper in (None, UNSHAPED_WORD):
                 own |= {"mode": None, "damping": None}
@@ -235,10 +239,15 @@ def trials_of(
 
 def _runs(repeats: Word) -> int:
     if not isinstance(repeats, int) or repeats < 1:
-        raise OptionError(f"repeats must be at least 1, got {repeats}")
+        raise OptionError(f"repeats must be at least 1, got {_short(repeats)}")
     if repeats > MOST_REPEATS:
-        raise OptionError(f"repeats must be at most {MOST_REPEATS}, got {repeats}")
+        raise OptionError(f"repeats must be at most {MOST_REPEATS}, got {_short(repeats)}")
     return repeats
+
+
+def _short(number: Word) -> str:
+    many = isinstance(number, int) and abs(number) >= 10**12
+    return "a number of many digits" if many else str(number)
 
 
 def with_radii_of(machine: Machine, options: Options) -> Machine:
@@ -300,16 +309,22 @@ def python_type(one: Option, verb: str) -> str:
     """
     if one.choices:
         return f"Literal[{', '.join(repr(text).replace(chr(39), chr(34)) for text in one.choices)}]"
-    plain = _PYTHON[one.type]
+    plain, _ = _PYTHON[one.type]
     return plain if one.default_of(verb) is not None else f"{plain} | None"
 
 
-_PYTHON: Mapping[Type, Any] = {
-    Type.TEXT: "str",
-    Type.FLAG: "bool",
-    Type.COUNT: "int",
-    Type.RATIO: "float | str",
-    Type.FILE: "PathLike",
-    Type.SPEC: "PathLike | Spec",
-    Type.MACHINE: "PathLike | Machine",
+def _taken(one: Option, verb: str) -> Any:
+    """Return the types of the values that an option of a verb takes in Python."""
+    _, plain = _PYTHON[one.type]
+    return plain if one.default_of(verb) is not None else plain | None
+
+
+_PYTHON: Mapping[Type, tuple[str, Any]] = {
+    Type.TEXT: ("str", str),
+    Type.FLAG: ("bool", bool),
+    Type.COUNT: ("int", int),
+    Type.RATIO: ("float | str", float | str),
+    Type.FILE: ("PathLike", str | Path),
+    Type.SPEC: ("PathLike | Spec", str | Path | Spec),
+    Type.MACHINE: ("PathLike | Machine", str | Path | Machine),
 }

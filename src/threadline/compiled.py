@@ -5,30 +5,49 @@ code of two processes the same name. A process that comes in between runs code o
 before, or of other types. It also does not look at the files of functions that are called. Here
 machine code is written first and named by what it was made from, called functions included. Of
 processes that want the same function at once, one compiles it and the others wait for it.
+
+numba runs what it finds in a file, whatever a loss of power or a bad disk made of it. Here every
+file begins with a digest of the rest; a file that does not have its digest is made again.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import sys
 import time
 import uuid
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager, suppress
+from io import BytesIO
 from pathlib import Path
 from types import CodeType
 from typing import Any, BinaryIO, TypeVar
 
-import numba
-from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
-from numba.core.dispatcher import Dispatcher
-from numba.core.event import Event, Listener, register
-
 from threadline.compiling import COMPILING
+from threadline.errors import OptionError
+
+try:
+    import numba
+    from numba.core.caching import CompileResultCacheImpl, IndexDataCacheFile
+    from numba.core.dispatcher import Dispatcher
+    from numba.core.event import Event, Listener, register
+except ValueError as error:  # NUMBA_NUM_THREADS=0, for instance
+    raise OptionError(
+        f"the compiler numba refuses its settings in the environment: {error}",
+        remedy="Correct or unset the variables whose names begin with NUMBA_.",
+    ) from error
 
 if sys.platform != "win32":
     import fcntl
+
+_config: Any = numba.config  # numba has no types for it
+if _config.DISABLE_JIT:
+    raise OptionError(
+        "NUMBA_DISABLE_JIT is set: simulations and plans run as machine code alone",
+        remedy="Unset it.",
+    )
 
 __all__ = ["FileLock", "njit", "where_kept"]
 
@@ -96,11 +115,13 @@ class CacheFile(IndexDataCacheFile):
         name = self._name_of(key)
         inherited: Any = self
         try:
-            inherited._save_data(name, data)
-            known = inherited._load_index()
-            known[key] = name
-            inherited._save_index(known)
-            self._forget(set(known.values()))
+            # It goes on where it cannot be kept: the next process compiles it, too.
+            with suppress(OSError):
+                inherited._save_data(name, data)
+                known = self._load_index()
+                known[key] = name
+                inherited._save_index(known)
+                self._forget(set(known.values()))
         finally:
             lock = self._making.pop(key, None)
             if lock is not None:
@@ -122,17 +143,51 @@ class CacheFile(IndexDataCacheFile):
         """Write beside the file, then take its place; an interrupt leaves no half of it."""
         part = Path(f"{filepath}.tmp.{uuid.uuid4().hex[:16]}")
         try:
+            content = BytesIO()
+            yield content
             with part.open("wb") as file:
-                yield file
+                file.write(_digest(content.getvalue()))
+                file.write(content.getbuffer())
+                file.flush()
+                os.fsync(file.fileno())
             part.replace(filepath)
         finally:
             part.unlink(missing_ok=True)
+
+    def _load_index(self) -> dict[Hashable, str]:
+        """Return the names of what is kept by its key; nothing where the index is not whole."""
+        try:
+            content = BytesIO(_checked(Path(self._index_path)))
+        except OSError:
+            return {}
+        if pickle.load(content) != self._version:  # noqa: S301  its digest is the one we wrote
+            return {}
+        stamp, names = pickle.load(content)  # noqa: S301
+        return dict(names) if stamp == self._source_stamp else {}
+
+    def _load_data(self, name: str) -> Any:
+        """Return machine code; an OSError says that it is not there, or not whole."""
+        return pickle.loads(_checked(Path(self._cache_path) / name))  # noqa: S301
 
     def _forget(self, kept: set[str]) -> None:
         """Remove machine code of files as they were; who still wants it compiles once more."""
         for file in Path(self._cache_path).glob(self._data_name_pattern.replace("{number:d}", "*")):
             if file.name not in kept:
                 file.unlink(missing_ok=True)
+
+
+def _digest(content: bytes) -> bytes:
+    return hashlib.sha256(content).digest()
+
+
+def _checked(path: Path) -> bytes:
+    """Return what is behind the digest of a file; an OSError says that they do not agree."""
+    content = path.read_bytes()
+    size = hashlib.sha256().digest_size
+    digest, rest = content[:size], content[size:]
+    if digest != _digest(rest):
+        raise OSError(f"{path} does not have its digest")
+    return rest
 
 
 class _Clock(Listener):

@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from itertools import islice
 
 from threadline.jobs.operations import FeedMode, Job, MoveRun
-from threadline.option_table import (
-    PROGRAMMED,
-)
 from threadline.option_words import parse_tolerance_m
 from threadline.path.interpolations import KEEPING_TOLERANCE, on_chords
 from threadline.pipeline import Proof
@@ -29,7 +26,8 @@ def doubts(proof: Proof) -> list[str]:
     plan = proof.plan
     return [
         *suspicions(plan.machine),
-        *plan.job.suspicions(own_feed=plan.options.get("feed") == PROGRAMMED),
+        *(plan.machine.planner.left_out if plan.machine.planner is not None else []),
+        *plan.job.suspicions(own_feed=plan.feed_override is not None),
         *plan.intent.warnings,
         *proof_warnings(proof),
         *needle_warnings(proof),

@@ -16,9 +16,11 @@ from threadline.answers import Answer as Answer  # noqa: PLC0414 - callers name 
 from threadline.answers import Found as Found  # noqa: PLC0414
 from threadline.answers import PathLike as PathLike  # noqa: PLC0414
 from threadline.answers import Proved as Proved  # noqa: PLC0414
+from threadline.arguments import checked
 from threadline.asked import Words, check_target, chosen_machine, python_type, with_radii_of
 from threadline.errors import OptionError
 from threadline.machine import Machine
+from threadline.option_defaults import DEFAULT_INTERPOLATION
 from threadline.option_form import Door, Word
 from threadline.option_table import (
     options_for,
@@ -54,6 +56,7 @@ def _with_options(verb: VerbT) -> VerbT:
     return verb
 
 
+@checked
 def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Machine:
     """Return a machine of the library or of a file, with overlays after plus signs.
 
@@ -76,6 +79,7 @@ def load_machine(machine: PathLike | Machine, par: PathLike | None = None) -> Ma
 
 
 @_with_options
+@checked
 def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
     """Plan a job, simulate it on the machine, and judge it.
 
@@ -103,6 +107,7 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
 
 
 @_with_options
+@checked
 def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
     """Find the fastest way to do a job in spec.
 
@@ -131,10 +136,11 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
 
 
 @_with_options
+@checked
 def compare(
     job: PathLike,
     machine: PathLike | Machine,
-    interpolations: Sequence[str] = ("auto",),
+    interpolations: Sequence[str] = (DEFAULT_INTERPOLATION,),
     feeds: Sequence[str] = (),
     *,
     shapers: Sequence[str] = (),
@@ -179,6 +185,7 @@ def compare(
 
 
 @_with_options
+@checked
 def judge(
     recordings: PathLike | Sequence[PathLike],
     *,
@@ -214,8 +221,15 @@ def judge(
 
 
 @_with_options
+@checked
 def compile(
-    job: PathLike, machine: PathLike | Machine, target: str, out: PathLike, **words: Word
+    job: PathLike,
+    machine: PathLike | Machine,
+    target: str,
+    out: PathLike,
+    *,
+    slower: bool = False,
+    **words: Word,
 ) -> list[Written]:
     """Plan a job and write it for a controller; return the files with their hashes.
 
@@ -229,8 +243,11 @@ def compile(
         machine ``st``, ``plcopen`` or ``scl``; for an embroidery machine ``steps`` or ``t15``.
     out
         The file.
+    slower
+        Whether to write a program that takes longer on its firmware than the job as it stands.
     **words
-        The options of ``threadline compile``.
+        The options of ``threadline compile``; ``interpolation`` is ``"auto"`` unless given, on
+        every machine.
 
     Raises
     ------
@@ -242,9 +259,11 @@ def compile(
     asked = Words.of("compile", Door.PYTHON, words)
     chosen, options = asked.machine(machine), asked.options()
     check_target(target, chosen, options)
-    return write(plan_job(open_job(Path(job), chosen, options), chosen, options), target, out)
+    plan = plan_job(open_job(Path(job), chosen, options), chosen, options)
+    return write(plan, target, out, slower=slower)
 
 
+@checked
 def shaper(text: str) -> Shaper | dict[str, Shaper]:
     """Return the shaper that ``text`` describes, or one per axis where it names axes.
 

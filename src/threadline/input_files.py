@@ -18,6 +18,8 @@ from threadline.errors import InputError, JobError, Place
 
 _INPUTS: ContextVar[dict[tuple[int, int], str] | None] = ContextVar("inputs", default=None)
 """Device and inode of every file that was read in ``noting_inputs``, with its name."""
+_WITHIN: ContextVar[Path | None] = ContextVar("within", default=None)
+"""The only folder in which files are read now; None for any."""
 
 
 def refuse_special(path: Path) -> None:
@@ -28,13 +30,39 @@ def refuse_special(path: Path) -> None:
     Raises
     ------
     OSError
-        If ``path`` is one of them, or cannot be looked at. A folder passes: opening it fails with
-        a reason of its own.
+        If ``path`` is one of them, cannot be looked at, or is not in the folder that
+        ``reading_within`` names. A folder passes: opening it fails with a reason of its own.
     """
+    if (folder := _WITHIN.get()) is not None:
+        _refuse_outside(path, folder)
     status = path.stat()
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise OSError(errno.EINVAL, "it is a pipe or a device, not a file", str(path))
     note_input(path, status)
+
+
+@contextmanager
+def reading_within(folder: Path) -> Iterator[None]:
+    """Read only files in ``folder`` in the block, and follow no link that stands in it.
+
+    What is read by the words of somebody else, as a file that he has sent, may name any other.
+    """
+    mark = _WITHIN.set(folder)
+    try:
+        yield
+    finally:
+        _WITHIN.reset(mark)
+
+
+def _refuse_outside(path: Path, folder: Path) -> None:
+    real = Path(os.path.realpath(folder))
+    named = Path(os.path.normpath(path.absolute()))  # links stay what they are
+    folders = (Path(os.path.normpath(folder.absolute())), real)
+    base = next((one for one in folders if named.is_relative_to(one)), None)
+    if base is None:
+        raise OSError(errno.EACCES, "it is not in the project folder", str(path))
+    if Path(os.path.realpath(path)) != real / named.relative_to(base):
+        raise OSError(errno.EACCES, "a link leads to it, and links are not followed", str(path))
 
 
 @contextmanager

@@ -5,7 +5,13 @@ They stand alone, so that a text that tells them need not wait for what plans by
 
 from __future__ import annotations
 
-DEFAULT_INTERPOLATION = "auto"
+DEFAULT_INTERPOLATION = "default"
+"""What ``--interpolation`` says for what the machine does by itself: ``firmware`` where its file
+names the motion planner of a firmware, else ``AUTO``."""
+AUTO = "auto"
+USUAL = frozenset({DEFAULT_INTERPOLATION, AUTO})
+"""Interpolations that choose nothing in particular: feed-forward takes the chords in their place.
+"""
 DEFAULT_LIMITS = "100 %"
 DEFAULT_CONTOUR_M = 3e-4
 """Default of ``--contour``, m: how far the control loops may take the load off the path of
@@ -23,3 +29,6 @@ FEED_FORWARD = "40 ms"
 """Default time over which feed-forward smooths the motion."""
 OPTIMAL_FEED_FORWARD = "10 ms"
 """Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
+
+MOST_REPEATS = 1000
+"""Runs of a machine in one verdict at most: each is kept until the last one is judged."""

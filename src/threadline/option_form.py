@@ -85,6 +85,8 @@ class Option:
         What is typed, and the SI unit of the value; empty for a value without a unit.
     default
         What holds where it is not given.
+    defaults
+        By verb: the default of a verb that has another.
     kinds
         The kinds of work for which it has a meaning.
     doors
@@ -117,6 +119,7 @@ class Option:
     type: Type = Type.TEXT
     unit: str = ""
     default: str | bool | None = None
+    defaults: Mapping[str, str] = field(default_factory=dict)
     kinds: tuple[str, ...] = (TICKS, SWITCHES, STEPS)
     doors: tuple[Door, ...] = tuple(Door)
     attribute: str = ""
@@ -146,7 +149,7 @@ class Option:
     def default_of(self, verb: str) -> str | bool | None:
         """Return the default of a verb: ``judge`` takes what a recording names."""
         open_ended = verb == "judge" and self.type is not Type.FLAG
-        return None if open_ended or verb in self.many else self.default
+        return None if open_ended or verb in self.many else self.defaults.get(verb, self.default)
 
     def help_of(self, verb: str) -> str:
         """Return the help of a verb."""

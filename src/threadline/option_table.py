@@ -15,11 +15,13 @@ from threadline.errors import OptionError
 from threadline.foreign_messages import nearest
 from threadline.machine.radii import written_out
 from threadline.option_defaults import (
+    AUTO,
     DEFAULT_CONTOUR_M,
     DEFAULT_INTERPOLATION,
     DEFAULT_LIMITS,
     DEFAULT_TOLERANCE,
     FEED_FORWARD,
+    MOST_REPEATS,
     NO_CONTOUR,
     OPTIMAL_FEED_FORWARD,
 )
@@ -68,7 +70,10 @@ def _exact(unit: str, factor: float = 1.0) -> Callable[[Any], str | None]:
 _PROVING = ("prove", "run", "compare", "fastest", "design")
 _OF_VERDICT = (*_PROVING, "panel")
 _AS_GIVEN = "As with prove; default: what the recording names."
-_EACH = "Names, separated by commas; linear,b-spline,b-spline-pulled unless given."
+_EACH = (
+    "Names, separated by commas; linear,b-spline,b-spline-pulled unless given, and firmware,auto "
+    "where the machine file names a motion planner."
+)
 
 TABLE: tuple[Option, ...] = (
     Option(
@@ -94,9 +99,11 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="interpolation", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
         help="auto, optimal, firmware, point-to-point, linear, parabolic, cubic, quintic, "
-        "b-spline, b-spline-pulled, law:NAME.",
+        "b-spline, b-spline-pulled, law:NAME. By default firmware where the machine file names "
+        "a motion planner, else auto; compile, which writes another program, has auto.",
         helps={"compare": _EACH, "judge": _AS_GIVEN},
-        default=DEFAULT_INTERPOLATION, attribute="interpolation", parse=str,
+        default=DEFAULT_INTERPOLATION, defaults={"compile": AUTO},
+        attribute="interpolation", parse=str,
         recorded=Recorded(key="interpolation", write=_same, read=str, required=True),
         label="Interpolation",
     ),
@@ -111,7 +118,8 @@ TABLE: tuple[Option, ...] = (
         name="feed", many=("compare",), group=Group.PLAN, unit="m/s", kinds=(TICKS, STEPS),
         verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
         help='Replaces every programmed feed: "10 count/tick", "36 mm/s" '
-        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant).',
+        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant). "120 %" '
+        "multiplies each, so that they keep their ratios.",
         helps={
             "compare": "Feeds, separated by commas; default: as programmed.", "judge": _AS_GIVEN,
         },
@@ -277,7 +285,8 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE,),
     ),
     Option(
-        name="repeats", group=Group.LEVEL, type=Type.COUNT, verbs=_PROVING, least=1, most=1000,
+        name="repeats", group=Group.LEVEL, type=Type.COUNT, verbs=_PROVING,
+        least=1, most=MOST_REPEATS,
         help="How many runs, each with other encoder phases, friction and supply; default 20.",
         doors=(Door.LINE, Door.PYTHON),
     ),

@@ -16,6 +16,7 @@ FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 """Units of the feeds that are not speeds of the fastest axis."""
 F_UNIT = "mm/min"
 """The unit of a feed that is written as an F word without one."""
+_PERCENT = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*")
 _F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
 LEAST_SHARE = 1e-3
 """Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
@@ -24,7 +25,8 @@ LEAST_SHARE = 1e-3
 def parse_feed(text: str) -> Feed:
     """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
 
-    ``"F 3000"`` is what F words would ask for, in mm/min: by the rule of the job for F.
+    ``"F 3000"`` is what F words would ask for, in mm/min: by the rule of the job for F. ``"120 %"``
+    is an override: that much of each programmed feed.
 
     Raises
     ------
@@ -32,8 +34,10 @@ def parse_feed(text: str) -> Feed:
         If it is not a positive feed of a known kind.
     """
     try:
-        word = _F_WORD.match(text)
-        if word is not None:
+        word, percent = _F_WORD.match(text), _PERCENT.fullmatch(text)
+        if percent is not None:
+            feed = Feed(FeedMode.OVERRIDE, float(percent[1]) / 100.0)
+        elif word is not None:
             number, written = split_quantity(text[word.end() :])
             value = parse_quantity(f"{number} {written or F_UNIT}", "m/s")
             feed = Feed(FeedMode.F_WORD, value)
@@ -48,7 +52,8 @@ def parse_feed(text: str) -> Feed:
         raise OptionError(
             f"feed {text!r}: {error.message}",
             remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; of an embroidery '
-            'machine like "120 stitch/min"; as F of the program in mm/min like "F 3000".',
+            'machine like "120 stitch/min"; as F of the program in mm/min like "F 3000"; times all '
+            'of its feeds like "120 %".',
         ) from error
     if feed.value <= 0:
         raise OptionError(f"feed {text!r} must be greater than zero")
@@ -60,7 +65,12 @@ def feed_words(feed: Feed) -> str:
 
     >>> feed_words(parse_feed("F 3000")), feed_words(parse_feed("10 count/tick"))
     ('F 3000', '10.0 count/tick')
+    >>> feed_words(parse_feed("120%"))
+    '120 %'
     """
+    if feed.mode is FeedMode.OVERRIDE:
+        word = f"{feed.value * 100.0:.12g} %"
+        return word if parse_feed(word) == feed else f"{feed.value * 100.0!r} %"
     if feed.mode is FeedMode.F_WORD:
         word = f"F {feed.value * 60_000.0:.12g}"
         return word if parse_feed(word) == feed else f"F {feed.value!r} m/s"

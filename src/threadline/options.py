@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from threadline.errors import OptionError
 from threadline.foreign_messages import nearest
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
 from threadline.option_defaults import (
+    AUTO,
     DEFAULT_CONTOUR_M,
     DEFAULT_INTERPOLATION,
     DEFAULT_TOLERANCE_M,
     FEED_FORWARD,
     OPTIMAL_FEED_FORWARD,
     UNSHAPED_WORD,
+    USUAL,
 )
 from threadline.option_form import Group, Word
 from threadline.option_table import (
@@ -26,7 +28,7 @@ from threadline.option_table import (
     planned_by,
 )
 from threadline.option_words import parse_feed, parse_width_s
-from threadline.path.interpolations import BY_LAW, CHORDS, OPTIMAL
+from threadline.path.interpolations import BY_LAW, CHORDS, FIRMWARE, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
 
@@ -102,9 +104,9 @@ class Options:
     Parameters
     ----------
     interpolation
-        Name of the interpolation.
+        Name of the interpolation; ``DEFAULT_INTERPOLATION`` until a machine is known: ``on``.
     feed
-        Replaces every programmed feed; None keeps the job's.
+        Replaces every programmed feed, or multiplies it (an override); None keeps the job's.
     dialect
         Name of the dialect of a part program; None is what the machine file says.
     feed_mode
@@ -158,6 +160,22 @@ class Options:
     robust_share: float | None = None
     change_s: float | None = None
 
+    def on(self, machine: Machine) -> Options:
+        """Return the options with the interpolation that a machine has by default, if none is told.
+
+        A firmware that plans by itself makes of a program what it makes of it: that is then what is
+        to be proved. Commands for the loads do not come from it.
+        """
+        if self.interpolation != DEFAULT_INTERPOLATION:
+            return self
+        own = machine.planner is not None and self.following is Following.MOTOR
+        return replace(self, interpolation=FIRMWARE if own else AUTO)
+
+    @property
+    def own_feeds(self) -> bool:
+        """Whether the feeds of the job hold, as they are or times an override."""
+        return self.feed is None or self.feed.mode is FeedMode.OVERRIDE
+
     @property
     def follows_contour(self) -> bool:
         """Whether the timing limits how far the loops leave the path: ``optimal`` for motors."""
@@ -166,7 +184,7 @@ class Options:
     @property
     def path(self) -> PathChoice:
         """The shape of the path: with feed-forward ``auto`` stands for the programmed chords."""
-        chords = self.feed_forward_s is not None and self.interpolation == DEFAULT_INTERPOLATION
+        chords = self.feed_forward_s is not None and self.interpolation in USUAL
         name = CHORDS if chords else self.interpolation  # one by a law is of the chords, too
         return PathChoice(interpolation=name, tolerance_m=self.tolerance_m)
 
@@ -263,7 +281,7 @@ def _interpolation(given: Mapping[str, Word]) -> str:
     law, interpolation = given["law"], str(given["interpolation"])
     if law is None:
         return interpolation
-    if interpolation != DEFAULT_INTERPOLATION:
+    if interpolation not in USUAL:
         raise OptionError(
             f"--law {law!r} is an interpolation of its own, and --interpolation "
             f"{interpolation!r} another",
@@ -288,7 +306,7 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
         )
     feed, rule = given["feed"], given["feed_mode"]
     both = feed is not None and rule is not None
-    if both and parse_feed(str(feed)).mode is not FeedMode.F_WORD:
+    if both and parse_feed(str(feed)).mode not in {FeedMode.F_WORD, FeedMode.OVERRIDE}:
         raise OptionError(
             f"--feed-mode {rule!r} says what F means, and --feed {feed!r} replaces every F",
             remedy='Leave one of them out, or give the feed as an F, like "F 3000".',
@@ -299,7 +317,7 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
             f"{interpolation}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
         )
-    if robust is not None and (not forward or interpolation != DEFAULT_INTERPOLATION):
+    if robust is not None and (not forward or interpolation not in USUAL):
         raise OptionError(
             f"--robust {robust!r} is of feed-forward along the programmed chords and times",
             remedy="Give --feed-forward too, and no other --interpolation.",
@@ -311,9 +329,9 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
         )
 
 
-def foreign_options(kind: str, options: Options) -> list[str]:
+def foreign_options(kind: str, machine: Machine, options: Options) -> list[str]:
     """Return the options that are given, as typed, and have no meaning for a kind of work."""
-    plain, found = Options(), []
+    options, plain, found = options.on(machine), Options().on(machine), []
     for one in _PLANNING.values():
         if kind in one.kinds or not one.attribute:
             continue
@@ -334,7 +352,7 @@ def refuse_axis_options(machine: Machine, options: Options) -> None:
     OptionError
         If one is given.
     """
-    if names := foreign_options("switches", options):
+    if names := foreign_options("switches", machine, options):
         raise OptionError(
             f"{', '.join(names)}: {machine.name} switches cylinders on and off, without a path, a "
             "feed or a law to choose",

@@ -185,7 +185,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
     OptionError
         If an option means nothing to this kind of machine.
     """
-    kind = kind_of(machine)
+    kind, options = kind_of(machine), options.on(machine)
     kind.check_options(machine, options)
     return kind.plan(job, with_radii(machine, options.radius), options)
 
@@ -236,7 +236,7 @@ def target_of(name: str, machine: Machine) -> Target:
     )
 
 
-def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
+def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> list[Written]:
     """Write ``plan`` for a controller; whole files or none.
 
     Parameters
@@ -249,6 +249,8 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
         ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
         the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
         stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
+    slower
+        Whether a program may take longer on its firmware than the job as it stands.
 
     Returns
     -------
@@ -260,12 +262,14 @@ def write(plan: Plan, target: str, out: str | Path) -> list[Written]:
     OptionError
         If there is no such target, or not of this kind of machine.
     PlanError
-        If the commands break a limit; nothing is written then.
+        If the commands break a limit, or the program is slower than it may be; nothing is written
+        then.
     """
     chosen = target_of(target, plan.machine)
     kind_of(plan.machine).release(plan)
     with together():
-        files = chosen.write(plan, Path(out))
+        writer = chosen.write if slower else chosen.write_no_slower or chosen.write
+        files = writer(plan, Path(out))
     if chosen.takes_shaped or not files:
         return files
     # What is written was held against the plan; the plan itself leaves the program, too.

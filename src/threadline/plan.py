@@ -11,7 +11,7 @@ import numpy as np
 from threadline.arrays import finite
 from threadline.control import Demand
 from threadline.errors import PlanError
-from threadline.jobs.operations import Job
+from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.jobs.programmed_time import programmed_time_s
 from threadline.machine import Machine
 from threadline.path.types import PlannedPath, ProgrammedPath
@@ -247,16 +247,25 @@ class Plan:
         return self.intent.duration_s
 
     @property
-    def feeds_as_programmed(self) -> bool:
-        """Whether the feeds of the job hold, and none was given in their place."""
-        return self.options.get("feed", "programmed") == "programmed"
+    def feed_override(self) -> float | None:
+        """By which the feeds of the job hold, 1 as programmed; None where another was given."""
+        text = self.options.get("feed", "programmed")
+        if text.endswith("%"):
+            return float(text.removesuffix("%")) / 100.0
+        return 1.0 if text == "programmed" else None
+
+    @property
+    def limits_in_full(self) -> bool:
+        """Whether it may use all of the limits of acceleration and jerk."""
+        return float(self.options.get("limits", "100 %").removesuffix("%")) == 100.0
 
     @property
     def nominal_s(self) -> float | None:
         """Time by the programmed feeds alone, s; None without a rule for F, or with ``--feed``."""
-        if not self.job.feed_rule or not self.feeds_as_programmed:
+        override = self.feed_override
+        if not self.job.feed_rule or override is None:
             return None
-        return programmed_time_s(self.job, self.machine)
+        return programmed_time_s(self.job, self.machine, Feed(FeedMode.OVERRIDE, override))
 
     @property
     def interpolation(self) -> str:

@@ -2,28 +2,33 @@
 
 Two proofs are of the same thing when their hashes agree. ``docs/files.md`` says what each hash is
 of, so that another program can compare them; an executor asks ``check_proof`` before it moves.
+
+A hash shows that nothing was changed since it was written, and not who wrote it. A proof may be
+signed with a key, HMAC-SHA256: who has the same key sees that the proof is of somebody who has it.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from errno import ENOENT
 from pathlib import Path
 from typing import Any
 
 from threadline import __version__
 from threadline.described import options_from
-from threadline.errors import Place, ProofError
+from threadline.errors import OptionError, Place, ProofError
 from threadline.input_files import read_text
 from threadline.machine import Machine, load_machine
 from threadline.machine.load import split_reference
 from threadline.machine.par import read_parameters
 from threadline.pipeline import Proof, open_job, plan_job, with_shaping
 from threadline.plan import Plan
-from threadline.proof_form import misformed
+from threadline.proof_form import contradiction, in_spec, misformed, unlike
 from threadline.signals.files.common import Written, atomic_file, written
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.rendering import criteria_json
@@ -33,6 +38,13 @@ _MAX_BYTES = 64 << 20
 _NAMES = ("job", "machine", "par")
 """Options that name files: the proof has the hashes of the files instead."""
 _PARTS = ("job", "machine", "actual", "options", "spec", "commands")
+_METHOD = "HMAC-SHA256"
+_LEAST_KEY, _MOST_KEY = 16, 1 << 16  # bytes
+_PLACES = {
+    "job": ("file",), "spec": ("file",), "machine": ("reference", "par"),
+    "actual": ("reference", "par"),
+}  # fmt: skip
+"""Entries that say where a file is: its hash says what is in it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +93,18 @@ class ProofFile:
 
     @property
     def passed(self) -> bool:
-        """Whether the verdict is that the work is in specification."""
-        return bool(self.content["verdict"]["passed"])
+        """Whether its criteria come to a verdict in specification."""
+        return in_spec(self.content)
 
     @property
     def level(self) -> str:
         """How far the verdict reaches: ``"nominal"``, ``"repeated"``, ``"over tolerances"``, ..."""
         return str(self.content["level"])
+
+    @property
+    def signed(self) -> bool:
+        """Whether it has a signature, of whatever key."""
+        return "signature" in self.content
 
     @property
     def spec_path(self) -> Path | None:
@@ -106,8 +123,11 @@ class ProofFile:
         return str(part.get("name", part.get("kind", what)))
 
 
-def proof_content(proof: Proof, folder: Path) -> dict[str, Any]:
-    """Return what the file of a proof in ``folder`` says; reads the commands once."""
+def proof_content(proof: Proof, folder: Path, key: bytes | None = None) -> dict[str, Any]:
+    """Return what the file of a proof in ``folder`` says, signed by a key if there is one.
+
+    Reads the commands once.
+    """
     plan = proof.plan
     given = {key: value for key, value in plan.options.items() if key not in _NAMES}
     content = {
@@ -136,14 +156,22 @@ def proof_content(proof: Proof, folder: Path) -> dict[str, Any]:
         "verdict": {
             "passed": proof.verdict.passed,
             "simulated": proof.verdict.simulated,
+            "incomplete": proof.verdict.incomplete,
             "criteria": criteria_json(proof.verdict),
         },
     }
+    if key is not None:
+        content["signature"] = {"method": _METHOD, "value": _signature(content, key)}
     return {**content, "sha256": _canonical_sha256(content)}
 
 
-def write_proof(proof: Proof, path: str | Path) -> Written:
+def write_proof(proof: Proof, path: str | Path, key: bytes | None = None) -> Written:
     """Write a proof as a file; equal proofs give equal bytes.
+
+    Parameters
+    ----------
+    key
+        What it is signed with, as ``read_key`` returns it; None leaves it unsigned.
 
     Raises
     ------
@@ -151,7 +179,66 @@ def write_proof(proof: Proof, path: str | Path) -> Written:
         If it cannot be written.
     """
     path = Path(path)
-    return _write(proof_content(proof, path.parent), path)
+    return _write(proof_content(proof, path.parent, key), path)
+
+
+def read_key(path: str | Path) -> bytes:
+    """Return the key in a file: all of its bytes, but for ends of lines behind them.
+
+    Raises
+    ------
+    OptionError
+        If it cannot be read, or is shorter than 16 bytes or longer than 65 536.
+    """
+    path = Path(path)
+    try:
+        # Not by a reader that notes the inputs of a run, which are copied beside it.
+        if not path.is_file():
+            raise FileNotFoundError(ENOENT, "there is no such file")
+        with path.open("rb") as file:
+            key = file.read(_MOST_KEY + 3).rstrip(b"\r\n")
+    except OSError as error:
+        raise OptionError(
+            f"the key {str(path)!r} cannot be read: {error.strerror or error}",
+            remedy="Give the file of a key.",
+        ) from error
+    if not _LEAST_KEY <= len(key) <= _MOST_KEY:
+        raise OptionError(
+            f"the key {str(path)!r} has {len(key)} bytes, not {_LEAST_KEY} to {_MOST_KEY}",
+            remedy=f"Make one: openssl rand -hex 32 > {path.name}",
+        )
+    return key
+
+
+def _check_signature(proof: ProofFile, key: bytes) -> None:
+    """Refuse a proof that was not signed with a key, or was changed since."""
+    place = Place(str(proof.path))
+    if not proof.signed:
+        raise ProofError(
+            "it is not signed",
+            place=place,
+            remedy="Sign it as it is made: threadline prove JOB --proof FILE --sign KEY.",
+        )
+    told = proof.content["signature"]
+    value = told.get("value") if isinstance(told, dict) else None
+    known = isinstance(value, str) and told.get("method") == _METHOD
+    if not known or not hmac.compare_digest(
+        str(value).encode(), _signature(proof.content, key).encode()
+    ):
+        raise ProofError(
+            "its signature is not of this key, or it was changed since it was signed",
+            place=place,
+            remedy="Give the key that it was signed with, or prove the job again.",
+        )
+
+
+def _signature(content: Mapping[str, Any], key: bytes) -> str:
+    """Return the signature of a proof, which is the same wherever its files lie."""
+    signed = {k: v for k, v in content.items() if k not in {"sha256", "signature"}}
+    for what, places in _PLACES.items():
+        if signed[what] is not None:
+            signed[what] = {k: v for k, v in signed[what].items() if k not in places}
+    return hmac.new(key, _canonical(signed), hashlib.sha256).hexdigest()
 
 
 def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
@@ -181,13 +268,21 @@ def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
     return ProofFile(path=path, content=content)
 
 
-def read_proof(path: str | Path) -> ProofFile:
+def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
     """Read the file of a proof.
+
+    Parameters
+    ----------
+    path
+        The file.
+    key
+        What it has to be signed with, as ``read_key`` returns it; None asks for no signature.
 
     Raises
     ------
     ProofError
-        If it is none, or was changed since it was written.
+        If it is none, was changed since it was written, contradicts itself, or was not signed with
+        the key.
     """
     path = Path(path)
     place = Place(str(path))
@@ -216,7 +311,24 @@ def read_proof(path: str | Path) -> ProofFile:
             place=place,
             remedy="Write one with threadline prove --proof FILE.",
         )
-    return ProofFile(path=path, content=content)
+    if why := contradiction(content) or _other_options(content):
+        raise _contradicts(path, why)
+    found = ProofFile(path=path, content=content)
+    if key is not None:
+        _check_signature(found, key)
+    return found
+
+
+def _contradicts(path: Path, why: str) -> ProofError:
+    return ProofError(
+        f"it contradicts itself: {why}", place=Place(str(path)), remedy="Prove the job again."
+    )
+
+
+def _other_options(content: Mapping[str, Any]) -> str:
+    told = content["options"]
+    right = told["sha256"] == _canonical_sha256(told["given"])
+    return "" if right else "the sha256 of its options is not the one of the options in it"
 
 
 def check_proof(
@@ -238,7 +350,8 @@ def check_proof(
     Raises
     ------
     ProofError
-        If the file is no proof.
+        If the file is no proof, or its criteria are not those of the specification that it has the
+        hash of.
     """
     known = proof if isinstance(proof, ProofFile) else read_proof(proof)
     given = {key: value for key, value in plan.options.items() if key not in _NAMES}
@@ -258,6 +371,8 @@ def check_proof(
     if known.content["threadline"] != __version__:
         told = str(known.content["threadline"])
         differences.append(Difference("threadline", "threadline", told, __version__))
+    if not differences and (why := unlike(known.content, plan, spec)):
+        raise _contradicts(known.path, why)
     return tuple(differences)
 
 
@@ -361,12 +476,17 @@ def _beside(file: str, folder: Path) -> str:
         return Path(file).absolute().as_posix()
 
 
-def _canonical_sha256(content: Any) -> str:
-    """Return the SHA-256 of JSON with sorted keys and no blanks, in UTF-8."""
+def _canonical(content: Any) -> bytes:
+    """Return JSON with sorted keys and no blanks, in UTF-8."""
     text = json.dumps(
         content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False
     )
-    return hashlib.sha256(text.encode()).hexdigest()
+    return text.encode()
+
+
+def _canonical_sha256(content: Any) -> str:
+    """Return the SHA-256 of canonical JSON."""
+    return hashlib.sha256(_canonical(content)).hexdigest()
 
 
 def _refuse_constant(text: str) -> float:

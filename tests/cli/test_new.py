@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shlex
@@ -98,7 +99,11 @@ def test_a_project_that_cannot_be_written_leaves_nothing(
 @pytest.mark.parametrize(
     ("kind", "name", "words"),
     [
-        ("loom", "mine", "There are: winder, stepper, stitcher, placer, embroidery"),
+        (
+            "loom",
+            "mine",
+            "There are: grbl, fluidnc, marlin, klipper, rrf, linuxcnc, winder, stepper",
+        ),
         ("windr", "mine", "Did you mean 'winder'?"),
         ("winder", "full", "is not empty"),
         ("winder", "file", "is not a folder"),
@@ -147,11 +152,11 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
     dump, folder = tmp_path / "settings.txt", tmp_path / "mine"
     dump.write_text(SETTINGS)
     asked = [text.partition("=")[0] for text in OWNER[1:]]
-    code, _, err = run(capsys, "new", "grbl-winder", folder, "--from", dump, "--set", OWNER[0])
+    code, _, err = run(capsys, "new", "grbl", folder, "--from", dump, "--set", OWNER[0])
     assert code == 2 and not folder.exists()
     assert all(f'--set "{name}=' in err for name in asked), "a question was cut out"
     given = [word for text in OWNER for word in ("--set", text)]
-    code, out, err = run(capsys, "new", "grbl-winder", folder, "--from", dump, *given, "--json")
+    code, out, err = run(capsys, "new", "grbl", folder, "--from", dump, *given, "--json")
     assert (code, err) == (0, "")
     content = json.loads(out)
     assert sorted(p.name for p in folder.iterdir()) == content["files"]
@@ -164,12 +169,12 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["grbl-winder", "mine"], "Name them with --from"),
+        (["grbl", "mine"], "Name what grbl answers to $$ with --from"),
         (
             ["winder", "mine", "--set", "mass=1 kg"],
             "--limits-only are not of the kind",
         ),
-        (["marlin-winder", "mine", "--from", "dump.txt"], "threadline new grbl-winder"),
+        (["marlin", "mine", "--from", "dump.txt"], "threadline new grbl"),
     ],
 )
 def test_settings_of_another_kind_are_refused(
@@ -184,3 +189,95 @@ def test_settings_of_another_kind_are_refused(
     code, _, err = run(capsys, "new", *arguments)
     assert code == 2
     assert said in err
+
+
+def test_what_was_read_is_shown_with_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every number of the settings, what their owner said, and what was assumed."""
+    dump = tmp_path / "dump.txt"
+    dump.write_text(SETTINGS + "$101=0.000\n")
+    words = ["new", "grbl", tmp_path / "mine", "--from", dump, "--limits-only", "--set", "rotary=A"]
+    code, out, _ = run(capsys, *words, "--set", "radius=50 mm")
+    rows = {" ".join(line.split()[:2]): line for line in out.splitlines()}
+    assert code == 0
+    assert "6000 mm/min" in rows["X rate"] and "$110, dump.txt:3" in rows["X rate"]
+    assert "26.667 /deg" in rows["A steps"] and "dump.txt:2" in rows["A steps"]
+    assert "0.01 mm" in rows["junction deviation"]
+    assert "assumed: default of grbl" in rows["junction deviation"]
+    assert "50 mm" in rows["radius 50"] and "--set" in rows["radius 50"]
+    assert "dump.txt:9: $101=0.000: no axis Y" in out
+    words[2] = tmp_path / "again"
+    code, out, _ = run(capsys, *words, "--set", "radius=50 mm", "--json")
+    told = json.loads(out)
+    assert {"setting": "X travel", "value": "900 mm", "from": "$130, dump.txt:7"} in told["read"]
+    assert told["notes"] == ["dump.txt:9: $101=0.000: no axis Y"] and told["left_out"] == []
+
+
+def test_what_a_controller_does_besides_is_told_with_every_proof(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dump = tmp_path / "m503.txt"
+    dump.write_text("M92 X80\nM203 X100\nM201 X500\nM205 J0.01\nM852 I0.02\n")
+    words = ["new", "marlin", tmp_path / "mine", "--from", dump, "--limits-only"]
+    code, _, err = run(capsys, *words, "--set", "travel=300 mm")
+    assert code == 0 and "warning: m503.txt:5: M852 I0.02" in err
+    monkeypatch.chdir(tmp_path / "mine")
+    code, _, err = run(capsys, "prove", "there-and-back.gcode", "-m", "machine.toml")
+    assert code == 0 and "warning: m503.txt:5: M852 I0.02" in err
+
+
+class Terminal(io.StringIO):
+    """Somebody at the keys, who types these lines."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_is_asked_for_everything(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An empty answer is the one in brackets; a wrong one is told and asked for again."""
+    monkeypatch.chdir(tmp_path)
+    Path("dump.txt").write_text(SETTINGS)
+    lines = ["grbll", "", "nothing.txt", "dump.txt", "", "", "", "5 kg", "40 mm"]
+    monkeypatch.setattr("sys.stdin", Terminal("\n".join(lines) + "\n"))
+    code, out, _ = run(capsys, "new")
+    assert code == 0
+    assert "Did you mean 'grbl'?" in out and "cannot read 'nothing.txt'" in out
+    assert "Folder to make [my-grbl]: " in out and "--set radius='5 kg'" in out
+    machine = tomllib.loads(Path("my-grbl/machine.toml").read_text())
+    assert machine["axes"]["A"]["kind"] == "rotary" and machine["tool"]["radius"][:5] == "40 mm"
+    assert machine["drives"]["x"]["kind"] == "kinematic"
+
+
+def test_answers_that_end_early_make_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.stdin", Terminal("winder\n"))
+    code, _, err = run(capsys, "new")
+    assert code == 2 and "not answered to the end" in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [[], ["grbl"], ["--json"], ["winder", "--json"]])
+def test_without_a_terminal_nothing_is_asked(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if "--json" in words:
+        monkeypatch.setattr("sys.stdin", Terminal("winder\nmine\n"))
+    code, out, err = run(capsys, "new", *words)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "Like threadline new" in err
+
+
+@pytest.mark.parametrize(
+    ("old", "now"),
+    [("grbl-winder", "grbl"), ("reprapfirmware-winder", "rrf"), ("marlyn", "marlin")],
+)
+def test_the_kind_that_was_meant_is_named(
+    old: str, now: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = run(capsys, "new", old, tmp_path / "mine")
+    assert code == 2 and f"Did you mean '{now}'?" in err

@@ -279,3 +279,17 @@ def test_matrices_are_multiplied_by_one_thread(told: dict[str, str], counted: st
         "print(os.environ['OPENBLAS_NUM_THREADS'], 'numpy' in sys.modules)\n"
     )
     assert done.stdout.splitlines()[-1] == f"{counted} False"
+
+
+def test_the_shells_backend_of_drawings_is_none_of_ours() -> None:
+    """A report is drawn into files, and matplotlib fails of a backend that it does not know."""
+    done = run(
+        "import os, sys\n"
+        "os.environ['MPLBACKEND'] = 'foo'\n"
+        "sys.argv = ['threadline', '--version']\n"
+        "from threadline.cli.start import run\n"
+        "try:\n    run()\nexcept SystemExit:\n    pass\n"
+        "import matplotlib\n"
+        "print(matplotlib.get_backend())\n"
+    )
+    assert done.stdout.splitlines()[-1] == "agg", done.stderr

@@ -24,3 +24,11 @@ def moves(job: Job) -> list[Move]:
 def millimetres(job: Job) -> list[tuple[float, ...]]:
     """Return X Y Z in mm and A in degrees behind every move."""
     return [(*(1e3 * p for p in m.target[:3]), math.degrees(m.target[3])) for m in moves(job)]
+
+
+def numbered(number: int, code: str) -> str:
+    """Return a line of a firmware with its number and checksum."""
+    line, checksum = f"N{number} {code}", 0
+    for byte in line.encode():
+        checksum ^= byte
+    return f"{line}*{checksum}"

@@ -191,7 +191,7 @@ def test_linuxcnc_bends_and_shifts_alike(
         ("G5 X10 Y0 P1 Q2", "the first G5 of a curve needs I and J"),
         ("G5 X10 Y0 I1 J1", "G5 needs P and Q"),
         ("G18 G5 X10 I1 J1 P1 Q1", "G5 is a curve of X and Y"),
-        ("G1 X5 I3", "I has no use in a block of G1"),
+        ("G1 X5 I3", "I has no use in this block"),
         ("G80\nX5", "axis words before any G0 or G1"),
         ("G92", "G92 names no axis"),
         ("G41 D1", "G41 is compensation of the cutter's radius"),

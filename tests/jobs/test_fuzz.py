@@ -11,7 +11,10 @@ from threadline.errors import UnitError
 from threadline.units import parse_exact_time_s, parse_quantity
 
 CASES = {"part-program": 300, "units": 300, "par": 100, "radii": 150, "program-winder": 150}
-JUDGED = ("judge-channels", "judge-blocks", "judge-axes")  # tests/verdict has cases of them
+JUDGED = (
+    "judge-channels", "judge-blocks", "judge-axes", "same-recording", "same-program", "same-machine"
+)  # fmt: skip
+"""Classes of which tests/verdict has cases."""
 
 
 def test_no_reader_answers_with_a_traceback() -> None:

@@ -226,7 +226,7 @@ REFUSED = [
     ("G0 X[1", "an operator or ] is missing, at 'the end of the line'"),
     ("G0 X[1 2 3]]", "a letter is missing, at ']'"),
     ("G0 X" + "[" * 40 + "1" + "]" * 40, "nested more than 30 deep"),
-    ("G0 X[" + "1+" * 130 + "1]", "the line has 267 characters; with parameters 252 is the most"),
+    ("G0 X[" + "1+" * 130 + "1]", "the line has 267 characters; linuxcnc takes 252"),
     ("G0 X[FOO[1]]", "is missing, at 'foo[1]]'"),
     ("G[1/3] X1", "unknown word G0.3333"),
     ("o1 repeat [1e9]\no1 endrepeat", "an operator or ] is missing, at 'e9]'"),

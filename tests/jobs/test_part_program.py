@@ -83,9 +83,7 @@ def test_what_g0_g4_g28_and_stops_become(tmp_path: Path) -> None:
     via_x_only = [op for op in operations if isinstance(op, Move)][3]
     assert via_x_only.target[2] == 0.003
     assert [op.duration_s for op in operations if isinstance(op, Dwell)] == [0.25]
-    assert [(op.name, op.value) for op in operations if isinstance(op, ToolEvent)] == [
-        ("spindle", 0)
-    ]
+    assert [op.words for op in operations if isinstance(op, ToolEvent)] == ["M5"]
     assert [op.final for op in operations if isinstance(op, Stop)] == [False, True]
 
 
@@ -122,6 +120,15 @@ def test_warnings_name_their_line(tmp_path: Path) -> None:
     assert "(A 99.2, X 36.1, Y 32.1 mm/s)" in home.capped[0]
     many = [f"X1 F{3000 + k}" for k in range(20)]
     assert read(tmp_path, "G91 G1", *many, "M30").capped[-1] == "15 more warnings of these kinds."
+
+
+def test_g64_alone_is_warned_of_and_a_thousand_of_them_at_most(tmp_path: Path) -> None:
+    """A program may have millions: what is told of them takes a bounded place."""
+    modes = ["G21 G90 G94", "G91 G1 F600 X1"]
+    assert read(tmp_path, *modes, "M30").suspicions(own_feed=False) == ()
+    told = read(tmp_path, *modes, *["G64 X1"] * 1500, "M30").suspicions(own_feed=False)
+    assert [w.split(":")[1] for w in told[:5]] == ["3", "4", "5", "6", "7"]
+    assert told[5] == "995 more warnings of these kinds."
 
 
 def test_a_feed_is_judged_in_the_unit_in_force_where_it_is_called(tmp_path: Path) -> None:

@@ -14,6 +14,10 @@ from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
 from threadline.errors import JobError
 from threadline.jobs import Job, Move, Stop, ToolEvent, read_job
 from threadline.machine import load_machine
+from threadline.machine.load import library_file
+from threadline.options import Options
+from threadline.pipeline import prove
+from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")
 SAMPLES = SHARED_SAMPLES / "embroidery"
@@ -153,3 +157,25 @@ def test_real_designs_have_as_many_moves_as_were_counted(
     ways = np.abs(np.diff(sewn, axis=0)).max(axis=1)
     assert len(ways) == count
     assert ways.max() == longest
+
+
+def test_the_order_of_the_axes_in_a_machine_file_changes_no_design(tmp_path: Path) -> None:
+    """A machine with Y before X was refused: it had no step tables for X and Y, although it has."""
+    text = library_file("schiffli-frame").read_text(encoding="utf-8")
+    x, y = text.index("[axes.X]"), text.index("[axes.Y]")
+    end = text.index("\n[", y) + 1
+    file = tmp_path / "turned.toml"
+    file.write_text(text[:x] + text[y:end] + text[x:y] + text[end:])
+    turned = load_machine(str(file))
+    assert turned.axis_names == ("Y", "X")
+    design = tmp_path / "a.exp"
+    design.write_bytes(exp((30, 0), (20, 10), (-12, 40), (-50, 3)))
+    loads, values = [], []
+    for machine in (MACHINE, turned):
+        proof = prove(design, machine, load_spec(None, machine), Options())
+        loads.append({a: proof.recording.samples(f"{a}.load")[1] for a in "XY"})
+        values.append({(r.name, r.axis): r.measured for r in proof.verdict.results})
+    assert values[0] == values[1]
+    for axis in "XY":
+        np.testing.assert_array_equal(loads[0][axis], loads[1][axis])
+    assert np.abs(loads[0]["X"] - loads[0]["Y"]).max() > 1e-3

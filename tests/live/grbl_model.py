@@ -41,13 +41,15 @@ class GrblModel(threading.Thread):
     """
 
     def __init__(
-        self, settings: dict[int, float], *, faster: float = 1.0, blocks: int = BLOCKS
-    ) -> None:
+        self, settings: dict[int, float], *, faster: float = 1.0, blocks: int = BLOCKS,
+        characters: int = ROOM,
+    ) -> None:  # fmt: skip
         super().__init__(daemon=True)
         self.homing_s, self.homed_at_s = 0.0, np.inf
         self.server = socket.create_server(("127.0.0.1", 0))
         self.port = self.server.getsockname()[1]
         self.settings, self.faster, self.room = settings, faster, blocks
+        self.characters = characters
         self.state, self.at = "Idle", np.zeros(4)
         self.overflowed = self.stuck = False
         self.alarm_at_s: float | None = None
@@ -115,7 +117,7 @@ class GrblModel(threading.Thread):
                 self._at_once(byte)
             elif byte != 13:
                 self.rx.append(byte)
-        self.overflowed = self.overflowed or len(self.rx) > ROOM
+        self.overflowed = self.overflowed or len(self.rx) > self.characters
 
     def _at_once(self, byte: int) -> None:
         if byte == ord("?"):
@@ -123,13 +125,14 @@ class GrblModel(threading.Thread):
             shown = self.at + np.array([self.beside_mm, 0.0, 0.0, 0.0])
             place = ",".join(f"{value:.3f}" for value in shown)
             if not self.stuck:
-                self._say(f"<{state}|MPos:{place}|Bf:{self.room - len(self.blocks)},{ROOM}|FS:0,0>")
+                free = f"{self.room - len(self.blocks)},{self.characters}"
+                self._say(f"<{state}|MPos:{place}|Bf:{free}|FS:0,0>")
         elif byte in (0x85, ord("!")) and self.state == "Jog":  # lines in the buffer stay there
             self.blocks.clear()
             self.state, self.target = "Idle", self.at.copy()
         elif byte == ord("!") and self.state == "Run":
             self.state = "Hold"
-        elif byte == ord("~") and self.state == "Hold":
+        elif byte == ord("~") and self.state in {"Hold", "Door:0"}:
             self.state = "Run"
         elif byte == 0x18:
             if self.state in {"Run", "Jog"} or self.homed_at_s < np.inf:
@@ -150,7 +153,7 @@ class GrblModel(threading.Thread):
     def _do(self, line: str) -> None:
         if line == "$I":
             self._say("[VER:1.1h.20190825:]")
-            self._say(f"[OPT:V,{self.room},{ROOM}]")
+            self._say(f"[OPT:V,{self.room},{self.characters}]")
             self._say("[AXS:4:XYZA]")
         elif line == "$$":
             for number, value in self.settings.items():

@@ -28,6 +28,7 @@ from threadline.live.hal_session import HalSession, Samples, words_to_end
 from threadline.live.kept import Kept
 from threadline.live.wire import Connection
 from threadline.machine import Machine
+from threadline.signals import Ended
 
 
 def end_hal() -> None:
@@ -67,6 +68,19 @@ SLEPT = (
 """What is told of a run for which nobody had the processor for a tenth of a second."""
 TRIES = 6
 P = ParamSpec("P")
+
+
+class SleptError(AssertionError):
+    """This computer slept in a run."""
+
+
+def refuse_slept(ended: tuple[Ended, str] | None) -> None:
+    """Raise where a run ended because nobody had the processor.
+
+    The whole reason is looked at: of a comparison that fails, pytest tells the first 240 letters.
+    """
+    if ended is not None and ended[0] is Ended.FAULT and any(one in ended[1] for one in SLEPT):
+        raise SleptError(ended[1])
 
 
 def awake(test: Callable[P, None]) -> Callable[P, None]:
@@ -178,4 +192,5 @@ def execute(
         at_tick(executor, desk)
     executor.close()
     desk.close()
+    refuse_slept(executor.ended)
     return executor, kept

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Iterable
 from contextlib import closing
 from functools import cache
 from pathlib import Path
@@ -173,6 +175,46 @@ def test_a_spindle_that_ran_runs_again_before_anything_moves(tmp_path: Path) -> 
         left = program.lines[-(len(lines) - len(before)) :]
         done = [line for line in program.lines[: -len(left)] if line in {b"M3\n", b"M5\n"}]
         assert before[-1:] == [line.strip() for line in done[-1:]] or not done
+
+
+def _modes(lines: Iterable[bytes]) -> dict[str, bytes]:
+    """Return the modes that lines leave, by a reader of a few words."""
+    found = {"motion": b"G1", "spindle": b"M5", "power": b"", "coolant": b"M9"}
+    for word in re.findall(rb"(?<![A-Z0-9])[GMS][0-9.]+", b" ".join(lines)):
+        kind = {b"G0": "motion", b"G1": "motion", b"M8": "coolant", b"M9": "coolant"}.get(word)
+        kind = "spindle" if word in {b"M3", b"M4", b"M5"} else kind
+        kind = "power" if word[:1] == b"S" else kind
+        if kind is not None:
+            found[kind] = word
+    return found
+
+
+def test_the_rest_of_a_job_begins_in_the_modes_of_its_place(tmp_path: Path) -> None:
+    """G0 or G1, laser, its S and the coolant: as the whole program has left them there.
+
+    A change of the tool is a stop for who sends the program, and the zero is set once.
+    """
+    job = tmp_path / "laser.gcode"
+    job.write_text(
+        "G92 X0 A0\nT1 M6\nM4 S0\nG0 X10 A20\nG1 X20 S300 F1200\nM8\nX25\nG0 X30\nG0 X40 A30\n"
+        "G1 X50 S500\nM9\nX60\nM5\n",
+        "utf-8",
+    )
+    options = Options(dialect="grbl")
+    plan = plan_job(open_job(job, MACHINE, options), MACHINE, options)
+    program, _ = written_program(plan)
+    whole = list(program.lines)
+    assert b"M0\n" in whole and not any(b"M6" in line for line in whole)
+    met = set()
+    for operation in range(int(program.operations[-1]) + 1):
+        lines = list(rest_of_program(program, plan, operation)[1].lines)
+        moves = next(n for n, line in enumerate(lines) if b"X" in line and b"G92" not in line)
+        first = len(whole) - len(lines) + moves
+        assert whole[first:] == lines[moves:]
+        assert _modes(lines[: moves + 1]) == _modes(whole[: first + 1])
+        assert first < 5 or not any(b"G92" in line for line in lines)
+        met.add(tuple(_modes(whole[:first]).values()))
+    assert len(met) >= 5
 
 
 @pytest.mark.parametrize("answer", [False, None])

@@ -21,6 +21,7 @@ from tests.live.hal_bench import (
     execute,
     hal_alone,
     left_samples,
+    refuse_slept,
     told_in,
     unhurried,
 )
@@ -213,6 +214,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
         ended = run_commands(
             table_of_counts(ROWS), winder(), nullcontext(link), desk, more, speed=1.0, again=again
         )
+    refuse_slept(ended[:2])
     assert ended[:2] == (Ended.COMPLETED, "")
     told = told_in(tmp_path / "rest", 3)[:, 1:]
     assert (told[-1] == ROWS.sum(axis=0)).all()
@@ -240,6 +242,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
         executor.jog("X", 0.072)
         while executor.tick < 100:
             executor.step()
+            refuse_slept(executor.ended)
             assert executor.state is State.JOGGING, executor.ended
             executor.renew()
             renewed_at = int(executor.stands[1])
@@ -248,6 +251,7 @@ def test_a_jog_at_manual_feed_ends_by_itself(gone: bool, tmp_path: Path) -> None
         else:
             while not executor.over:
                 executor.step()
+            refuse_slept(executor.ended)
             assert "nobody has renewed its lease" in executor.ended[1]  # type: ignore[index]
             executor.close()
     desk.close()

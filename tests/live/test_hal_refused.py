@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from tests.live.bench import winder
-from tests.live.hal_bench import hal_alone, left_samples
+from tests.live.hal_bench import awake, hal_alone, left_samples, refuse_slept
 from tests.live.test_hal import winder_at_1_ms
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.hal_link import check_hal
 from threadline.live.hal_session import HalSession
 from threadline.live.links import link_of
 from threadline.machine import load_machine
+from threadline.signals import Ended
 
 ZERO = np.zeros(3, np.int64)
 
@@ -62,3 +63,21 @@ def test_another_layout_of_the_fifo_is_refused(tmp_path: Path) -> None:
             left_samples(winder_at_1_ms(tmp_path))
     finally:
         hal.close()
+
+
+def test_a_run_for_which_nobody_had_the_processor_is_begun_again() -> None:
+    """However long its reason is: a comparison that fails shows the beginning of it alone."""
+    reason = f"the machine was to go {'on ' * 200}, and the refills came too late"
+    begun = []
+
+    @awake
+    def once(ended: Ended) -> None:
+        begun.append(ended)
+        if len(begun) == 1:
+            refuse_slept((ended, reason))
+        assert len(begun) == 2
+
+    once(Ended.FAULT)
+    begun.clear()
+    with pytest.raises(AssertionError):
+        once(Ended.STOPPED)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back
+from threadline.live.braking import MOST_PLACES, CountLimits, brake
 from threadline.live.hold_deviation import (
     hold_ahead_m,
     hold_deviation_m,
@@ -16,13 +17,15 @@ from threadline.live.hold_deviation import (
     hold_waits,
     hold_words,
     rests_within,
+    spoiled_by_holds,
 )
+from threadline.live.path_window import PathWindow
 from threadline.live.states import Cause, State
 from threadline.machine import load_machine
 from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
+from threadline.pipeline import open_job, plan_job, simulate
 from threadline.plan import Plan
-from threadline.signals import Ended, tick_table
+from threadline.signals import Ended, Stream, TickBlock, tick_table
 from threadline.verdict import load_spec
 
 TICK_S = 0.005
@@ -151,3 +154,78 @@ def test_whether_there_is_a_rest_is_known_before(rest: int, long: bool) -> None:
     known = rests_within(replace(plan, commands=table))
     assert bool(bench.commanded()[-1, 0] < whole[:, 0].sum()) is known
     assert known is long  # 50 ms, with the rows about it that have no count
+
+
+def test_braking_that_shakes_the_load_out_of_spec_is_foreseen() -> None:
+    """Steppers told the path itself: a hold stands on it, and its braking shakes the belt."""
+    plan = planned("helix.gcode", "stepper-winder")
+    spec = load_spec(None, plan.machine)
+    assert hold_deviation_m(plan) == 0.0
+    assert not hold_waits(plan, spec, leaves_m=0.0)
+
+    spoiled = spoiled_by_holds(plan, spec)
+
+    found = {result.name: result for result in spoiled}
+    assert set(found) == {"contour_error", "progress_error"}
+    for result in found.values():
+        assert result.measured is not None and result.limit == pytest.approx(0.5e-3)
+        assert result.limit < result.measured < 1e-3
+    words = hold_words(plan, 0.0, waits=True, spoiled=spoiled)
+    assert "contour_error" in words and "of 0.5 mm" in words
+    assert words.endswith("so h stands at the end, for there is no rest")
+
+
+def test_what_a_hold_was_foreseen_to_do_is_what_it_does() -> None:
+    """The executor brakes the simulated machine at its fastest row: the same error, from its trace.
+
+    Nothing of the prediction is used but the row.
+    """
+    plan = planned("helix.gcode", "stepper-winder")
+    spec = load_spec(None, plan.machine)
+    table = tick_table(plan.commands)
+    rows = np.concatenate([block.counts for block in table])
+    at = np.argmax(np.linalg.norm(rows / plan.machine.counts_per_unit, axis=1))
+    held = int(at) + 1
+    window = PathWindow(table)
+    window.reach(held + 2.0 * MOST_PLACES)
+    down = brake(window, (held - 2.0, held - 1.0, float(held)), CountLimits.of(plan.machine))
+    stands = np.full(400, down[-1])
+    travelled = np.vstack([window.rounded(np.arange(held + 1.0)), window.rounded(down),
+                           window.rounded(stands)])  # fmt: skip
+    load = simulate_rows(plan, np.diff(travelled, axis=0))
+    due = travelled / plan.machine.counts_per_unit * plan.machine.radius_m
+    shaken = np.linalg.norm((load - due[: len(load)])[held:], axis=1).max()
+
+    (worst,) = [r for r in spoiled_by_holds(plan, spec) if r.name == "progress_error"]
+
+    assert worst.measured is not None
+    assert worst.measured == pytest.approx(shaken, rel=0.35)
+
+
+def test_a_hold_that_stays_in_spec_is_left_alone() -> None:
+    """The same machine with limits of 5 mm, and a winder whose loops damp what braking does."""
+    plan = planned("helix.gcode", "stepper-winder")
+    spec = load_spec(None, plan.machine)
+    wide = replace(
+        spec, criteria=tuple(replace(c, limit=c.limit and 10.0 * c.limit) for c in spec.criteria)
+    )
+    assert spoiled_by_holds(plan, wide) == ()
+    slow = planned("x-180.prg", "lathe-winder")
+    assert spoiled_by_holds(slow, load_spec(None, slow.machine)) == ()
+
+
+def test_what_fails_without_a_hold_is_no_fault_of_holds() -> None:
+    """Of a plan that is out of specification by itself, and run with an override."""
+    plan = planned("helix.gcode", "stepper-winder")
+    spec = load_spec(None, plan.machine)
+    hard = replace(spec, criteria=tuple(replace(c, limit=c.limit and 1e-6) for c in spec.criteria))
+    assert spoiled_by_holds(plan, hard) == ()
+
+
+def simulate_rows(plan: Plan, counts: np.ndarray) -> np.ndarray:
+    """Return (n, axes) places of the load, lengths at the tool, at the ticks of some rows."""
+    table = tick_table(plan.commands)
+    block = TickBlock(first_tick=0, counts=counts, operation=np.zeros(len(counts), dtype=np.int64))
+    run = simulate(replace(table, blocks=Stream.of([block])), plan.machine)
+    places = [run.samples(f"{axis}.load")[1] for axis in plan.machine.axis_names]
+    return np.stack(places, axis=1)[: len(counts)] * plan.machine.radius_m

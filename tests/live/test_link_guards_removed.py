@@ -16,6 +16,7 @@ from tests.live import (
     bench,
     test_continued_grbl,
     test_grbl,
+    test_grbl_waits,
     test_hal,
     test_hal_rows,
     test_scans,
@@ -26,6 +27,7 @@ from tests.live.hal_bench import hal_alone, unhurried
 from tests.live.test_guards_removed import Take, attribute, nothing, with_folder
 from threadline.live import (
     executor,
+    grbl_controller,
     grbl_program,
     grbl_run,
     grbl_words,
@@ -38,7 +40,7 @@ from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import CharacterCount, Status
 from threadline.live.hal_session import HalSession
-from threadline.live.lateness import Lateness
+from threadline.live.lateness import Lateness, clock_s
 from threadline.live.scan_guards import ScanGuards
 from threadline.live.scans_ahead import ScansAhead
 from threadline.live.turns_ahead import TurnsAhead
@@ -54,6 +56,11 @@ _ask_status, _ask, _guards, _hal = (
 def always_idle(one: Controller) -> Status:
     """Take a controller to stand, whatever it tells."""
     return dataclasses.replace(_ask_status(one), state="Idle")
+
+
+def looks_alone(one: GrblRun) -> None:
+    """Note when it was looked, however long that is since the last time."""
+    one._looked_s = clock_s()
 
 
 def deaf(one: Controller, line: bytes, timeout_s: float, _stopped: object = None) -> list[str]:
@@ -197,6 +204,16 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
     "a silent controller": (
         silence_is_well,
         lambda: test_grbl.test_a_lost_link_is_a_fault_and_what_runs_out_is_bounded("silent"),
+    ),
+    "a computer that slept": (
+        attribute(GrblRun, "_judge_silence", looks_alone),
+        with_patch(test_grbl_waits.test_nothing_that_moves_is_sent_after_this_process_stood_still),
+    ),
+    "numbers of another meaning": (
+        attribute(grbl_controller, "_refuse_other_reports", nothing),
+        lambda: test_grbl_waits.test_settings_that_give_its_numbers_another_meaning_are_refused(
+            13, 1.0, "reports inches"
+        ),
     ),
     "a stop while grbl homes": (
         attribute(Controller, "ask", deaf),

@@ -70,7 +70,7 @@ def test_a_manual_stepper_without_its_command_is_told(
     [
         (TAKEN.replace("GCODE_AXIS=A", "GCODE_AXIS=Y"), "the axis Y; it must be one of A, B"),
         (TAKEN + TAKEN.splitlines()[-1].replace("=A", "=B"), "the axis B here and A on line"),
-        (TAKEN + TAKEN.splitlines()[-1].replace("400", "500"), "is 30000 here and 24000 on line"),
+        (TAKEN + TAKEN.splitlines()[-1].replace("400", "500"), "is 500 here and 400 on line"),
         (TAKEN.replace("=400", "=fast"), "LIMIT_VELOCITY is 'FAST'"),
     ],
 )

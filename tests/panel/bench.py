@@ -227,8 +227,8 @@ class Operator:
         """Wait for a state; a jog is not renewed meanwhile."""
         end = time.monotonic() + 60.0
         while self.hear()["type"] != "state" or self.state["state"] not in states:
-            assert time.monotonic() < end, self.state
-            assert self.state.get("state") not in {"fault", "gone"}, self.state
+            assert time.monotonic() < end, str(self.state)  # all of it: a text is told whole
+            assert self.state.get("state") not in {"fault", "gone"}, str(self.state)
         return self.state
 
     def catch_up(self, client: TestClient) -> Operator:
@@ -271,6 +271,12 @@ class Operator:
             assert not why, why
         self.see("idle")
         return self
+
+    def allows(self, what: str) -> dict[str, Any]:
+        """Wait until a command is possible, and keep control meanwhile; return the state."""
+        while what not in self.until("state")["allowed"]:
+            self.say(type="alive", lease=self.lease)
+        return self.state
 
     def x_mm(self) -> float:
         return float(self.state["axes"]["X"]["commanded"]) * 1e3

@@ -51,12 +51,12 @@ def browser(request: pytest.FixtureRequest) -> Iterator[Browser]:
 
 @pytest.fixture
 def plant(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Plant]:
-    """A winder, or the machine and the speed that the test names."""
-    name, speed = getattr(request, "param", ("lathe-winder", SPEED))
+    """A winder, or the machine and the speed, or the token too, that the test names."""
+    name, speed, *token = getattr(request, "param", ("lathe-winder", SPEED))
     machine = load_machine(name)
     proven(tmp_path, name)
     simulated_of(machine, lambda _: None)
-    found = Plant(tmp_path, tmp_path / "black-box", speed, machine)
+    found = Plant(tmp_path, tmp_path / "black-box", speed, machine, token="".join(token))
     yield found
     os.kill(found.server, signal.SIGKILL)
     os.waitpid(found.server, 0)

@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import json
+import shutil
+import socket
+import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
+import uvicorn
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from starlette.testclient import TestClient
 from starlette.websockets import WebSocketDisconnect
 
-from tests.panel.bench import LOCAL, Operator, operator, served
-from threadline.errors import JobError, OptionError
+from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
+from threadline.errors import InputError, JobError, OptionError
 from threadline.machine import load_machine
-from threadline.panel.admission import Admission
-from threadline.panel.project_programs import program_names, program_path, take_program
-from threadline.panel.protocol import MOST_TEXT
+from threadline.panel import admission
+from threadline.panel.admission import Admission, PromptHttp
+from threadline.panel.project_programs import (
+    planned,
+    program_names,
+    program_path,
+    take_program,
+)
+from threadline.panel.protocol import MOST_TEXT, Calculate
 
 TOKEN = "correct-horse-battery"
 ROOT = Path(__file__).parents[2]
@@ -205,10 +216,10 @@ def test_what_breaks_off_is_no_error_of_the_panel(tmp_path: Path, path: str) -> 
 def test_bytes_that_act_at_once_are_refused_with_their_line(tmp_path: Path, byte: int) -> None:
     content = b"G1 X1\nG1 X2 (" + bytes([byte]) + b")\n"
     with pytest.raises(JobError, match=rf"a\.gcode:2: the byte {byte:#04x} is one that"):
-        take_program(tmp_path, "a.gcode", content)
+        take_program(tmp_path, "a.gcode", content, overwrite=False)
     frame = load_machine("schiffli-frame")
     assert program_names(tmp_path, frame) == []
-    take_program(tmp_path, "a.dst", content)  # an embroidery design is no text
+    take_program(tmp_path, "a.dst", content, overwrite=False)  # an embroidery design is no text
     assert program_names(tmp_path, frame) == ["a.dst"]
 
 
@@ -239,13 +250,190 @@ def test_jobs_of_the_machine_are_offered_and_no_other_files(tmp_path: Path) -> N
     assert program_names(tmp_path, upright) == ["a.prg", "job.txt"]  # nothing to sew with
 
 
-def test_a_link_does_not_lead_out_of_the_folder(tmp_path: Path) -> None:
+@pytest.mark.parametrize("to", ["../secret.prg", "a.prg", "b.prg", "nowhere.prg"])
+def test_links_are_not_followed(tmp_path: Path, to: str) -> None:
+    """Neither out of the folder nor in it, nor one that leads to itself."""
     project = tmp_path / "project"
     project.mkdir()
-    (tmp_path / "secret.prg").write_text("secret", "utf-8")
-    (project / "a.prg").symlink_to(tmp_path / "secret.prg")
-    with pytest.raises(JobError, match="no name of a program in the project folder"):
+    for file in (tmp_path / "secret.prg", project / "b.prg"):
+        file.write_text("secret", "utf-8")
+    (project / "a.prg").symlink_to(to)
+    with pytest.raises(JobError, match=r"'a\.prg' is a link, and the panel follows none"):
         program_path(project, "a.prg")
-    with pytest.raises(JobError, match="no name of a program"):
-        take_program(project, "a.prg", b"new")
-    assert (tmp_path / "secret.prg").read_text("utf-8") == "secret"
+    with pytest.raises(JobError, match="is a link"):
+        take_program(project, "a.prg", b"new", overwrite=True)
+    assert program_names(project, load_machine("lathe-winder")) == ["b.prg"]
+    assert {(tmp_path / "secret.prg").read_text(), (project / "b.prg").read_text()} == {"secret"}
+
+
+def test_an_upload_over_a_link_to_itself_is_refused_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "a.prg").symlink_to("a.prg")
+    with served(tmp_path) as client, operator(client) as anna:
+        headers = {**LOCAL, "x-lease": anna.take().lease}
+        answer = client.put("/api/programs/a.prg", content=b"%", headers=headers)
+        assert (answer.status_code, answer.text.count("\n")) == (422, 1)
+        assert client.get("/api/programs").json() == []
+
+
+def test_an_upload_asks_before_it_overwrites(tmp_path: Path) -> None:
+    (tmp_path / "a.prg").write_text("old", "utf-8")
+    with served(tmp_path) as client, operator(client) as anna:
+        headers = {**LOCAL, "x-lease": anna.take().lease}
+        answer = client.put("/api/programs/a.prg", content=b"new", headers=headers)
+        assert answer.status_code == 412
+        assert answer.text == "a.prg is in the project folder already\n"
+        assert (tmp_path / "a.prg").read_text("utf-8") == "old"
+        headers["x-overwrite"] = "yes"
+        answer = client.put("/api/programs/a.prg", content=b"new", headers=headers)
+        assert answer.status_code == 204
+        assert (tmp_path / "a.prg").read_text("utf-8") == "new"
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("out.seam.toml", {}),
+        ("link.seam.toml", {}),
+        ("there.prg", {"law": "../secret.csv"}),
+        ("there.prg", {"radius": "A=../secret.csv"}),
+        ("there.prg", {"radius": "A=/etc/secret.csv"}),
+    ],
+)
+def test_no_file_outside_of_the_project_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, words: dict[str, str]
+) -> None:
+    """Neither for what a program names nor for what an option does; nothing of it is told."""
+    project = tmp_path / "project"
+    project.mkdir()
+    secret = tmp_path / "secret.csv"
+    secret.write_text("x_mm,y_mm\n0,0\n10,4711\n", "utf-8")
+    (project / "link.csv").symlink_to(secret)
+    (project / "there.prg").write_text(PROGRAM, "utf-8")
+    for name, file in (("out", "../secret.csv"), ("link", "link.csv")):
+        text = (ROOT / "examples" / "strap.seam.toml").read_text("utf-8")
+        assert "strap.csv" in text
+        (project / f"{name}.seam.toml").write_text(text.replace("strap.csv", file), "utf-8")
+    monkeypatch.chdir(project)
+    opened = []
+    real = Path.open
+
+    def noted(file: Path, *given: Any, **named: Any) -> Any:
+        opened.append(file.resolve())
+        return real(file, *given, **named)
+
+    monkeypatch.setattr(Path, "open", noted)
+    asked = Calculate(what="calculate", program=program, **words)  # type: ignore[arg-type]
+    machine = load_machine("stitcher" if program.endswith(".toml") else "lathe-winder")
+    with pytest.raises(InputError, match=r"not in the project folder|links are not followed") as no:
+        planned(project, asked.model_dump(exclude={"what"}), machine)
+    assert "4711" not in str(no.value)
+    assert secret not in opened
+
+
+def test_what_the_project_holds_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The guard lets everything in the folder through, however the folder is named."""
+    project = tmp_path / "project"
+    project.mkdir()
+    (tmp_path / "other-name").symlink_to(project)
+    for name in ("strap.seam.toml", "strap.csv"):
+        shutil.copy(ROOT / "examples" / name, project)
+    asked = Calculate(what="calculate", program="strap.seam.toml").model_dump(exclude={"what"})
+    monkeypatch.chdir(tmp_path)
+    for folder in (
+        project,
+        tmp_path / "other-name",
+        Path("project"),
+        Path("other-name/../project"),
+    ):
+        planned(folder, asked, load_machine("stitcher"))
+
+
+# --- who connects and does not finish a request -------------------------------------------
+
+
+@contextmanager
+def listening() -> Iterator[tuple[str, int]]:
+    """Serve something that answers whole requests with 204, by connections that are dropped."""
+
+    async def app(_: Any, receive: Any, send: Any) -> None:
+        while (await receive()).get("more_body"):
+            pass
+        await send({"type": "http.response.start", "status": 204, "headers": []})
+        await send({"type": "http.response.body", "body": b""})
+
+    own = socket.create_server(("127.0.0.1", 0))
+    config = uvicorn.Config(app, http=PromptHttp, lifespan="off", log_level="critical")
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, args=([own],), daemon=True)
+    thread.start()
+    try:
+        yield own.getsockname()
+    finally:
+        server.should_exit = True
+        thread.join(60.0)
+        own.close()
+
+
+HEAD = b"PUT /api/programs/x.prg HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+
+
+def sent(address: tuple[str, int], content: bytes) -> socket.socket:
+    found = socket.create_connection(address, 60.0)
+    found.sendall(content)
+    return found
+
+
+def dropped(one: socket.socket) -> bytes:
+    """Return what comes until a connection is closed by the other side, and close it."""
+    came = b""
+    with one, suppress(ConnectionResetError):  # it was closed with something unread
+        while more := one.recv(4096):
+            came += more
+    return came
+
+
+@pytest.mark.parametrize(
+    "half",
+    [
+        b"",
+        HEAD,
+        HEAD + b"Content-Length: 10\r\n\r\n",
+        HEAD + b"Content-Length: 10\r\n\r\n12345",
+        HEAD + b"Transfer-Encoding: chunked\r\n\r\n5\r\n12",
+        HEAD + b"Content-Length: 2\r\n\r\n12" + HEAD,
+    ],
+)
+def test_half_a_request_is_dropped_in_time(half: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "HALF_OPEN_S", 0.3)
+    with listening() as address:
+        came = dropped(sent(address, half))
+        assert came.count(b"204 No Content") == half.count(b"Content-Length: 2\r")
+        assert not PromptHttp.half_open
+
+
+def test_a_slow_body_is_taken_and_one_without_end_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "HALF_OPEN_S", 4.0)
+    with listening() as address:
+        slow = sent(address, HEAD + b"Content-Length: 4\r\nConnection: close\r\n\r\n")
+        for _ in range(4):
+            time.sleep(0.7)
+            slow.sendall(b"1")
+        assert b"204 No Content" in dropped(slow)
+        monkeypatch.setattr(admission, "_MOST_BODY_S", 0.3)
+        endless = sent(address, HEAD + b"Content-Length: 40\r\n\r\n")
+        time.sleep(0.2)
+        endless.sendall(b"1")
+        assert dropped(endless) == b""
+
+
+def test_a_stop_gets_through_past_many_half_requests(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest is dropped where there is one more than are kept; time drops none here."""
+    monkeypatch.setattr(admission, "HALF_OPEN_S", 600.0)
+    monkeypatch.setattr(admission, "MOST_HALF_OPEN", 20)
+    with listening() as address:
+        many = [sent(address, HEAD) for _ in range(60)]
+        stop = sent(address, HEAD + b"Content-Length: 0\r\nConnection: close\r\n\r\n")
+        assert b"204 No Content" in dropped(stop)
+        assert [dropped(one) for one in many[:40]] == [b""] * 40
+        for one in many[40:]:
+            one.close()

@@ -67,7 +67,7 @@ def grbl(project: Path, model: GrblModel, *, ready: bool = True) -> Iterator[Ope
 def wait(anna: Operator, until: Callable[[], bool]) -> None:
     end = time.monotonic() + PATIENCE_S
     while not until():
-        assert time.monotonic() < end, anna.state
+        assert time.monotonic() < end, str(anna.state)
         if anna.hear()["type"] == "state" and anna.lease:
             anna.say(type="alive", lease=anna.lease)
 

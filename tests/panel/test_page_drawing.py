@@ -111,6 +111,7 @@ def test_looks_fills_leaders_and_what_changes_them(
     assert (rings.get_attribute("fill-rule"), data(page, 11).count("M")) == ("evenodd", 2)
     expect(page.locator("#paper path[data-at='12']")).to_have_count(0)
     press(page, "Save SVG in the project folder")
+    press(page, "Overwrite it")
     expect(page.locator("#log li", has_text="drawing.svg is in the project")).to_have_count(2)
     page.locator("#open-drawing").set_input_files(written)
     expect(page.locator("#drawn")).to_contain_text("13 shapes")

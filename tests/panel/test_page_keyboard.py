@@ -12,8 +12,12 @@ from tests.panel.browsing import (
     begin_jog,
     expect,
     jog_until,
+    moved_on,
     opened,
     part,
+    press,
+    press_until,
+    ready,
     stands,
     state,
     to_zero,
@@ -105,4 +109,79 @@ def test_home_jog_run_hold_stop_and_draw_without_a_pointer(browser: Browser, pla
     page.keyboard.press("Delete")
     expect(page.locator("#drawn")).to_have_text(re.compile(r"^1 shape\b(?!s)"))
     assert "A 20.0000" in str(page.locator("#paper path[data-at='0']").get_attribute("d"))
+    page.close()
+
+
+def runs(page: Page) -> None:
+    """Start the program where it begins, and wait until it moves."""
+    part(page, "Operate")
+    if x_mm(page) != 0.0:
+        to_zero(page, lambda: press(page, "Zero all"))
+        expect(page.locator("#at-A")).to_have_text(re.compile(r"^0\.00"), timeout=60_000)
+    expect(page.get_by_role("button", name="Start", exact=True)).to_be_enabled(timeout=60_000)
+    press_until(page, "Start", "running")
+    moved_on(page, 0.0)
+
+
+def stopped(page: Page, key: str) -> None:
+    page.keyboard.press(key)
+    state(page, "idle")
+    expect(page.locator("#progress-text")).to_contain_text("stopped")
+
+
+def test_keys_stop_a_run_wherever_the_focus_is(browser: Browser, plant: Plant) -> None:
+    """In lists, sliders and fields, and on other parts of the page; neither gets the key."""
+    page = opened(browser, plant)
+    ready(page)
+    press(page, "Calculate")
+    expect(page.locator("#figures")).to_contain_text("IN SPEC", timeout=60_000)
+    for name, focus, key in (
+        ("Operate", "#axis", " "),
+        ("Operate", "#step", "x"),
+        ("Operate", "#share", "ArrowRight"),
+        ("Operate", "#feed", "x"),
+        ("Operate", "#offset", " "),
+        ("Draw", "#drawing-name", "Enter"),
+        ("Draw", "#paper svg", "Delete"),
+        ("Runs", "#kept", "ArrowDown"),
+    ):
+        runs(page)
+        part(page, name)
+        if focus == "#offset":
+            page.get_by_text("More options").click()
+        there = page.locator(focus)
+        there.focus()
+        written = "svg" not in focus and focus != "#kept"  # the list of runs is still being read
+        before = there.input_value() if written else ""
+        stopped(page, key)
+        assert not written or there.input_value() == before, focus
+    page.close()
+
+
+def test_keys_of_a_run_hold_and_resume_it_in_a_field(browser: Browser, plant: Plant) -> None:
+    page = opened(browser, plant)
+    ready(page)
+    press(page, "Calculate")
+    expect(page.locator("#figures")).to_contain_text("IN SPEC", timeout=60_000)
+    runs(page)
+    page.locator("#feed").focus()
+    page.keyboard.press("h")
+    state(page, "holding")
+    page.keyboard.press("r")
+    state(page, "running")
+    assert page.locator("#feed").input_value() == ""
+    # A list that has dropped down would take the keys: it does not, and a press takes the next.
+    page.evaluate("document.activeElement.blur()")
+    before = page.locator("#seen-from").input_value()
+    page.locator("#seen-from").click()
+    assert page.locator("#seen-from").input_value() != before
+    expect(page.locator("#file")).to_be_disabled()
+    stopped(page, " ")
+    expect(page.locator("#file")).to_be_enabled()
+    # At rest a blank is written, and the keys are the field's.
+    page.locator("#teach-name").evaluate("at => at.value = ''")
+    part(page, "Teach")
+    page.locator("#teach-name").focus()
+    page.keyboard.type("a b")
+    assert page.locator("#teach-name").input_value() == "a b"
     page.close()

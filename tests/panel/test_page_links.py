@@ -1,13 +1,28 @@
-"""The page at a controller with grbl: what the link lacks is greyed, and alarms are seen."""
+"""The page at its links: what a link lacks is greyed, alarms are seen, and a token is asked for."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.live.grbl_model import GrblModel
 from tests.live.test_grbl import settings
-from tests.panel.browsing import SIZE, Browser, expect, held_and_let_go, ready, shot, state
+from tests.panel.browsing import (
+    SIZE,
+    Browser,
+    expect,
+    held_and_let_go,
+    opened,
+    press,
+    ready,
+    shot,
+    state,
+)
 from tests.panel.test_page_operator import panel
+from tests.panel.test_panel_killed import Plant
+
+TOKEN = "correct-horse-battery"
 
 
 def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> None:
@@ -35,3 +50,52 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
             page.close()
     finally:
         model.close()
+
+
+@pytest.mark.parametrize("plant", [("lathe-winder", 0.5, TOKEN)], indirect=True)
+def test_the_page_asks_for_the_token(browser: Browser, plant: Plant) -> None:
+    """It says why it is not let in, and keeps the word as long as the tab is open."""
+    page = browser.new_page(viewport=SIZE)
+    page.set_default_timeout(60_000)
+    page.goto(f"http://127.0.0.1:{plant.port}/")
+    shown = page.locator("#state")
+    expect(shown).to_have_text("not let in: the token is not the right one")
+    page.get_by_label("Token").fill("none of its words")
+    press(page, "Enter the panel")
+    expect(shown).to_have_text("not let in: the token is not the right one")
+    page.get_by_label("Token").fill(TOKEN)
+    page.keyboard.press("Enter")
+    expect(page.locator("#machine")).to_have_text("lathe-winder, simulated")
+    expect(page.get_by_label("Token")).to_be_hidden()
+    expect(page.locator("#program option")).to_have_count(1)  # requests know it, too
+    page.reload()
+    expect(page.locator("#machine")).to_have_text("lathe-winder, simulated")
+    page.close()
+
+
+def test_what_is_not_homed_and_what_is_there_is_said(browser: Browser, plant: Plant) -> None:
+    """Axes without a home have no place; a program of a name that is taken is asked about."""
+    page = opened(browser, plant)
+    for name in "AXY":
+        expect(page.locator(f"#at-{name}")).to_have_text("not homed")
+    home = page.get_by_role("button", name="Home all")
+    expect(home).to_have_attribute("title", "take control first")
+    press(page, "Take control")
+    expect(home).to_have_attribute("title", "not possible now: the machine is disabled")
+    press(page, "Release control")
+    ready(page)
+    expect(page.locator("#at-X")).to_have_text("0.00 mm")
+    other = plant.box.with_name("elsewhere") / "there.prg"
+    other.parent.mkdir()
+    other.write_text("%\nM30;\n%\n", "utf-8")
+    kept = plant.box.with_name("there.prg")
+    before = kept.read_text("utf-8")
+    for answer, content in (("Keep it", before), ("Overwrite it", other.read_text("utf-8"))):
+        page.locator("#file").set_input_files(other)
+        expect(page.locator("#ask-text")).to_have_text("there.prg is in the project folder already")
+        press(page, answer)
+        expect(page.locator("#ask-row")).to_be_hidden()
+        said = "is kept" if answer == "Keep it" else "there.prg is in the project folder"
+        expect(page.locator("#log li").first).to_contain_text(said)
+        assert kept.read_text("utf-8") == content
+    page.close()

@@ -163,7 +163,14 @@ def _begins(port: int) -> str:
 
 
 def test_it_serves_with_processes_of_its_own_and_ends_them(tmp_path: Path) -> None:
-    with panel(tmp_path) as (process, port):
+    with panel(tmp_path, "--link", "sim:slower") as (process, port):
+        half = [socket.create_connection(("127.0.0.1", port)) for _ in range(300)]
+        stop = urllib.request.Request(f"http://127.0.0.1:{port}/api/stop", b"", method="POST")
+        with urllib.request.urlopen(stop) as answer:
+            assert answer.status == 204
+        assert half[0].recv(1) == b""  # the oldest are dropped
+        for one in half:
+            one.close()
         process.send_signal(signal.SIGTERM)
         out, err = process.communicate(timeout=100)
     assert out == _begins(port)

@@ -17,6 +17,7 @@ from tests.panel import (
     test_operator,
 )
 from tests.panel.bench import PROGRAM, proven, served
+from threadline import input_files
 from threadline.live import grbl_by_hand, supervised
 from threadline.live.grbl_operated import GrblOperated
 from threadline.live.states import Cause
@@ -44,11 +45,20 @@ def alarm_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(test_links, "PATIENCE_S", 2.0)
 
 
+def reads_outside(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = {"radius": "A=../secret.csv"}
+    test_admission.test_no_file_outside_of_the_project_is_read(
+        folder, monkeypatch, "there.prg", told
+    )
+
+
 def of_another_site(folder: Path) -> None:
     with served(folder) as client:
         test_admission.test_other_sites_are_refused(client, {"origin": "http://evil.example"})
 
 
+_OWN = frozenset({"the origin", "names in the folder alone", "files of the project alone"})
+"""Guards whose tests have a folder of their own."""
 Test = Callable[[Path], None]
 GUARDS: dict[str, tuple[Take, Test]] = {
     "the origin": (attribute(Admission, "refusal", nothing), of_another_site),
@@ -58,7 +68,11 @@ GUARDS: dict[str, tuple[Take, Test]] = {
     ),
     "names in the folder alone": (
         attribute(project_programs, "program_path", lambda folder, name: folder / name),
-        test_admission.test_a_link_does_not_lead_out_of_the_folder,
+        lambda folder: test_admission.test_links_are_not_followed(folder, "../secret.prg"),
+    ),
+    "files of the project alone": (
+        attribute(input_files, "_refuse_outside", nothing),
+        lambda folder: with_patch(reads_outside, folder),
     ),
     "bytes that act at once": (
         attribute(project_programs, "_refuse_realtime", nothing),
@@ -129,7 +143,7 @@ def test_without_the_guard_its_test_fails(
 ) -> None:
     take_away, test = GUARDS[guard]
     take_away(monkeypatch)
-    own = getattr(test, "__module__", "") == test_admission.__name__ or guard in {"the origin"}
+    own = getattr(test, "__module__", "") == test_admission.__name__ or guard in _OWN
     (project / "there.prg").write_text(PROGRAM, "utf-8")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)  # a test that fails closes nothing

@@ -51,7 +51,7 @@ class Plant:
 
     def __init__(
         self, folder: Path, box: Path, speed: float = SPEED, machine: Machine | None = None, *,
-        port: int = 0,
+        port: int = 0, token: str = "",
     ) -> None:  # fmt: skip
         self.box = box
         made = machine or winder()
@@ -82,7 +82,7 @@ class Plant:
 
         def be_server() -> None:
             only(listening, ours)
-            app = app_of(folder, lambda: (None, Connection(ours)), machine=made)
+            app = app_of(folder, lambda: (None, Connection(ours)), token, machine=made)
             config = uvicorn.Config(app, log_level="critical", ws="websockets-sansio")
             uvicorn.Server(config).run(sockets=[listening])
 

@@ -11,7 +11,7 @@ from threadline.store.run_store import opened
 
 def judged(anna: Operator) -> str:
     while not (anna.hear()["type"] == "state" and anna.state["progress"]["verdict"]):
-        pass
+        anna.say(type="alive", lease=anna.lease)
     return str(anna.state["progress"]["verdict"])
 
 
@@ -34,8 +34,7 @@ def broken_off(anna: Operator) -> str:
 
 
 def ready_to_go_on(anna: Operator, run: str, proof: str) -> None:
-    while "continue" not in anna.until("state")["allowed"]:
-        pass
+    anna.allows("continue")
     assert anna.act("continue", run=run, proof=proof) == ""
     while anna.until("state")["rest"] is None:
         pass
@@ -87,8 +86,7 @@ def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> No
         assert (done["ended"], done["why"]) == ("completed", "")
         assert done["time_s"] >= done["duration_s"]
         assert abs(anna.x_mm()) < 0.02
-        while "continue" not in anna.until("state")["allowed"]:
-            pass
+        anna.allows("continue")
         refused = anna.act("continue", run=done["run"], proof=proof)
         assert "was completed: there is no rest of it" in refused
 

@@ -84,9 +84,39 @@ def test_suspicions_name_the_matter():
     assert any("22.9 A of the 27 A of drives.y" in t for t in found)
     assert sum("disagree by 15 %" in t for t in found) == 2
     assert any("needs 60.3 A, more than the 27 A" in t for t in found)
-    assert suspicions(load_machine("lathe-winder")) == []
     # 0.5 (1 + B) / (K (1 - A)) = 23.5 counts of 3.796 um
     assert any("an error of up to 24 counts (0.0892 mm) on axis X" in t for t in found)
+
+
+def test_the_ceiling_of_a_drive_is_named_beside_the_limit_of_its_axis(tmp_path) -> None:
+    """By hand: 10 V times 0.45 over 8.6 V/krpm, through the counts of the axes; no friction."""
+    found = suspicions(load_machine("lathe-winder"))
+    motor_rad_s = 10.0 * 0.45 / (8.6 * 60.0 / (2.0 * np.pi * 1000.0))
+    turn = motor_rad_s / (2.0 * np.pi) * 4000.0  # counts per second
+    expected = {
+        "A": f"2842 deg/s by the machine file, and drives.a reaches {turn / 35.18159:.4g} deg/s",
+        "X": f"1 m/s by the machine file, and drives.x reaches {turn / 55.358e3:.4g} m/s",
+        "Y": f"1 m/s by the machine file, and drives.y reaches {turn / 62.294e3:.4g} m/s",
+    }
+    assert len(found) == 3
+    for text, (axis, said) in zip(found, expected.items(), strict=True):
+        assert text.startswith(f"axes.{axis}: velocity is {said} at most, with the full output of")
+        assert "10 V" in text
+
+    slower = tmp_path / "slower.toml"
+    within = {"A": "900 deg/s", "X": "0.6 m/s", "Y": "0.55 m/s"}
+    lines = [f'[axes.{k}]\nvelocity = "{v} exact, assumed"' for k, v in within.items()]
+    slower.write_text('base = "lathe-winder"\nname = "slower"\n' + "\n".join(lines))
+    assert suspicions(load_machine(str(slower))) == []
+
+
+def test_the_acceleration_of_a_drive_is_what_its_current_leaves() -> None:
+    """The stitcher's X by hand: (J + M r^2) a / r = Kt 27 A, its friction at rest being nothing."""
+    torque = 0.5 * 27.0
+    reached = torque * RATIO / (4.75e-4 + 111 * RATIO**2)
+    (said,) = [t for t in suspicions(load_machine("stitcher")) if "acceleration is" in t]
+    assert f"27.74 m/s^2 by the machine file, and drives.x reaches {reached:.4g} m/s^2" in said
+    assert "current_limit of 27 A" in said
 
 
 def test_current_of_a_rigid_axis_by_hand():
@@ -168,4 +198,4 @@ def test_a_motor_without_back_emf_is_suspicious(tmp_path) -> None:
     found = suspicions(load_machine(str(file)))
     assert len(found) == 3
     assert all("back_emf 0 V s/rad" in text and "100 %" in text for text in found)
-    assert suspicions(load_machine(f"{file}+current")) == []
+    assert not any("back_emf" in text for text in suspicions(load_machine(f"{file}+current")))

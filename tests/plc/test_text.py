@@ -192,3 +192,19 @@ def test_no_time_stands_without_a_name() -> None:
     assert found <= {"T#0ms", "T#24h", "T#25ms", "T#5ms"}
     assert re.search(r"t_x_early_across_1 : TIME := T#\d+ms; \(\* across: X cannot be", text)
     assert re.search(r"t_z_gone_lift_1 : TIME := T#\d+ms; \(\* lift: Z must have left", text)
+
+
+def test_the_comment_of_each_place_names_what_is_on_there(tmp_path: Path) -> None:
+    """Held against the schedule itself: each set of outputs of its rows, and no other."""
+    file = tmp_path / "short.toml"
+    file.write_text(
+        '[[operation]]\nvalve = "main_air"\n[[operation]]\nmove = { X = "200 mm" }\n', "utf-8"
+    )
+    machine = load_machine("letter-placer")
+    made = compile_schedule(read_job(file, machine), machine, shaping_of(machine, "um-zv"))
+    text = structured_text(made).units
+    told = re.findall(r"s_cycle_\d+ : INT := \d+; \(\* on: (.*) \*\)", text)
+    outputs, levels = made.commands.outputs, made.commands.levels.tolist()
+    scheduled = [{name for name, on in zip(outputs, row, strict=True) if on} for row in levels]
+    assert told[0] == "main_air"
+    assert [set(names.split(", ")) for names in told] == scheduled

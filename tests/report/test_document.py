@@ -20,7 +20,7 @@ from threadline.options import Options
 from threadline.pipeline import plan_job, prove_plan
 from threadline.plant.analysis import analyse_axis
 from threadline.report.analysis import _figures
-from threadline.report.document import Document, Table
+from threadline.report.document import Document, Table, changes, run_facts
 from threadline.report.figures import _bars, error_figure
 from threadline.report.mismatch import draw_mismatch
 from threadline.report.proof import write_comparison
@@ -30,8 +30,10 @@ from threadline.report.traces import collect
 from threadline.search import Mismatch, compare
 from threadline.search.edges import Interval
 from threadline.search.mismatch import CYCLE, NEEDLE
+from threadline.signals import Recording
 from threadline.verdict import Status, Verdict, load_spec
 from threadline.verdict.rendering import closing_of_all
+from threadline.verdict.types import Change, Happening
 
 
 def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_path) -> None:
@@ -307,3 +309,25 @@ def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:
     assert "gain crossover: phase margin" in named
     assert figures["locus"].axes[0].get_legend() is None
     assert figures["locus"].legends
+
+
+def test_a_run_with_an_override_tells_its_reason() -> None:
+    """What the recording of a run says of itself stands among the facts of its report."""
+    run = Recording(
+        channels=(), blocks=(), job_sha256="", machine_sha256="", simulated=False,
+        origin={"link": "sim", "override": "trial of the eye", "feed": "programmed"},
+    )  # fmt: skip
+    assert run_facts(run) == [("link", "sim"), ("override", "trial of the eye")]
+    assert run_facts(replace(run, origin={})) == []
+
+
+def test_a_report_names_what_changed_the_motion() -> None:
+    """With time and line; where nothing did there is no table."""
+    cut = Happening(
+        change=Change.LIMIT_SWITCH, text="the limit switch x_high of X cut the supply of drives.x",
+        time_s=15.34, job_line=2, axis="X",
+    )  # fmt: skip
+    (table,) = changes(Verdict(results=(), simulated=True, happenings=(cut,)))
+    assert table.title == "What changed the motion"
+    assert [list(row) for row in table.rows] == [[cut.text, "15.340 s", "2", "-"]]
+    assert changes(Verdict(results=(), simulated=True)) == []

@@ -95,8 +95,19 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def result(stitcher: Machine, spec: Spec, corner: Path) -> DesignResult:
-    return design(corner, two_parameters(stitcher), spec, Options(), effort=ENOUGH)
+def told() -> list[tuple[str, float]]:
+    """What the search for ``result`` told of how far it was."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def result(
+    stitcher: Machine, spec: Spec, corner: Path, told: list[tuple[str, float]]
+) -> DesignResult:
+    return design(
+        corner, two_parameters(stitcher), spec, Options(), effort=ENOUGH,
+        progress=lambda what, share: told.append((what, share)),
+    )  # fmt: skip
 
 
 def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None:
@@ -184,6 +195,17 @@ def test_the_design_is_in_spec_and_nothing_cheaper_on_a_grid_is(
     points = np.concatenate(grid)
     tried = evaluator.tried(points, np.zeros(len(points), dtype=np.int64))
     assert tried.ratio.min() > 1.0
+
+
+def test_how_far_a_design_is_never_falls(
+    result: DesignResult, told: list[tuple[str, float]]
+) -> None:
+    """Through all its stages, the trades of cost for margin among them."""
+    assert result.simulated > 0
+    stages = list(dict.fromkeys(what for what, _ in told))
+    assert stages[:3] == ["sampling", "narrowing", "trading cost for margin"]
+    shares = [share for _, share in told]
+    assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] <= 1.0
 
 
 def test_what_is_told_of_a_design_says_its_level(

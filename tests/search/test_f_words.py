@@ -87,9 +87,10 @@ def test_the_ends_of_the_search_are_those_of_the_axes(tmp_path: Path, winder: Ma
     in_turn = 1e3 * feed_range_m_s(winder, FeedMode.F_WORD, "marlin")[1]
     assert of_all == pytest.approx(np.linalg.norm(speeds), rel=1e-5)
     assert in_turn == pytest.approx(max(one["A"], np.hypot(one["X"], one["Y"])), rel=1e-5)
-    job = job_of(tmp_path, winder, PROGRAM, "fastest-axis")
-    assert searched_by(job) is FeedMode.FASTEST_AXIS
-    assert searched_by(job_of(tmp_path, winder, PROGRAM, "cadfil")) is FeedMode.F_WORD
+    one_f = PROGRAM.replace("F250", "F100")
+    job = job_of(tmp_path, winder, one_f, "fastest-axis")
+    assert searched_by(job, winder) is FeedMode.FASTEST_AXIS
+    assert searched_by(job_of(tmp_path, winder, one_f, "cadfil"), winder) is FeedMode.F_WORD
 
 
 def left_with(words: list[str]) -> int:
@@ -107,7 +108,7 @@ def test_what_fastest_finds_is_typed_into_the_program(
     settings = EXAMPLES / "grbl-settings.txt"
     words = ["--limits-only", "--set", "rotary=A", "--set", "radius=50 mm"]
     mine = tmp_path / "mine"
-    assert left_with(["new", "grbl-winder", str(mine), "--from", str(settings), *words]) == 0
+    assert left_with(["new", "grbl", str(mine), "--from", str(settings), *words]) == 0
     machine, file = str(mine / "machine.toml"), tmp_path / "helix.gcode"
     text = (EXAMPLES / "helix.gcode").read_text()
     file.write_text(text)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -287,3 +288,25 @@ def test_what_cannot_be_drawn_is_refused(words, said, capsys: pytest.CaptureFixt
     told = capsys.readouterr()
     assert (ended.value.code, told.out, told.err.count("\n")) == (2, "", 1)
     assert said in told.err
+
+
+def test_a_worst_machine_beyond_a_limit_of_0_is_told_by_what_it_does(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """One sample at the clamp has no share of a limit of 0: it "cannot be simulated", it said."""
+    worst = tmp_path / "worst.toml"
+    words = [
+        str(JOB), "-m", "lathe-winder", "--limits", "19 %", "--feed", "1000 count/tick",
+    ]  # fmt: skip
+    with pytest.raises(SystemExit):
+        main(["yield", *words, "--variants", "20", "--seed", "3", "--worst", str(worst)])
+    told = " ".join(capsys.readouterr().out.split())
+    found = re.search(r"worst machine, [a-z ]+: ([\d.]+) % of dac_saturation X, limit 0 %", told)
+    assert found, told
+    assert "of dac_saturation X, limit 0 %" in worst.read_text(encoding="utf-8")
+    with pytest.raises(SystemExit):
+        main(["prove", *words, "--actual", str(worst), "--nominal", "--json"])
+    rows = json.loads(capsys.readouterr().out)["criteria"]
+    (row,) = (r for r in rows if (r["name"], r["axis"]) == ("dac_saturation", "X"))
+    assert row["status"] == "failed"
+    assert 100.0 * row["measured"] == pytest.approx(float(found[1]), rel=1e-2)

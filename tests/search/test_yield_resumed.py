@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import random
 import re
+import subprocess
+import sys
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -85,6 +91,96 @@ def test_a_state_that_is_damaged_or_of_another_yield_is_refused(
     with pytest.raises(error, match=re.escape(said)):
         YieldState(file, {"seed": seed})
     assert file.read_bytes() == changed
+
+
+ODD: tuple[Any, ...] = (None, True, -1, 0.5, 10**400, "", "x", [], [1], {}, {"a": 1}, float("nan"))
+
+
+def places(value: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Yield the path to every field of a line."""
+    pairs = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, inner in pairs:
+        yield (*at, key)
+        if isinstance(inner, dict | list):
+            yield from places(inner, (*at, key))
+
+
+def changed(line: bytes, place: tuple[Any, ...], value: Any) -> bytes:
+    """Return a line with another value at a place, and the check sum of that."""
+    content = json.loads(line.partition(b" ")[2])
+    part = content
+    for key in place[:-1]:
+        part = part[key]
+    part[place[-1]] = value
+    return summed(json.dumps(content, separators=(",", ":")).encode())
+
+
+def test_no_changed_field_is_a_defect_or_passes_for_the_answer(
+    asked: tuple[Plan, Spec], tmp_path: Path
+) -> None:
+    """Every field of every line, with a check sum that is right: refused, or without effect."""
+    plan, spec = asked
+    judged, file = MachineYield(plan, spec), tmp_path / "state"
+    whole = judged.drawn(5, 3, None, YieldState(file, {"seed": "3"}))
+    judged.drawn(8, 3, None, YieldState(file, {"seed": "3"}))
+    good = file.read_bytes().splitlines(True)
+    drawn = random.Random(39)
+    tried = 0
+    for number, line in enumerate(good):
+        content = json.loads(line.partition(b" ")[2])
+        for place in places(content):
+            for value in drawn.sample(ODD, 2):
+                tried += 1
+                lines = [*good]
+                lines[number] = changed(line, place, value)
+                file.write_bytes(b"".join(lines))
+                try:
+                    found = judged.drawn(5, 3, None, YieldState(file, {"seed": "3"}))
+                except (OptionError, RecordingError) as error:
+                    assert "\n" not in str(error)
+                    continue
+                for own, other in zip(found.found.rows, whole.found.rows, strict=True):
+                    assert own.text == other.text, (number, place, value)
+                    np.testing.assert_array_equal(own.values, other.values)
+                    np.testing.assert_array_equal(own.failed, other.failed)
+    assert tried > 250
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_rows_in_another_order_are_refused(
+    asked: tuple[Plan, Spec], tmp_path: Path, numbered: bool
+) -> None:
+    """Rows were joined by their place, so that the values of one criterion became another's."""
+    plan, spec = asked
+    judged, file = MachineYield(plan, spec), tmp_path / "state"
+    judged.drawn(5, 3, None, YieldState(file, {"seed": "3"}))
+    head, line = file.read_bytes().splitlines(True)
+    rows = json.loads(line.partition(b" ")[2])["rows"][::-1]
+    if numbered:
+        rows = [{**row, "number": k} for k, row in enumerate(rows)]
+    file.write_bytes(head + changed(line, ("rows",), rows))
+    with pytest.raises(RecordingError, match=r"first machine|not where it belongs"):
+        judged.drawn(5, 3, None, YieldState(file, {"seed": "3"}))
+
+
+def test_one_program_at_a_time_writes_the_file(tmp_path: Path) -> None:
+    """Two that both appended left a file that was refused ever after."""
+    file = tmp_path / "state"
+    words = (
+        "import sys; from pathlib import Path\n"
+        "from threadline.search.yield_state import YieldState\n"
+        f"state = YieldState(Path({str(file)!r}), {{'seed': '3'}})\n"
+    )
+    first = subprocess.Popen(
+        [sys.executable, "-c", words + "print(flush=True); sys.stdin.readline()"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert first.stdin is not None and first.stdout is not None
+    first.stdout.readline()
+    with pytest.raises(OptionError, match=r"another program writes .*state.* at this moment"):
+        YieldState(file, {"seed": "3"})
+    first.communicate("\n")
+    assert YieldState(file, {"seed": "3"}).known is None
 
 
 def test_the_file_to_resume_is_no_other_file(

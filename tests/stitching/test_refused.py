@@ -74,7 +74,8 @@ def test_a_damaged_design_names_the_byte_and_no_error_of_its_reader(
 ) -> None:
     """Its reader raises TypeError, IndexError and others where bytes are lacking."""
     file = tmp_path / f"cut.{suffix}"
-    file.write_bytes(b"#PES0001\x00" if suffix == "pes" else b"\x80" * 9)
+    begun = {"pes": b"#PES0001\x00", "vp3": b"%vsm%\x00\x00\x38P"}
+    file.write_bytes(begun.get(suffix, b"\x80" * 9))
     said = refused(capsys, "prove", str(file), "-m", "schiffli-frame")
     assert "byte 9" in said and "Error" not in said
 

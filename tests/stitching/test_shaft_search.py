@@ -67,6 +67,38 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     assert found[0][2] < 0.6 * found[1][2]
 
 
+@pytest.mark.parametrize(
+    ("residual_m", "force", "by_all"),
+    [
+        (1e-3, 1.0, False),  # everything is far within
+        (5.1e-5, 1.0, True),  # one run is, and the forecast of other days is not: 85 % of the limit
+        (1e-3, 0.0159, True),  # and the other way round: the run uses 90 % of what the servo has
+    ],
+)
+def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
+    residual_m: float, force: float, by_all: bool, job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of speeds within an interval; its ends are always judged by all runs."""
+    limits = {"stitch_residual": residual_m, "servo_force": force}
+    criteria = tuple(replace(c, limit=limits.get(c.name, c.limit)) for c in SPEC.criteria)
+    runs: dict[float, int] = {}
+    original = shaft.try_plan
+
+    def counting(plan, spec, trials, actual=None):  # type: ignore[no-untyped-def]
+        proof = original(plan, spec, trials, actual)
+        assert proof.verdict.passed
+        runs[plan.duration_s] = max(runs.get(plan.duration_s, 0), trials.repeats)
+        return proof
+
+    monkeypatch.setattr(shaft, "try_plan", counting)
+    shaft.constant_speeds(
+        job, MACHINE, replace(SPEC, criteria=criteria), Options(),
+        low=0.998, high=1.002, points=3, near=0, trials=Trials(repeats=4),
+    )  # fmt: skip
+    inner = [runs[duration] for duration in sorted(runs)[1:-1]]
+    assert inner and all(count == (4 if by_all else 1) for count in inner)
+
+
 def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
     job: Job, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,6 +16,7 @@ from threadline.machine.numbers import with_numbers
 from threadline.shaping import FlexibleMode, residual_m
 from threadline.signals import Clock, Event, StepPlay, StepTable, StitchBlock, Stream
 from threadline.targets.step_tables import step_tables
+from threadline.twin import stitching
 from threadline.twin.stitching import simulate_stitching
 
 MACHINE = load_machine("schiffli-frame")
@@ -153,6 +154,29 @@ def test_it_is_the_same_however_it_is_cut_and_ends_where_it_was_sent() -> None:
         for axis, place in zip("XY", end, strict=True):
             assert cut.samples(f"{axis}.commanded")[1][-1] == pytest.approx(place, abs=1e-12)
             assert cut.samples(f"{axis}.load")[1][-1] == pytest.approx(place, abs=2e-4)
+
+
+def test_a_long_stretch_is_recorded_in_short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drive's clock of 1 us makes a hundred million samples of some turns: not all at once."""
+    tables = step_tables(
+        law("cycloidal"), window_s=Fraction(12, 100), timer_s=TIMER, steps_per_unit=48,
+        longest_units=20,
+    )  # fmt: skip
+    table = [[k % 20, (k * 7) % 20] for k in range(12)]
+    play = commands(tables, table, [[1 if k % 2 else -1, 1] for k in range(12)], chunk=7)
+    whole = simulate_stitching(play, MACHINE)
+    monkeypatch.setattr(stitching, "_AT_ONCE", 101)
+    cut = simulate_stitching(play, MACHINE)
+    assert max(len(block.samples["needle"]) for block in cut) == 101
+    assert [e for block in cut for e in block.events] == [e for b in whole for e in b.events]
+    for block in cut:
+        first = block.first_tick["servo"]
+        assert all(first <= event.tick <= first + 101 for event in block.events)
+    for channel in whole.channels:
+        for ours, theirs in zip(
+            cut.samples(channel.name), whole.samples(channel.name), strict=True
+        ):
+            assert np.array_equal(ours, theirs), channel.name
 
 
 def test_the_force_is_what_moves_both_masses() -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import random
 import struct
 import tracemalloc
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,7 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from tests.live.bench import table_of_counts, there_and_back, winder
 from threadline.errors import RecordingError
@@ -86,9 +89,9 @@ def test_the_peers_reader_reads_it(recording: Recording) -> None:
 def test_what_a_crash_leaves(
     recording: Recording, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
-    """Cut anywhere after the head: every whole block is there, and it says that it broke off."""
+    """Cut behind its first block: every whole block is there, and it says that it broke off."""
     content, lengths = whole_file(recording)
-    cut = data.draw(st.integers(lengths[0] - 10, lengths[-1] + 4))
+    cut = data.draw(st.integers(lengths[0], lengths[-1] + 4))
     path = tmp_path_factory.mktemp("cut") / "a.mcap"
     path.write_bytes(content[:cut])
     found = read_recording(path)
@@ -100,6 +103,75 @@ def test_what_a_crash_leaves(
             assert np.array_equal(ours.samples["X.load"], theirs.samples["X.load"])
     assert blocks[-1].events[-1].name == BROKEN_OFF
     assert found.outcome().ended is Ended.FAULT
+
+
+def figures(path: Path) -> tuple[object, ...]:
+    """Return all that a recording says, or the one line that refuses it."""
+    try:
+        found = read_recording(path)
+        samples = {c.name: found.samples(c.name)[1].tobytes() for c in found.channels}
+        return found.channels, found.origin, found.outcome(), samples
+    except RecordingError as error:
+        return (str(error),)
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_no_flipped_bit_changes_a_figure_unnoticed(
+    recording: Recording, tmp_path: Path, finished: bool
+) -> None:
+    """Every bit of a head, and a thousand others, of a whole trace and of one that broke off."""
+    content, lengths = whole_file(replace(recording, blocks=Stream.of(list(recording)[:4])))
+    content = content if finished else content[: lengths[-1] - 7]
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(content)
+    good = figures(path)
+    drawn = random.Random(39)
+    framing = [
+        8 * at + bit for end in (0, lengths[0]) for at in range(end, end + 48) for bit in range(8)
+    ]
+    for at in framing + [drawn.randrange(8 * len(content)) for _ in range(1000)]:
+        changed = bytearray(content)
+        changed[at // 8] ^= 1 << at % 8
+        path.write_bytes(changed)
+        found = figures(path)
+        refused = len(found) == 1 and "\n" not in str(found[0])
+        assert refused or found == good, f"bit {at}"
+
+
+def test_a_trace_without_checksums_is_refused_with_what_to_do(
+    recording: Recording, tmp_path: Path
+) -> None:
+    """Whole, or broken off: nobody could tell whether a bit of it was turned."""
+    content = bare_file(recording)
+    path = tmp_path / "bare.mcap"
+    for part in (content, content[: len(content) // 2]):
+        path.write_bytes(part)
+        with pytest.raises(RecordingError, match=r"bare\.mcap: .*no checksums.*mcap recover bare"):
+            read_recording(path)
+
+
+def test_a_block_that_is_missing_between_two_others_is_told(
+    recording: Recording, tmp_path: Path
+) -> None:
+    content, lengths = whole_file(recording)
+    path = tmp_path / "gap.mcap"
+    path.write_bytes(content[: lengths[1]] + content[lengths[2] : lengths[-1]])
+    with pytest.raises(RecordingError, match="block 2 is missing between two others"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_trace_without_samples_says_so(
+    recording: Recording, tmp_path: Path, finished: bool
+) -> None:
+    file = io.BytesIO()
+    writer = TraceWriter(file, recording)
+    if finished:
+        writer.finish()
+    path = tmp_path / "empty.mcap"
+    path.write_bytes(file.getvalue())
+    with pytest.raises(RecordingError, match="ends before its first sample"):
+        read_recording(path)
 
 
 @given(st.data())
@@ -128,9 +200,24 @@ def test_other_files_are_refused(content: bytes, tmp_path: Path) -> None:
         read_recording(path)
 
 
+def bare_file(recording: Recording) -> bytes:
+    """Return the file as a writer without chunks and checksums writes it."""
+    file = io.BytesIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            "threadline.signals.files.recording_mcap.Writer",
+            lambda file, **_: Writer(file, use_chunking=False, enable_crcs=False),
+        )
+        writer = TraceWriter(file, recording)
+    for block in recording:
+        writer.write(block)
+    writer.finish()
+    return file.getvalue()
+
+
 def packed(recording: Recording, compression: str, size: int, more: bytes = b"") -> bytes:
     """Return the file with all that follows its head in one chunk, which says it has ``size``."""
-    content, _ = whole_file(recording)
+    content = bare_file(recording)
     at = 8 + 9 + int.from_bytes(content[9:17], "little")  # behind magic and header
     end = content.index(b"\x0f" + (4).to_bytes(8, "little"), at)
     inside = content[at:end] + more
@@ -138,7 +225,7 @@ def packed(recording: Recording, compression: str, size: int, more: bytes = b"")
     data = pack(inside)
     name = compression.encode()
     size = size if size >= 0 else len(inside)
-    body = struct.pack("<QQQII", 0, 0, size, 0, len(name)) + name
+    body = struct.pack("<QQQII", 0, 0, size, zlib.crc32(inside), len(name)) + name
     body += struct.pack("<Q", len(data)) + data
     return content[:at] + b"\x06" + struct.pack("<Q", len(body)) + body + content[end:]
 

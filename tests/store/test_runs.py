@@ -28,7 +28,7 @@ from threadline.live.wire import Connection
 from threadline.options import Options
 from threadline.pipeline import Proof, open_job, plan_job, prove_plan
 from threadline.proof_file import ProofFile, read_proof, verify_proof, write_proof
-from threadline.signals import Ended
+from threadline.signals import Ended, Event, RecordingBlock
 from threadline.signals.files import read_recording
 from threadline.store import run_store
 from threadline.store.index import REFUSED, RUNNING, RunRecord
@@ -304,3 +304,34 @@ def test_a_full_disk_ends_the_run_and_names_it(
     assert (record.ended, record.passed) == ("fault", None)
     assert record.text == "the trace could not be written: No space left on device"
     assert read_recording(run.trace).outcome().ended is Ended.FAULT
+
+
+def test_a_run_without_samples_has_one_line_for_a_report(
+    known: ProofFile, proof: Proof, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stopped while it homed, with an event and no sample; or killed before it wrote anything."""
+    store = RunStore(tmp_path / "runs")
+    run = store.begin(proof.plan, known, {"link": "sim"}, 1.0)
+    channels = proof.recording.channels
+    with run:
+        run.begin(channels, simulated=True)
+        stopped = Event(tick=0, kind="stopped", operation=-1, name="stopped while homing")
+        nothing = {channel.name: np.empty(0) for channel in channels}
+        first = {channel.clock.name: 0 for channel in channels}
+        run.block(RecordingBlock(first_tick=first, samples=nothing, events=(stopped,)))
+        run.over("stopped", "stopped while homing")
+    name = run.path.name
+    for content, said in (
+        (None, f"run {name} ended before its first sample, stopped: stopped while homing"),
+        (b"", f"run {name} ended before its first sample"),
+        (b"\x89MC", "the trace ends before its first sample"),
+    ):
+        if content is not None:
+            run.trace.write_bytes(content)
+        for more in ([], ["--json"], ["--csv", str(tmp_path / "out.csv")]):
+            with pytest.raises(SystemExit) as left:
+                main(["report", name, "--store", str(tmp_path / "runs"), *more])
+            told = capsys.readouterr()
+            assert (left.value.code, told.out, told.err.count("\n")) == (2, "", 1), told.err
+            assert said in told.err
+    assert not (tmp_path / "out.csv").exists()

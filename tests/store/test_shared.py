@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sqlite3
 from pathlib import Path
@@ -16,8 +17,9 @@ from sqlalchemy.schema import CreateTable
 from threadline.cli.main import main
 from threadline.errors import StoreError
 from threadline.store.index import RunIndex, RunRecord, _table
-from threadline.store.run_store import INDEX, INDEX_URL, RunStore, opened
+from threadline.store.run_store import INDEX, INDEX_URL, OpenRun, RunStore, opened
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 PROGRAMS = 8
 
 
@@ -141,3 +143,37 @@ def test_a_folder_without_an_index_has_no_runs(
         main(["runs", "--store", str(tmp_path)])
     assert not ended.value.code and "There are no runs in" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_whose_index_is_locked_at_its_end_is_kept_and_entered_later(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is no fault: trace and verdict are there, and the next look at the store enters them."""
+    monkeypatch.chdir(tmp_path)
+    locked: list[sqlite3.Connection] = []
+    write = OpenRun._write
+
+    def locks_first(self: OpenRun, content: dict[str, Any]) -> None:
+        """Another program begins to write just before the run is entered."""
+        locked.append(sqlite3.connect(tmp_path / "runs" / INDEX))
+        locked[0].execute("BEGIN EXCLUSIVE")
+        write(self, content)
+
+    monkeypatch.setattr(OpenRun, "_write", locks_first)
+    with pytest.raises(SystemExit) as ended:
+        main(["run", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder", "--nominal",
+              "--speed", "0", "--store", "runs", "--json"])  # fmt: skip
+    told = capsys.readouterr()
+    assert ended.value.code in (0, None)
+    assert "are kept in runs/" in told.err and "is locked" in told.err
+    assert "threadline runs --store runs enters it into the index later" in told.err
+    locked[0].rollback()
+    locked[0].close()
+    (row,) = RunIndex(tmp_path / "runs" / INDEX).runs()
+    assert row.passed is None
+
+    with pytest.raises(SystemExit):
+        main(["runs", "--store", "runs", "--json"])
+    (listed,) = json.loads(capsys.readouterr().out)
+    assert (listed["passed"], listed["ended"]) == (True, "completed")
+    assert listed["verdict"] == "in spec"

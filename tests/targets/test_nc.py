@@ -14,6 +14,8 @@ from threadline.jobs import Feed, FeedMode, Job, Move, Operation, SetOutput, Sou
 from threadline.machine import load_machine
 from threadline.signals import Stream
 from threadline.targets.nc import part_program_lines, write_part_program
+from threadline.targets.nc_blocks import OutBlock
+from threadline.targets.nc_loops import MAX_BODY, Loop, fold
 
 MACHINE = load_machine("lathe-winder")
 
@@ -160,3 +162,19 @@ def test_blocks_are_as_in_the_printed_listing(examples: Path) -> None:
 
     assert lines[:4] == ["%", "O 1;", "N 5 G 90 G 21;", "N 10 G 94 G 1 X 25.716 F 2160;"]
     assert lines[-2:] == ["N 80 M 30;", "%"]
+
+
+def test_a_subroutine_too_long_to_be_held_is_written_out_whole() -> None:
+    """Both passes, block by block; one block less is held, and folded."""
+    for length, folded in ((MAX_BODY + 1, False), (MAX_BODY, True)):
+        blocks = [
+            OutBlock(1, f"X{k % length}", passes=(k // length + 1,)) for k in range(2 * length)
+        ]
+        found = list(fold(blocks))
+        assert isinstance(found[0], Loop) == folded
+        written = [
+            block.words
+            for one in found
+            for block in (one.body * one.passes if isinstance(one, Loop) else (one,))
+        ]
+        assert written == [block.words for block in blocks]

@@ -166,6 +166,20 @@ def test_reader_gives_the_same_in_bounded_memory():
             np.testing.assert_allclose(ladder[:, order], expected, atol=1e-12)
 
 
+def test_a_motion_that_begins_and_ends_at_speed_stands_before_and_after_it():
+    """As the motion of a historical controller does: 2 m/s from the first instant to the last."""
+    block = TrajectoryBlock(
+        start_s=np.array([0.0]),
+        duration_s=np.array([1.0]),
+        coefficients=np.array([[[3.0], [2.0]]]),
+        operation=np.array([0]),
+    )
+    moving = Trajectory(axes=("X",), blocks=Stream.of([block]))
+    ladder = TrajectoryReader(moving).ladder(np.array([-0.5, 0.0, 0.25, 1.0, 1.5]), 2)
+    assert ladder[:, 0, 0].tolist() == [3.0, 3.0, 3.5, 5.0, 5.0]
+    assert ladder[:, 1, 0].tolist() == [0.0, 2.0, 2.0, 2.0, 0.0]
+
+
 def test_no_width_is_refused():
     with pytest.raises(OptionError, match="must be above 0 s"):
         averaged_trajectory(corner(), even_averages(0.0))

@@ -25,6 +25,7 @@ from threadline.path.types import PieceBlock
 from threadline.trajectory.firmware import moves_in_hand, trapezoids
 from threadline.trajectory.firmware.firmware_moves import Moves
 from threadline.trajectory.firmware.junctions import by_junction_deviation
+from threadline.trajectory.firmware.marlin_moves import held_back
 from threadline.trajectory.firmware.rules import Rules
 
 
@@ -280,3 +281,43 @@ def test_short_blocks_are_no_faster_than_the_ring_can_stop() -> None:
     peak = max(float((1e3 * np.abs(b.coefficients[:, 1, 0]) / b.duration_s).max()) for b in blocks)
     # A block begins at what 14 more can stop from, and gains within itself half of a block's worth.
     assert np.sqrt(2 * 800.0 * 1.4) <= peak <= np.sqrt(2 * 800.0 * 1.5)
+
+
+def test_marlin_raises_what_is_slower_than_its_least_speed() -> None:
+    """M205 T10: 50 mm at F60 take 50/10 + 10/1000 s, and not 50/1 + 1/1000; F beyond it counts."""
+    slow = MarlinPlanner(
+        kind="marlin",
+        junction_deviation=number("0.013 mm", "m"),
+        least_speed=number("10 mm/s", "m/s"),
+    )
+    limits = {"acceleration": (1e3, 1e3, 1e3), "velocity": (1e9, 1e9, 1e9)}
+    for asked, runs in ((1.0, 10.0), (9.0, 10.0), (25.0, 25.0)):
+        (moved,) = times(planned(slow, [[50.0, 0.0, 0.0]], asked, **limits), 1)
+        assert moved == pytest.approx(50.0 / runs + runs / 1e3, rel=1e-12)
+    # The limit of an axis is not raised.
+    limits["velocity"] = (4.0, 4.0, 4.0)
+    (moved,) = times(planned(slow, [[50.0, 0.0, 0.0]], 1.0, **limits), 1)
+    assert moved == pytest.approx(50.0 / 4.0 + 4.0 / 1e3, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("short", "wanted_ms"),
+    [
+        ("20 ms", [10.0, 10.0, 20.0, 10.0 + 20.0 / 3.0, 15.0]),
+        ("14 ms", [10.0, 10.0, 14.0, 10.0 + 8.0 / 3.0, 12.0]),
+        ("0 ms", [10.0] * 5),
+    ],
+)
+def test_marlin_holds_back_moves_that_are_shorter_than_m205_b(
+    short: str, wanted_ms: list[float]
+) -> None:
+    """With n moves before it, 2 to 7, a move of t < B takes t + 2 (B - t) / n, by planner.cpp."""
+    planner = MarlinPlanner(
+        kind="marlin",
+        junction_deviation=number("0.013 mm", "m"),
+        short_time=number(short, "s"),
+    )
+    most = np.array([1e9])
+    rules = Rules(planner, ("X",), np.array([1e3]), most, most, np.array([1000.0]))
+    asked = held_back(np.ones(5), np.full(5, 100.0), 0, rules.short_time_s)
+    assert 1e3 / asked == pytest.approx(wanted_ms)

@@ -220,3 +220,47 @@ def test_rounding_is_the_machine_files(encoder, dac, table):
     levels = recording.samples("X.voltage")[1] / output.volt_per_level
     np.testing.assert_allclose(levels[1:], given[:-1], atol=1e-9)
     assert (exact < 0).any() and np.abs(asked - given).max() > 0.3
+
+
+@pytest.mark.parametrize("inductance_mh", [6.0, 0.5, 0.05])
+def test_a_coil_far_faster_than_the_tick_follows_its_equations(inductance_mh, table, belt_axis):
+    """Without a limit nothing is watched, and a tick may last 80 times as long as L / R.
+
+    From 6 times on it ended as a defect. Oracle: DOP853, or Radau where the coil is stiff, on the
+    equations as they stand in books; a current of 0.1 mA, a place of 1 nm.
+    """
+    machine = belt_axis(
+        clocks='servo = "10 ms exact, assumed"',
+        drives_m=f'resistance = "0.4 ohm exact, assumed"\n'
+        f'inductance = "{inductance_mh} mH exact, assumed"',
+        controllers_c='kp = "0.2 dac/count exact, assumed"\nkd = "0.1 dac/count exact, assumed"',
+    )
+    rows = np.concatenate([np.full(15, 300), np.full(20, -300), np.zeros(5, dtype=np.int64)])
+    recording = simulate(table(machine, {"X": rows}), machine, quantised=False)
+    load, volts = recording.samples("X.load")[1], recording.samples("X.voltage")[1]
+    current = recording.samples("X.current")[1]
+    coil = inductance_mh * 1e-3
+
+    def slope(_t, state, input_v):
+        motor, head, motor_v, head_v, amps = state
+        stretch, rate = 0.012 * motor - head, 0.012 * motor_v - head_v
+        belt = 2e4 * stretch + 15.0 * rate
+        return [
+            motor_v,
+            head_v,
+            (0.1 * amps - 0.012 * belt - 1e-3 * motor_v) / 2e-4,
+            (belt - 4.0 * head_v) / 1.5,
+            (input_v - 0.1 * motor_v - 0.4 * amps) / coil,
+        ]
+
+    state = np.zeros(5)
+    method = "DOP853" if inductance_mh > 1.0 else "Radau"
+    found = []
+    for volt in volts:  # a sample has the voltage of the tick that ends with it
+        done = solve_ivp(slope, (0, 0.01), state, method, args=(volt,), rtol=1e-10, atol=1e-12)
+        state = done.y[:, -1]
+        found.append((state[1], state[4]))
+    head, amps = np.transpose(found)
+    assert np.abs(volts).max() > 1.0 and np.abs(head).max() > 0.02
+    np.testing.assert_allclose(load, head, atol=1e-9)
+    np.testing.assert_allclose(current, amps, atol=1e-4)

@@ -32,7 +32,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("told") / "made"
     words = [word for owned in OWNED for word in ("--set", owned)]
     with pytest.raises(SystemExit) as end:
-        main(["new", "grbl-winder", str(folder), "--from", str(SETTINGS), *words])
+        main(["new", "grbl", str(folder), "--from", str(SETTINGS), *words])
     assert end.value.code == 0
     (folder / "job.gcode").write_text(PROGRAM)
     return folder

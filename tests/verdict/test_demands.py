@@ -146,6 +146,18 @@ def test_beyond_the_travel_fails_and_an_endless_axis_has_none() -> None:
         every.result("travel", "A")
 
 
+@pytest.mark.parametrize(
+    ("far_m", "room", "note"),
+    [(0.4, -0.1, "room left"), (0.5, 0.0, "room left"), (0.6, 0.1, "beyond")],
+)
+def test_what_is_left_of_a_travel_is_told_as_room_down_to_none(far_m, room, note) -> None:
+    """A motion that ends at the limit itself is not beyond it."""
+    plan = with_pieces([[[0.0], [far_m]]], [2.0])
+    travel = judged(plan, load_spec(None, plan.machine)).result("travel", "X")
+    assert travel.measured == pytest.approx(room)
+    assert travel.note == note
+
+
 @pytest.mark.parametrize(("stroke", "beyond"), [("0.38 m", 0.01), ("0.4 m", -0.01)])
 @pytest.mark.parametrize("per_block", [1, 2])
 def test_all_of_the_way_is_held_against_the_stroke(

@@ -106,6 +106,21 @@ def test_ringing_along_the_path_at_its_end_counts() -> None:
     assert result.note == "behind"
 
 
+@pytest.mark.parametrize("per_block", [1, 64])
+def test_a_command_that_stands_heads_where_it_went_last(per_block) -> None:
+    """The last sample before it stands turns from X into Y: the tool is behind along Y."""
+    points = [[0.0, 0.0], [0.2, 0.0], [0.2, 4e-3], [0.2, 8e-3]]
+    straight, operation = follow(LINE, PER_MOVE, standstill=0)
+    turned = np.repeat([[0.2, 4e-3]], 220, axis=0)
+    command = np.vstack([straight, turned])
+    operation = np.concatenate([operation, np.ones(220)])
+    actual = command.copy()
+    actual[130:, 1] -= 1e-3
+    result = progress(points, actual, operation, command=command, per_block=per_block)
+    assert result.measured == pytest.approx(1e-3, abs=1e-9)
+    assert result.note == "behind"
+
+
 def test_what_is_off_the_path_is_no_progress() -> None:
     command, operation = follow(LINE, PER_MOVE)
     result = progress(LINE, command + np.array([0.0, 4e-4]), operation, command=command)

@@ -259,6 +259,20 @@ def test_what_is_beyond_all_multiples_of_its_limit_is_said_in_words(
     )
 
 
+def test_more_than_ten_times_a_limit_is_told_as_that_and_no_more() -> None:
+    """A share of millions of per cent says nothing; the figure itself stands in its row."""
+
+    def closed(measured: float) -> str:
+        failed = Result(
+            name="contour_error", axis="", measured=measured, limit=5e-4, unit="m",
+            status=Status.FAILED,
+        )  # fmt: skip
+        return closing(Verdict(results=(failed,), simulated=True))
+
+    assert closed(56.07) == ("OUT OF SPEC (nominal: 1 run; more than 1000 % of contour_error used)")
+    assert closed(5e-3) == "OUT OF SPEC (nominal: 1 run; 1000 % of contour_error used)"
+
+
 def test_axes_that_never_move_have_no_rows_of_zeros() -> None:
     """Their results stay; so does what they fail, and every row where nothing moves at all."""
     at_rest = Result(

@@ -24,8 +24,30 @@ export function button(text: string, what: string, press: () => void): HTMLButto
 
 export function value(id: string): string { return by<HTMLInputElement>(id).value.trim(); }
 
-/** Whether a key that is pressed now belongs to the field that has the focus. */
+/** Whether a text is being written, to which blanks belong. */
+export function writing(): boolean {
+  const at = document.activeElement;
+  return at instanceof HTMLTextAreaElement || (at instanceof HTMLInputElement && !["button", "checkbox", "file", "range"].includes(at.type));
+}
+
+/** Whether a key that is pressed now belongs to the field or list that has the focus. */
 export function typing(): boolean {
   const at = document.activeElement;
-  return at instanceof HTMLTextAreaElement || at instanceof HTMLSelectElement || (at instanceof HTMLInputElement && !["button", "checkbox", "file"].includes(at.type));
+  return writing() || at instanceof HTMLSelectElement || (at instanceof HTMLInputElement && at.type === "range");
+}
+
+let refuse = () => {};
+
+/** Ask something in the page: a window of the browser's own would take the keys that stop. */
+export function asked(text: string, yes: string): Promise<boolean> {
+  refuse(); // what was asked before and not answered
+  return new Promise((answer) => {
+    const say = (agreed: boolean) => { put(by("ask-row"), "hidden", true); refuse = () => {}; answer(agreed); };
+    refuse = () => say(false);
+    tell("ask-text", text);
+    tell("ask-yes", yes);
+    by("ask-yes").onclick = () => say(true);
+    by("ask-no").onclick = () => say(false);
+    put(by("ask-row"), "hidden", false);
+  });
 }

@@ -1,13 +1,15 @@
 /** The machine by hand: positions, jogs while a button or a key is held, steps. */
 
-import { button, by, made, put, tell, typing, value } from "./dom";
+import { button, by, made, put, tell, typing, value, writing } from "./dom";
 import type { Axis, State } from "./messages";
 import type { Session } from "./session";
 import { unitOf } from "./session";
 
 const SHARES = [5, 10, 25, 50, 75, 100];
 const SHOWN: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowDown: "↓", ArrowUp: "↑", PageDown: "PgDn", PageUp: "PgUp" };
-const IGNORED = new Set(["Shift", "Control", "Alt", "AltGraph", "Meta", "Tab", "CapsLock", "NumLock", "Enter"]);
+const IGNORED = new Set(["Shift", "Control", "Alt", "AltGraph", "Meta", "Tab", "CapsLock", "NumLock"]);
+/** What Enter presses; anywhere else it is a key like the others. */
+const PRESSED = "button, summary, input[type=checkbox], input[type=file]";
 
 type Way = { axis: string; sign: number };
 
@@ -15,12 +17,14 @@ export class Hands {
   private readonly keys = new Map<string, Way>();
   private told = ""; // the signals that are shown
   private held = ""; // the key that moves an axis
+  private moved = false; // whether anything did when the state was shown last
   private pressed: HTMLButtonElement | null = null; // the button that moves an axis, or did last
 
   constructor(private readonly session: Session) {
     by<HTMLInputElement>("share").oninput = () => this.tellShare();
     window.addEventListener("keydown", (event) => this.keyed(event), true);
     window.addEventListener("keyup", (event) => { if (event.key === this.held) this.end(); }, true);
+    window.addEventListener("mousedown", (event) => this.chosen(event), true);
     window.addEventListener("blur", () => { this.held = ""; session.letGo(); });
     document.addEventListener("visibilitychange", () => { if (document.hidden) { this.held = ""; session.letGo(); } });
   }
@@ -79,27 +83,40 @@ export class Hands {
     if (value("step") === "") this.session.letGo(); else this.session.runOut();
   }
 
+  /** Whether the machine moves, or will without a further word: a start is being checked. */
+  private moving(): boolean { return this.session.moves || this.session.machineMoves() || this.session.starts(); }
+
+  /** A key while something moves ends that, whatever has the focus: neither fields nor lists get it. */
   private keyed(event: KeyboardEvent): void {
     const { session } = this;
-    if (event.key === "Escape" || (event.key === " " && !typing())) {
-      event.preventDefault();
+    const take = () => { event.preventDefault(); event.stopPropagation(); };
+    if (event.key === "Escape" || (event.key === " " && (this.moving() || !writing()))) {
+      take();
       this.held = "";
       session.letGo();
       session.link.stop();
       return;
     }
     if (event.key === "Enter" && event.target instanceof HTMLInputElement && event.target.type === "checkbox" && !event.target.disabled) { event.target.click(); return; } // the space bar stops
-    if (by("operate").hidden && by("teach-in").hidden) return; // keys are the drawing's, or the list's
-    if (event.ctrlKey || event.altKey || event.metaKey || IGNORED.has(event.key) || typing()) return;
+    if (event.ctrlKey || event.altKey || event.metaKey || IGNORED.has(event.key)) return;
+    if (event.key === "Enter" && event.target instanceof Element && event.target.matches(PRESSED)) return;
+    if (session.moves) { // any key ends a motion by hand
+      take();
+      if (event.repeat) return;
+      this.held = "";
+      session.letGo();
+      return;
+    }
+    if (session.mine() && this.moving()) {
+      take();
+      if (!event.repeat) this.inRun(event.key);
+      return;
+    }
+    if (event.key === "Enter" || typing() || (by("operate").hidden && by("teach-in").hidden)) return; // keys are the field's, the drawing's, or the list's
     const way = by<HTMLInputElement>("by-keys").checked && session.mine() ? this.keys.get(event.key) : undefined;
     if (way) event.preventDefault(); // the page does not scroll
     if (event.repeat) return;
-    if (session.moves) { // any key ends a motion by hand
-      this.held = "";
-      session.letGo();
-    } else if (session.mine() && session.machineMoves()) {
-      this.inRun(event);
-    } else if (way) {
+    if (way) {
       this.held = event.key;
       this.begin(way);
     } else if ("+-".includes(event.key)) {
@@ -109,10 +126,19 @@ export class Hands {
     }
   }
 
-  /** In a run h holds and r goes on; any other key stops. */
-  private inRun(event: KeyboardEvent): void {
+  /** While something moves a list does not drop down, for it would take the keys: a press chooses its next entry. */
+  private chosen(event: MouseEvent): void {
+    const list = event.target instanceof Element ? event.target.closest("select") : null;
+    if (!list || !this.moving()) return;
     event.preventDefault();
-    const what = { h: "hold", r: "resume" }[event.key];
+    if (list.disabled || list.options.length < 2) return;
+    list.selectedIndex = (list.selectedIndex + 1) % list.options.length;
+    for (const kind of ["input", "change"]) list.dispatchEvent(new Event(kind, { bubbles: true }));
+  }
+
+  /** In a run h holds and r goes on; any other key stops. */
+  private inRun(key: string): void {
+    const what = { h: "hold", r: "resume" }[key];
     if (what === undefined) this.session.link.stop();
     else if (this.session.can(what)) this.session.link.act({ what });
   }
@@ -129,10 +155,14 @@ export class Hands {
     const arm = by<HTMLInputElement>("by-keys");
     put(arm, "disabled", !this.session.mine() || this.session.axes.length === 0);
     if (arm.disabled) this.disarm();
+    const moving = this.moving();
+    if (moving && !this.moved && document.activeElement instanceof HTMLSelectElement) document.activeElement.blur(); // an open list would take the keys
+    this.moved = moving;
+    for (const file of document.querySelectorAll<HTMLInputElement>("input[type=file]")) put(file, "disabled", moving || (file.id === "file" && !this.session.mine())); // so would a window that asks for a file
     for (const [name, at] of Object.entries(state.axes)) {
       if (!document.getElementById(`at-${name}`)) by("axes").append(this.bare(name)); // it moves, and is no axis
       const [scale, unit] = unitOf(this.session, name), where = at.measured ?? at.load ?? at.commanded;
-      tell(`at-${name}`, where === null ? "–" : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`);
+      tell(`at-${name}`, where === null ? (this.session.axes.some((axis) => axis.name === name) ? "not homed" : "–") : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`);
     }
     const signals = Object.entries(state.signals), told = JSON.stringify(signals);
     if (told === this.told) return; // what stays the same is not laid out again, twenty times a second

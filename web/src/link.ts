@@ -5,6 +5,7 @@ import type { FromPanel, State } from "./messages";
 const PROTOCOL = 1;
 const ALIVE_MS = 1000;
 const AGAIN_MS = 500;
+const REFUSED = 4401; // code of the panel's close
 
 export class Link {
   lease = "";
@@ -16,7 +17,10 @@ export class Link {
   private client = 0;
   private stops = 0;
 
-  constructor(private readonly name: string, private readonly token: string, private readonly heard: (message: FromPanel) => void, private readonly lost: () => void) {
+  /** Why the panel does not let this page in; empty where it does. */
+  refused = "";
+
+  constructor(private readonly name: string, public token: string, private readonly heard: (message: FromPanel) => void, private readonly lost: () => void) {
     this.connect();
     setInterval(() => { if (this.lease) this.say({ type: "alive", lease: this.lease }); }, ALIVE_MS);
   }
@@ -33,7 +37,18 @@ export class Link {
       if (message.type === "leased") this.lease = message.lease;
       this.heard(message);
     };
-    socket.onclose = () => { this.lease = ""; this.lost(); setTimeout(() => this.connect(), AGAIN_MS); };
+    socket.onclose = (event) => {
+      this.lease = "";
+      this.refused = event.code === REFUSED ? event.reason : "";
+      this.lost();
+      if (!this.refused) setTimeout(() => this.connect(), AGAIN_MS);
+    };
+  }
+
+  /** Knock again, with a token. */
+  knock(token: string): void {
+    [this.token, this.refused] = [token, ""];
+    this.connect();
   }
 
   /** Send a message, or nothing: what is not sent now is not sent later. */

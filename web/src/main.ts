@@ -2,7 +2,7 @@
 
 import "./style.css";
 import { Curves } from "./curves";
-import { by, made, put, tell } from "./dom";
+import { by, made, put, tell, value } from "./dom";
 import { Draw } from "./draw";
 import { Guide } from "./guide";
 import { Hands } from "./hands";
@@ -110,6 +110,8 @@ open("operate");
 
 by("stop").onclick = () => session.link.stop();
 by("take").onclick = () => { const held = session.state?.control; session.link.control(session.mine() ? (held?.asks != null ? "give" : "release") : "take"); };
+by("token-enter").onclick = () => session.knock(value("token"));
+by("token").onkeydown = (event) => { if (event.key === "Enter") session.knock(value("token")); };
 by("keep").onclick = () => session.link.control("keep");
 by("axis").onchange = () => replan();
 
@@ -136,13 +138,15 @@ function show(state: State | null): void {
   const stale = state === null || age > STALE_S;
   document.body.classList.toggle("stale", stale);
   tellAge(age, stale);
-  tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : "no connection");
+  const knocks = state === null && session.link.refused !== "";
+  put(by("token-row"), "hidden", !knocks);
+  tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : knocks ? `not let in: ${session.link.refused}` : "no connection");
   put(by("state"), "className", !state || ["fault", "gone"].includes(state.state) ? "wrong" : "");
   const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (OF_PROGRAMS.has(what) ? teach.can(state) : session.can(what) && (what !== "continue" || rest.whole(traces.chosen) === ""));
   const changed = state !== null && program.changed(state);
   const homeless = state !== null && session.mine() && ["disabled", "enabled"].includes(state.state);
   for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned) || (changed && ["start", "approach"].includes(one.dataset.what!))));
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (BY_PLACE.has(one.dataset.what!) ? (session.byHand ? homeless && HOME_FIRST : "this machine is not moved by hand") : "") || "");
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (BY_PLACE.has(one.dataset.what!) ? (session.byHand ? homeless && HOME_FIRST : "this machine is not moved by hand") : "") || (one.disabled && state !== null ? session.waits(one.dataset.what!) : "") || "");
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;

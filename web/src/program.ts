@@ -1,6 +1,6 @@
 /** The program: load, calculate by the operator's priority, look at the figures, run. */
 
-import { button, by, made, put, tell, value } from "./dom";
+import { asked, button, by, made, put, tell, value } from "./dom";
 import type { Criterion, Figures, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { say, toldRun, unitOf } from "./session";
@@ -12,6 +12,7 @@ const filled = (one: Field): string | boolean | null => one instanceof HTMLInput
 const shown = (one: HTMLElement): boolean => !one.closest<HTMLElement>("[data-option]")!.hidden;
 /** Factors and units in which a verdict is shown, as the reports have them; a number without a unit is a share. */
 const UNITS: Record<string, [number, string]> = { m: [1000, "mm"], "m/s": [1000, "mm/s"], s: [1000, "ms"], "": [100, "%"] };
+const EXISTS = 412; // status of an upload over a file that is there
 const PLACED = ["path_deviation", "contour_error", "placement_error", "stitch_residual", "residual_vibration"];
 
 export class Program {
@@ -72,7 +73,10 @@ export class Program {
 
   /** Put a program into the project folder; it has to be calculated like any other. */
   async load(name: string, content: Blob): Promise<boolean> {
-    const answer = await this.session.ask(`/api/programs/${encodeURIComponent(name)}`, { method: "PUT", body: content });
+    const put_ = (headers: Record<string, string>) => this.session.ask(`/api/programs/${encodeURIComponent(name)}`, { method: "PUT", body: content, headers });
+    let answer = await put_({});
+    if (answer.status === EXISTS && await asked((await answer.text()).trim(), "Overwrite it")) answer = await put_({ "X-Overwrite": "yes" });
+    else if (answer.status === EXISTS) answer = new Response(`${name} was not loaded: the file of that name is kept`, { status: EXISTS });
     say(answer.ok ? `${name} is in the project folder` : (await answer.text()).trim(), !answer.ok);
     by<HTMLInputElement>("file").value = "";
     await this.list();
@@ -112,10 +116,10 @@ export class Program {
   forget(): void { by("figures").replaceChildren(); }
 
   show(state: State): void {
-    put(by<HTMLInputElement>("file"), "disabled", !this.session.mine());
     put(by("cancel"), "hidden", state.calculating === null);
     put(by("override-row"), "hidden", !state.proven || state.proven.passed);
     put(by("changed"), "hidden", !this.changed(state) || this.session.machineMoves());
+    put(by("busy"), "textContent", state.busy && state.calculating === null && !this.session.machineMoves() ? `Start and Calculate wait: ${state.busy}.` : "");
     const run = state.progress;
     put(by<HTMLProgressElement>("progress"), "value", state.calculating ?? (run ? Math.min(run.time_s / run.duration_s, 1) : 0));
     tell("progress-text", state.calculating !== null ? `calculating, ${Math.round(state.calculating * 100)} %` : !run ? "" : run.ended ? toldRun(run) : `${run.program}: ${run.time_s.toFixed(1)} s, ${Math.max(run.duration_s - run.time_s, 0).toFixed(1)} s left`);

@@ -6,10 +6,12 @@ import type { Axis, Figures, FromPanel, Progress, State } from "./messages";
 
 const RENEW_MS = 80;
 const MOST_LINES = 50;
+const STARTS = "a start is being checked"; // the panel's words
+/** Commands that wait for what the panel works at. */
+const FOR_RUNS = new Set(["start", "start-rest", "continue", "calculate"]);
 const MOVING = new Set(["homing", "jogging", "running", "holding", "stopping"]);
 
 export class Session {
-  readonly token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
   readonly link: Link;
   me = 0;
   axes: Axis[] = [];
@@ -26,7 +28,7 @@ export class Session {
   private renews = 0; // of the timer that renews a motion; 0 where there is none
 
   constructor(heard: (message: FromPanel) => void, lost: () => void) {
-    this.link = new Link(`${navigator.platform || "browser"}`.slice(0, 40), this.token, heard, () => { this.letGo(); this.renewals.clear(); lost(); });
+    this.link = new Link(`${navigator.platform || "browser"}`.slice(0, 40), new URLSearchParams(location.hash.slice(1)).get("token") ?? kept(""), heard, () => { this.letGo(); this.renewals.clear(); lost(); });
   }
 
   get state(): State | null { return this.link.state; }
@@ -38,6 +40,20 @@ export class Session {
   /** Why a command is not had on this link; empty where it is. */
   lacking(what: string): string { return what in this.lacks ? `not had on this link: ${this.lacks[what]}` : ""; }
   machineMoves(): boolean { return MOVING.has(this.state?.state ?? ""); }
+  /** Whether a run is about to begin. */
+  starts(): boolean { return this.state?.busy === STARTS; }
+  /** Why a command is not possible now. */
+  waits(what: string): string {
+    if (!this.mine()) return "take control first";
+    const state = this.state!;
+    return `not possible now: the machine is ${state.state}${state.busy && FOR_RUNS.has(what) ? `, and ${state.busy}` : ""}`;
+  }
+
+  /** Let the panel have a token, and keep it as long as this tab is open. */
+  knock(token: string): void {
+    kept(token);
+    this.link.knock(token);
+  }
 
   /** A motion that goes on only while the page renews it; a renewal that is refused says that it has ended. */
   hold(command: { what: string; [key: string]: unknown }): void {
@@ -68,7 +84,17 @@ export class Session {
   }
 
   async ask(path: string, more: RequestInit = {}): Promise<Response> {
-    return fetch(path, { ...more, headers: { Authorization: `Bearer ${this.token}`, "X-Lease": this.link.lease, ...more.headers } });
+    return fetch(path, { ...more, headers: { Authorization: `Bearer ${this.link.token}`, "X-Lease": this.link.lease, ...more.headers } });
+  }
+}
+
+/** The token that this tab keeps; one that is given is kept. Where a browser keeps nothing, it is asked for again. */
+function kept(token: string): string {
+  try {
+    if (token) sessionStorage.setItem("token", token);
+    return sessionStorage.getItem("token") ?? "";
+  } catch {
+    return token;
   }
 }
 

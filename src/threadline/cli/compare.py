@@ -24,11 +24,13 @@ from threadline.cli.told import warning
 from threadline.cli.warn import warn
 from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
+from threadline.jobs.operations import FeedMode
 from threadline.kinds import kind_of
-from threadline.option_defaults import DEFAULT_INTERPOLATION, UNSHAPED_WORD
+from threadline.option_defaults import AUTO, DEFAULT_INTERPOLATION, UNSHAPED_WORD
+from threadline.path.interpolations import FIRMWARE
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
-from threadline.search import Comparison, Rung
+from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job
 from threadline.verdict import in_a_word, verdict_json
 
@@ -79,7 +81,10 @@ def compare(
     named = words.machine(machine)
     defaults = kind_of(named).compared
     feed, shaper = words.text("feed"), words.text("shaper")
-    names = _values(words.text("interpolation"), defaults, "interpolation", DEFAULT_INTERPOLATION)
+    interpolation = words.text("interpolation")
+    if interpolation is None and named.planner is not None and not words.flag("feed_forward"):
+        interpolation = f"{FIRMWARE},{AUTO}"
+    names = _values(interpolation, defaults, "interpolation", DEFAULT_INTERPOLATION)
     shapers = _values(shaper, defaults, "shaper", UNSHAPED_WORD)
     shown = ["shaper"] if "shaper" in defaults else ["interpolation", "feed"]
     if shaper is not None and "shaper" not in shown:
@@ -88,7 +93,7 @@ def compare(
     planned = words.each_options(names, feeds, shapers)
     chosen = with_radii_of(named, planned[0])
     read = open_job(job, chosen, planned[0])
-    warn(chosen, read, own_feed=not feeds)
+    warn(chosen, read, own_feed=any(one.own_feeds for one in planned))
     with progress_bar(not json) as progress:
         found = compare_job(
             read,
@@ -156,16 +161,26 @@ def comparison_tables(
     first = found.proofs[0].plan
     stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
     sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
-    columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS if sewn else COLUMNS
-    header = [*shown, "time s", *(title for _, title in columns), "verdict"]
+    columns: tuple[tuple[str, str], ...] = COLUMNS
+    if stepwise or sewn:
+        columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS
+    if first.machine.without_dynamics:  # placement is not measured: the columns would be empty
+        columns = tuple(
+            (name, title)
+            for name, title in columns
+            if any(_worst(proof, name) != "-" for proof in found.proofs)
+        )
+    own = ["as run s"] if any(found.as_run_s) else []
+    header = [*shown, "time s", *own, *(title for _, title in columns), "verdict"]
     rows = [
         [
             *(_label(proof, key) for key in shown),
             f"{proof.plan.duration_s:.3f}",
+            *(["-" if run_s is None else f"{run_s:.3f}"] if own else []),
             *(_worst(proof, name) for name, _ in columns),
             in_a_word(proof.verdict),
         ]
-        for proof in found.proofs
+        for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
     ]
     if "shaper" in shown:
         blank = [""] * (len(header) - len(shown) - 1)
@@ -175,11 +190,11 @@ def comparison_tables(
     tables = [(f"{first.job.name} on {first.machine.name}, {level}", header, rows)]
     if found.fastest:
         reference = next(iter(found.fastest))
-        slowest = found.fastest[reference].best.found.best
-        body = [_fastest_row(name, f.best, slowest) for name, f in found.fastest.items()]
+        body = [_fastest_row(n, f, found.fastest[reference]) for n, f in found.fastest.items()]
+        by_share = any(f.by is FeedMode.OVERRIDE for f in found.fastest.values())
         head = [
             "interpolation",
-            "mm/s",
+            "feed" if by_share else "mm/s",
             f"times {reference}",
             "acceleration limits used",
             "job s",
@@ -189,14 +204,19 @@ def comparison_tables(
     return tables
 
 
-def _fastest_row(name: str, rung: Rung, reference_m_s: float | None) -> list[str]:
+def _fastest_row(name: str, result: FastestJob, reference: FastestJob) -> list[str]:
+    rung, slowest = result.best, reference.best.found.best
     best = rung.found.best
     if best is None:
         return [name, "none", "-", "-", "-", rung.found.limited_by]
+    mixed = reference.by is FeedMode.OVERRIDE
+    told = f"{best * 1e3:.1f}{' mm/s' if mixed else ''}"
+    if result.by is FeedMode.OVERRIDE:
+        told = f"{best * 100.0:.4g} %"
     return [
         name,
-        f"{best * 1e3:.1f}{' alone' if rung.alone else ''}",
-        f"{best / reference_m_s:.2f}" if reference_m_s else "-",
+        f"{told}{' alone' if rung.alone else ''}",
+        f"{best / slowest:.2f}" if slowest and result.by is reference.by else "-",
         f"{rung.share:.0%}",
         f"{rung.duration_s:.3f}",
         limit_words(rung.found.limited_by, AXES_ALONE),
@@ -209,13 +229,14 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
         "proofs": [
             verdict_json(proof.verdict, proof.plan)
             | {"feed": proof.plan.options["feed"], "shaper": proof.plan.options.get("shaper")}
-            for proof in found.proofs
+            | {"as_run_s": run_s}
+            for proof, run_s in zip(found.proofs, found.as_run_s, strict=True)
         ],
         "refused": [{"shaper": name, "why": why} for name, why in found.refused],
         "fastest": {
             name: {
                 "best": f.best.found.best,
-                "unit": "m/s",
+                "unit": "" if f.by is FeedMode.OVERRIDE else "m/s",
                 "intervals": [[i.low, i.high] for i in f.best.found.intervals],
                 "alone": list(f.best.found.alone),
                 "limited_by": f.best.found.limited_by,

@@ -38,9 +38,20 @@ def compile_(
     ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
     words: Words,
+    slower: Annotated[
+        bool,
+        typer.Option(
+            "--slower",
+            help="Write a program that takes longer on its firmware than JOB as it stands, too.",
+        ),
+    ] = False,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB and write it for a controller; every limit is checked before the first byte.
+
+    Words of a part program that work the machine (spindle, laser, tool, coolant, fan, pen) keep
+    their places in a program for a firmware; one that would be lost or mean something else there
+    is refused by name.
 
     Exit status: 0 written, 2 wrong input (nothing is written).
 
@@ -60,9 +71,9 @@ def compile_(
     check_target(target, chosen, options)
     plan = plan_job(open_job(job, chosen, options), chosen, options)
     more = [*plan.intent.warnings, *tolerance_warnings(plan)]
-    warn(chosen, plan.job, more, own_feed=options.feed is None)
+    warn(chosen, plan.job, more, own_feed=options.own_feeds)
     with together(out):
-        files = write(plan, target, out)
+        files = write(plan, target, out, slower=slower)
     if json:
         print_json({"files": [_content(file) for file in files]})
     else:
@@ -78,8 +89,12 @@ def compile_(
 
 def _content(file: Written) -> dict[str, Any]:
     """Return a written file as JSON content."""
-    facts = {"facts": list(file.facts)} if file.facts else {}
-    return {"file": str(file.path), "sha256": file.sha256, **facts}
+    content: dict[str, Any] = {"file": str(file.path), "sha256": file.sha256}
+    if file.facts:
+        content["facts"] = list(file.facts)
+    if file.as_run_s is not None:
+        content["stands_s"], content["as_run_s"] = file.as_run_s
+    return content
 
 
 def register(app: typer.Typer) -> None:

@@ -6,12 +6,11 @@ import math
 from collections.abc import Iterator
 
 from threadline.cli.found import typed
-from threadline.jobs.gcode.f_words import of_which
+from threadline.jobs.gcode.f_words import RULES, of_which
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner, KlipperPlanner
 from threadline.search import FastestJob
-from threadline.search.feed import searched_by
 
 _GRBL_FIRST = 120  # $120 to $122: the accelerations of X, Y and Z; A, B and C follow
 _GRBL_AXES = "XYZABC"
@@ -29,9 +28,13 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
     by_word = result.by is FeedMode.F_WORD
     rule = job.feed_rule if by_word else result.by.value
     mode = f" (feed mode {rule})" if by_word else ""
-    f_word = typed(60_000.0 * best.found.best)
-    yield f"to set: F {f_word}, the speed {of_which(rule)}, in mm/min{mode}"
-    if not by_word and searched_by(job) is FeedMode.F_WORD:
+    if result.by is FeedMode.OVERRIDE:
+        yield f"to set: feed override {typed(100.0 * best.found.best)} %; every F keeps its ratio"
+    else:
+        f_word = typed(60_000.0 * best.found.best)
+        yield f"to set: F {f_word}, the speed {of_which(rule)}, in mm/min{mode}"
+    of_another = job.feed_rule.partition(":")[0] in RULES and job.feed_rule != rule
+    if result.by is FeedMode.FASTEST_AXIS and of_another:
         other = f"{of_which(job.feed_rule)} (feed mode {job.feed_rule})"
         yield f"F of this job is another speed: {other}"
     if len(result.rungs) + len(result.left_out) < _SEARCHED:

@@ -82,7 +82,7 @@ def fastest(
         words={
             "-m": machine,
             **typed,
-            "--interpolation": None if law is not None else words.text("interpolation"),
+            "--interpolation": None if law is not None else question.options.interpolation,
         },
         low=words.text("low"),
         high=words.text("high"),

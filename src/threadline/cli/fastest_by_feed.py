@@ -52,15 +52,18 @@ from threadline.search import (
     Mismatch,
     fastest_job,
     feed_over_tolerances,
-    feed_range_m_s,
 )
 from threadline.search.by_pace import job_words
-from threadline.search.feed import searched_by
+from threadline.search.feed import search_range, searched_by
 from threadline.search.forbidden import joined
-from threadline.search.mismatch import F_WORDS, FEED
+from threadline.search.mismatch import F_WORDS, FEED, OVERRIDE
 from threadline.verdict import closing, criteria_json, verdict_rows
 
-_UNITS = {FeedMode.FASTEST_AXIS: ("mm/s", 1e3), FeedMode.F_WORD: ("F", 60_000.0)}
+_UNITS = {
+    FeedMode.FASTEST_AXIS: ("mm/s", 1e3),
+    FeedMode.F_WORD: ("F", 60_000.0),
+    FeedMode.OVERRIDE: ("%", 100.0),
+}
 """By what a search varies: how its feeds are printed, and what one in m/s is multiplied by."""
 
 
@@ -68,7 +71,7 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
     """Search the feed and the share of the limits, print the result, and end the program."""
     read, machine, options = asked.job, asked.machine, asked.options
     check_mismatch(asked.mismatch, asked.actual is not None, asked.report)
-    by, low, high = _span(read, asked.low, asked.high)
+    by, low, high = _span(read, machine, asked.low, asked.high)
     warn(machine, read, own_feed=False)
     with progress_bar(not asked.json) as progress:
         result = fastest_job(
@@ -88,7 +91,7 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
         sure = certainty_of(
             asked,
             best_of(result),
-            "m/s",
+            "" if by is FeedMode.OVERRIDE else "m/s",
             lambda chosen, trials: best_of(
                 fastest_job(
                     read,
@@ -122,7 +125,7 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
     if found or options.following is Following.MOTOR:
         plan = plan_job(read, machine, _at(options, result))
         tell(tolerance_warnings(plan))
-    searched = F_WORDS if by is FeedMode.F_WORD else FEED
+    searched = {FeedMode.F_WORD: F_WORDS, FeedMode.OVERRIDE: OVERRIDE}.get(by, FEED)
     drawn = drawn_of(cells, f"{asked.title}{free}", searched, asked)
     if drawn is None and found:
         drawn = report_of(plan, asked)
@@ -183,7 +186,7 @@ def metres_per_second(text: str) -> float:
 
 
 def _span(
-    read: Job, low: str | None, high: str | None
+    read: Job, machine: Machine, low: str | None, high: str | None
 ) -> tuple[FeedMode, float | None, float | None]:
     """Return what the feeds of the search are of, and its ends in m/s of that.
 
@@ -193,14 +196,14 @@ def _span(
         If an end is in another unit than a speed, or the ends are of different kinds.
     """
     ends = [None if text is None else parse_feed(text) for text in (low, high)]
-    modes = {end.mode for end in ends if end is not None} or {searched_by(read)}
+    modes = {end.mode for end in ends if end is not None} or {searched_by(read, machine)}
     if modes == {FeedMode.F_WORD}:
         as_f_words(1.0, read.feed_rule)
-    elif modes != {FeedMode.FASTEST_AXIS}:
+    elif modes not in ({FeedMode.FASTEST_AXIS}, {FeedMode.OVERRIDE}):
         if len(modes) > 1:
             raise OptionError(
                 f"--low {low!r} and --high {high!r} are feeds of different kinds",
-                remedy='Write both like "36 mm/s", or both like "F 3000".',
+                remedy='Write both like "36 mm/s", both like "F 3000", or both like "120 %".',
             )
         metres_per_second(str(high if low is None else low))
     values = [None if end is None else end.value for end in ends]
@@ -215,7 +218,7 @@ def _end_of_mismatch(
         return highest
     best = result.best.found.best
     if best is None:
-        return feed_range_m_s(machine, result.by, read.feed_rule)[1]
+        return search_range(read, machine, result.by)[1]
     return best * ABOVE
 
 
@@ -234,7 +237,7 @@ def _content(result: FastestJob, read: Job) -> dict[str, Any]:
     found = result.best.found
     return {
         "best": found.best,
-        "unit": "m/s",
+        "unit": "" if result.by is FeedMode.OVERRIDE else "m/s",
         "feed": read.feed_rule if result.by is FeedMode.F_WORD else result.by.value,
         "intervals": [[i.low, i.high] for i in found.intervals],
         "alone": list(found.alone),

@@ -1,41 +1,127 @@
-"""A project of a machine that a firmware runs, made from that firmware's settings."""
+"""A project of a machine whose controller plans its motion, made from the controller's settings."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 from threadline import __version__
 from threadline.cli.told import warning
-from threadline.errors import OptionError, Place
+from threadline.errors import MachineError, OptionError, Place
 from threadline.machine import library_file, load_machine
 from threadline.machine.firmware import (
+    DEFAULTS,
+    Answers,
+    Missing,
+    Said,
     Settings,
     machine_text,
+    missing_answers,
+    number_or_nan,
     parse_answers,
     read_settings,
+    turning_axes,
 )
 
-FIRMWARES = ("grbl", "fluidnc", "marlin", "klipper", "reprapfirmware")
-KINDS = tuple(f"{name}-winder" for name in FIRMWARES)
+FIRMWARES = {
+    "grbl": "grbl",
+    "fluidnc": "fluidnc",
+    "marlin": "marlin",
+    "klipper": "klipper",
+    "rrf": "reprapfirmware",
+    "linuxcnc": "linuxcnc",
+}
+"""The controller of each kind of project."""
+KINDS = tuple(FIRMWARES)
+ANSWERS_TO = {
+    "grbl": "what grbl answers to $$",
+    "fluidnc": "the YAML of FluidNC",
+    "marlin": "what Marlin answers to M503",
+    "klipper": "printer.cfg",
+    "rrf": "config.g of RepRapFirmware",
+    "linuxcnc": "the INI of LinuxCNC",
+}
+"""What the settings of each kind are."""
 PROVE = "there-and-back.gcode -m machine.toml"
 _SPEC = "stepper-winder"
 _WAY_MM, _FEED_MM_MIN = 20.0, 1200.0
+_UNITS = {"steps": "/{}", "rate": "{}/min", "acceleration": "{}/s^2", "travel": "{}"}
+_PLANNER_UNITS = {
+    "junction_deviation": "mm", "acceleration": "mm/s^2", "velocity": "mm/s", "least_speed": "mm/s",
+    "square_corner_velocity": "mm/s", "short_time": "ms", "tolerance": "mm", "cam_tolerance": "mm",
+}  # fmt: skip
+
+Row = tuple[str, str, str]
+"""What a setting is, its value, and where it comes from."""
+
+
+@dataclass(frozen=True, slots=True)
+class FromSettings:
+    """What the settings of a controller make.
+
+    Parameters
+    ----------
+    contents
+        The files of the project: names and contents.
+    form
+        Whose settings they are, and in which of their forms.
+    rows
+        What was read, said by the owner or assumed.
+    notes
+        What was assumed in reading, a sentence each.
+    left_out
+        What the controller does besides, and is planned without.
+    """
+
+    contents: dict[str, bytes]
+    form: str
+    rows: list[Row]
+    notes: list[str]
+    left_out: list[str]
+
+
+def settings_of(kind: str, source: Path) -> Settings:
+    """Return the settings in a file, which must be of the controller of ``kind``.
+
+    Raises
+    ------
+    MachineError
+        If the settings cannot be read.
+    OptionError
+        If they are another controller's.
+    """
+    firmware = FIRMWARES[kind]
+    settings = read_settings(source, firmware)
+    if settings.firmware == "grbl" and firmware == "fluidnc":  # it answers $$ as grbl does
+        return replace(settings, firmware="fluidnc")
+    if settings.firmware != firmware:
+        own = next(name for name, of in FIRMWARES.items() if of == settings.firmware)
+        raise OptionError(
+            f"{Place(str(source))} has the settings of {settings.firmware}, not of {firmware}",
+            remedy=f"Make it with: threadline new {own}.",
+        )
+    return settings
+
+
+def still_asked(settings: Settings, answers: Sequence[str], *, limits_only: bool) -> list[Missing]:
+    """Return what the owner is still to say."""
+    return missing_answers(settings, parse_answers(answers), limits_only=limits_only)
 
 
 def settings_files(
     kind: str, source: Path, answers: Sequence[str], *, limits_only: bool = False
-) -> dict[str, bytes]:
-    """Return the files of a project: names and contents.
+) -> FromSettings:
+    """Return the files of a project, and what was read for them.
 
     Parameters
     ----------
     kind
         One of ``KINDS``.
     source
-        File of the settings as the firmware lists them.
+        File of the settings as the controller lists them.
     answers
         Values that the settings lack, ``"mass=1.2 kg"`` each.
     limits_only
@@ -46,20 +132,14 @@ def settings_files(
     MachineError
         If the settings cannot be read.
     OptionError
-        If the settings are another firmware's, or lack a value that ``answers`` does not give.
+        If the settings are another controller's, or lack a value that ``answers`` does not give.
     """
-    settings = read_settings(source)
-    if kind != f"{settings.firmware}-winder":
-        raise OptionError(
-            f"{Place(str(source))} has the settings of {settings.firmware}, not of "
-            f"{kind.removesuffix('-winder')}",
-            remedy=f"Make it with: threadline new {settings.firmware}-winder.",
-        )
-    for unheeded in settings.unheeded:
-        warning(unheeded)
+    settings = settings_of(kind, source)
     said = parse_answers(answers)
     text = machine_text(settings, said, kind, limits_only=limits_only)
-    _check(text)
+    _check(text, settings)
+    for unheeded in settings.unheeded:
+        warning(unheeded)
     head = f"# From the settings of {settings.firmware}, by Threadline {__version__}.\n#\n"
     projects = resources.files("threadline.cli") / "projects"
     own = projects / ("limits" if limits_only else "firmware")
@@ -69,20 +149,71 @@ def settings_files(
         theirs = library_file(_SPEC).with_suffix(".spec.toml")
         specification = theirs.read_text(encoding="utf-8")
     readme = (own / "README.md").read_text(encoding="utf-8")
-    return {
+    contents = {
         "machine.toml": (head + text).encode(),
         "spec.toml": specification.replace(f'"{_SPEC}"', f'"{kind}"').encode(),
         "README.md": readme.replace("TARGET", settings.firmware).encode(),
-        "there-and-back.gcode": _job(settings, said.rotary).encode(),
+        "there-and-back.gcode": _job(settings, turning_axes(settings, said)).encode(),
     }
+    rows = list(_rows(settings, said))
+    if not limits_only:
+        rows += [(key, text, "assumed") for key, text in DEFAULTS.items() if key not in said.given]
+    form = settings.form or settings.firmware
+    return FromSettings(contents, form, rows, settings.notes, settings.unheeded)
 
 
-def _check(text: str) -> None:
-    """Refuse a machine file that cannot be read or used, before anything is written."""
+def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
+    """Yield what was read and said of each axis, and of the planner."""
+    turning = turning_axes(settings, answers)
+    for axis, said in settings.axes.items():
+        unit = "deg" if axis in turning else "mm"
+        for what, form in _UNITS.items():
+            found: Said | None = getattr(said, what)
+            if what == "travel" and axis in turning:
+                yield f"{axis} {what}", "none", "it turns without end"
+            elif found is not None:
+                yield f"{axis} {what}", f"{found.value:g} {form.format(unit)}", _from(found)
+            elif (own := answers.of(what, axis)) is not None:
+                yield f"{axis} {what}", own, "--set"
+    for key, found in settings.planner.items():
+        base, _, axis = key.partition(".")
+        if axis and axis not in settings.axes:
+            continue
+        of_axis = f"{'deg' if axis in turning else 'mm'}/s{'^2' if base == 'alone' else ''}"
+        unit = of_axis if axis else _PLANNER_UNITS.get(base, "")
+        name = f"{axis} {base}" if axis else base.replace("_", " ")
+        yield name, f"{found.value:g} {unit}".rstrip(), _from(found)
+    for name, text in answers.given.items():
+        if name.partition(".")[0] not in _UNITS:
+            yield name, text, "--set"
+
+
+def _from(said: Said) -> str:
+    if not said.place.line:
+        return f"assumed: {said.name}"
+    typed = "" if number_or_nan(said.typed) == said.value else f" {said.typed}"
+    return f"{said.name}{typed}, {said.place}"
+
+
+def _check(text: str, settings: Settings) -> None:
+    """Refuse a machine file that cannot be read or used, before anything is written.
+
+    The file lies nowhere that its reader could look into: the error names the settings instead.
+    """
     with tempfile.TemporaryDirectory(prefix="threadline-") as folder:
         file = Path(folder) / "machine.toml"
         file.write_text(text, encoding="utf-8")
-        load_machine(file)
+        try:
+            load_machine(file)
+        except MachineError as error:
+            lines = text.splitlines()
+            at = error.place.line if error.place is not None else 0
+            told = f" ({lines[at - 1].strip()[:80]})" if 0 < at <= len(lines) else ""
+            raise MachineError(
+                f"{error.message.rstrip('.')}{told}",
+                place=Place(settings.file),
+                remedy="Correct these settings, or write the machine file by hand.",
+            ) from error
 
 
 def _job(settings: Settings, rotary: str) -> str:
@@ -93,4 +224,6 @@ def _job(settings: Settings, rotary: str) -> str:
     way = _WAY_MM if said.travel is None else min(_WAY_MM, said.travel.value / 2.0)
     feed = _FEED_MM_MIN if said.rate is None else min(_FEED_MM_MIN, said.rate.value / 2.0)
     lines = ["; There and back", "G21", "G90", f"G1 {axis}{way:g} F{feed:g}", f"G1 {axis}0"]
+    if settings.firmware == "linuxcnc":
+        lines.append("M2")
     return "\n".join(lines) + "\n"

@@ -13,7 +13,7 @@ from threadline.cli.output import print_json, print_table, say
 from threadline.cli.prove import show_steps
 from threadline.cli.shared_options import JsonOption
 from threadline.recorded import judge_files
-from threadline.verdict import closing, verdict_json, verdict_rows
+from threadline.verdict import closing, happened_lines, verdict_json, verdict_rows
 
 
 def judge(
@@ -48,6 +48,8 @@ def judge(
             f"{', '.join(p.name for p in recordings)} against {plan.job.name}", header, rows
         )
         show_steps(verdict)
+        for line in happened_lines(verdict):
+            say(line)
         say(closing(verdict))
     raise typer.Exit(0 if verdict.passed else 1)
 

@@ -6,22 +6,36 @@ import difflib
 import os
 import re
 import shlex
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
 from threadline import __version__
-from threadline.cli.from_settings import KINDS, PROVE, settings_files
-from threadline.cli.output import print_json, say
+from threadline.cli.from_settings import (
+    ANSWERS_TO,
+    FIRMWARES,
+    KINDS,
+    PROVE,
+    FromSettings,
+    settings_files,
+    settings_of,
+    still_asked,
+)
+from threadline.cli.operator_keys import somebody_at_the_keys
+from threadline.cli.output import print_json, print_table, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import JsonOption
-from threadline.errors import OptionError
+from threadline.errors import InputError, OptionError
 from threadline.machine import library_file
+from threadline.machine.firmware import check_answers, parse_answers
 from threadline.writing import staging_folder
+
+Said = TypeVar("Said")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,30 +67,48 @@ PROJECTS = {
 }
 
 
+@dataclass(slots=True)
+class Wanted:
+    """What is to be made, as it was said on the command line and at the terminal."""
+
+    kind: str
+    folder: Path
+    source: Path | None
+    answers: list[str]
+    limits_only: bool
+
+
 def new(
     kind: Annotated[
-        str, typer.Argument(help=f"What the machine is: {', '.join([*PROJECTS, *KINDS])}.")
-    ],
+        str | None,
+        typer.Argument(
+            metavar="KIND", help=f"What the machine is: {', '.join([*KINDS, *PROJECTS])}."
+        ),
+    ] = None,
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder to make; an empty one may be there.")
-    ],
+        Path | None,
+        typer.Argument(metavar="DIR", help="Folder to make; an empty one may be there."),
+    ] = None,
     from_: Annotated[
         Path | None,
         typer.Option(
             "--from",
-            help="Settings of the firmware: what grbl answers to $$, Marlin to M503, a FluidNC "
-            "YAML, a printer.cfg, a config.g of RepRapFirmware.",
+            help="Settings of the controller: what grbl answers to $$, Marlin to M503, a FluidNC "
+            "YAML, a printer.cfg, a config.g of RepRapFirmware, an INI of LinuxCNC. A log of a "
+            "terminal will do, prompts and time stamps included.",
         ),
     ] = None,
     answers: Annotated[
         list[str] | None,
-        typer.Option("--set", help='A value the settings lack: "mass=1.2 kg", "mass.X=1.2 kg".'),
+        typer.Option(
+            "--set", help='A value the settings lack: "mass=1.2 kg", "mass.X=1.2 kg", rotary=none.'
+        ),
     ] = None,
     limits_only: Annotated[
         bool,
         typer.Option(
             "--limits-only",
-            help="Of a firmware's machine: take its limits alone, without values of motors and "
+            help="Of a controller's machine: take its limits alone, without values of motors and "
             "masses. Jobs are then proven for limits and time, and not for placement.",
         ),
     ] = False,
@@ -84,41 +116,146 @@ def new(
 ) -> None:
     """Make a working project: machine.toml, spec.toml, a job, and a README with the commands.
 
-    The machine is one of the library's, to be changed into yours, or the one that a firmware's
-    settings describe; values that the settings lack are asked for by name.
+    The machine is one of the library's, to be changed into yours, or the one that a controller's
+    settings describe: what was read is listed with its line, and values that the settings lack are
+    asked for by name. Without arguments, each is asked for at a terminal.
 
     Example: threadline new winder my-winder
 
-    Of a machine with grbl: threadline new grbl-winder my-winder --from settings.txt
-    --set rotary=A --set "torque=1.26 N m"
+    With the limits of a grbl's settings: threadline new grbl my-router --from settings.txt
+    --limits-only
 
-    With the limits of the settings alone: threadline new grbl-winder my-winder --from settings.txt
-    --limits-only --set rotary=A --set "radius=50 mm"
+    With motors and masses: threadline new grbl my-winder --from settings.txt --set rotary=A
+    --set "torque=1.26 N m"
     """
-    if kind in KINDS:
-        if from_ is None:
+    given = list(answers or [])
+    if kind is None or folder is None:
+        if json or not somebody_at_the_keys():
             raise OptionError(
-                f"a {kind} is made from the settings of its firmware",
-                remedy="Name them with --from.",
+                "say what the machine is" if kind is None else f"say where the {kind} is to lie",
+                remedy=f"Like threadline new {kind or 'grbl'} my-machine. Kinds: "
+                f"{', '.join([*KINDS, *PROJECTS])}.",
             )
-        prove = PROVE
-        contents = settings_files(kind, from_, answers or [], limits_only=limits_only)
+        wanted = _asked(kind, folder, from_, given, limits_only)
     else:
-        prove, contents = _project(kind).prove, project_files(kind)
-        if from_ is not None or answers or limits_only:
+        wanted = Wanted(kind, folder, from_, given, limits_only)
+    read: FromSettings | None = None
+    if wanted.kind in KINDS:
+        if wanted.source is None:
             raise OptionError(
-                f"--from, --set and --limits-only are not of the kind {kind!r}",
+                f"a {wanted.kind} machine is made from the settings of its controller",
+                remedy=f"Name {ANSWERS_TO[wanted.kind]} with --from.",
+            )
+        read = settings_files(
+            wanted.kind, wanted.source, wanted.answers, limits_only=wanted.limits_only
+        )
+        prove, contents = PROVE, read.contents
+    else:
+        prove, contents = _project(wanted.kind).prove, project_files(wanted.kind)
+        if wanted.source is not None or wanted.answers or wanted.limits_only:
+            raise OptionError(
+                f"--from, --set and --limits-only are not of the kind {wanted.kind!r}",
                 remedy=f"Use {', '.join(KINDS)}.",
             )
-    _check(folder)
-    _write(folder, contents)
-    command = f"threadline prove {prove}"
+    _check(wanted.folder)
+    _write(wanted.folder, contents)
+    _tell(wanted.folder, sorted(contents), f"threadline prove {prove}", read, json=json)
+
+
+def _tell(
+    folder: Path, files: list[str], command: str, read: FromSettings | None, *, json: bool
+) -> None:
+    """Say what was made, and from which lines."""
     if json:
-        print_json({"folder": str(folder), "files": sorted(contents), "prove": command})
+        told: dict[str, object] = {"folder": str(folder), "files": files, "prove": command}
+        if read is not None:
+            keys = ("setting", "value", "from")
+            told["read"] = [dict(zip(keys, row, strict=True)) for row in read.rows]
+            told |= {"form": read.form, "notes": read.notes, "left_out": read.left_out}
+        print_json(told)
         return
-    say(f"{folder}: {', '.join(sorted(contents))}")
+    if read is not None:
+        print_table(f"settings of {read.form}", ("setting", "value", "from"), read.rows)
+        for text in read.notes:
+            say(f"  {text}")
+    say(f"{folder}: {', '.join(files)}")
     there = "" if folder == Path() else f"cd {shlex.quote(str(folder))} && "
     say(f"Next: {there}{command}")
+
+
+def _asked(
+    kind: str | None,
+    folder: Path | None,
+    source: Path | None,
+    answers: list[str],
+    limits_only: bool,
+) -> Wanted:
+    """Ask at the terminal for what was not said, with what would do in brackets."""
+    if kind is None:
+        say(f"Kinds: {', '.join([*KINDS, *PROJECTS])}.")
+        kind = _until_right("What the machine is", "grbl", _kind)
+    if kind in KINDS and source is None:
+        of = kind
+        source = _until_right(
+            f"File of its settings: {ANSWERS_TO[kind]}", "settings.txt", lambda t: _source(of, t)
+        )
+    if folder is None:
+        folder = _until_right("Folder to make", f"my-{kind}", _folder)
+    wanted = Wanted(kind, folder, source, answers, limits_only)
+    if kind not in KINDS or source is None:
+        return wanted
+    settings = settings_of(kind, source)
+    if not limits_only and not settings.coupled:
+        wanted.limits_only = _until_right("Limits and times alone, without motors", "yes", _yes)
+    wanted.limits_only |= bool(settings.coupled)
+    while missing := still_asked(settings, answers, limits_only=wanted.limits_only):
+        one = missing[0]
+
+        def said(text: str, key: str = one.key) -> str:
+            answer = f"{key}={text}"
+            check_answers(settings, parse_answers([*answers, answer]))
+            return answer
+
+        answers.append(_until_right(f"{one.key}: {one.what}", one.example, said))
+    return wanted
+
+
+def _until_right(question: str, default: str, read: Callable[[str], Said]) -> Said:
+    """Ask until the answer can be read; an empty one is the one in brackets."""
+    while True:
+        sys.stdout.write(f"{question} [{default}]: ")
+        sys.stdout.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise OptionError(
+                "the questions were not answered to the end", remedy="Nothing was made."
+            )
+        try:
+            return read(line.strip() or default)
+        except InputError as error:
+            say(str(error))
+
+
+def _kind(text: str) -> str:
+    if text not in KINDS:
+        _project(text)
+    return text
+
+
+def _source(kind: str, text: str) -> Path:
+    settings_of(kind, Path(text).expanduser())
+    return Path(text).expanduser()
+
+
+def _folder(text: str) -> Path:
+    _check(Path(text).expanduser())
+    return Path(text).expanduser()
+
+
+def _yes(text: str) -> bool:
+    if text.lower() not in ("y", "yes", "n", "no"):
+        raise OptionError(f"{text[:20]!r} is neither yes nor no")
+    return text.lower() in ("y", "yes")
 
 
 def project_files(kind: str) -> dict[str, bytes]:
@@ -145,11 +282,13 @@ def _without_operator(machine: str) -> str:
 
 def _project(kind: str) -> Project:
     if kind not in PROJECTS:
-        close = difflib.get_close_matches(kind, [*PROJECTS, *KINDS], n=1)
+        own = {firmware: name for name, firmware in FIRMWARES.items()}
+        word = kind.partition("-")[0]
+        close = difflib.get_close_matches(own.get(word, word), [*PROJECTS, *KINDS], n=1)
         hint = f"Did you mean {close[0]!r}? " if close else ""
         raise OptionError(
             f"there is no project {kind[:40]!r}",
-            remedy=f"{hint}There are: {', '.join([*PROJECTS, *KINDS])}.",
+            remedy=f"{hint}There are: {', '.join([*KINDS, *PROJECTS])}.",
         )
     return PROJECTS[kind]
 

@@ -12,12 +12,16 @@ from types import FrameType
 
 from threadline.cli.told import note
 from threadline.live.desk import Desk
+from threadline.live.lateness import clock_s
 from threadline.live.links import Running
 from threadline.live.states import Cause, State
 from threadline.progress_call import Progress
 
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 """Any other key stops."""
+UNATTENDED_S = 10.0
+"""Time in s for which a hold lasts that nobody is at the keys to end."""
+_ALONE = f"nobody is at the keys: it is stopped unless it goes on within {UNATTENDED_S:g} s"
 
 
 def somebody_at_the_keys() -> bool:
@@ -52,7 +56,8 @@ class AtTheKeys:
     ) -> None:
         self._desk, self._progress, self._terminal = desk, progress, terminal
         self._duration_s = max(duration_s, 1e-9)
-        self._state = State.RUNNING
+        self._told_hold = ""  # what was said of the hold that lasts
+        self._ends_s: float | None = None  # when a hold that nobody can end is over
         self._told = terminal is None
         self.time_s = 0.0
         """Time of the run at its latest step, s."""
@@ -81,13 +86,27 @@ class AtTheKeys:
             note("h holds, r goes on, any other key stops; none of them is the emergency stop")
         for key in (self._pressed(16) or b"").decode("utf-8", "replace"):
             self._desk.ask(_KEYS.get(key, Cause.STOP))
-        if executor.state is not self._state and self._terminal is not None:
-            self._state = executor.state
-            if self._state is State.HOLDING:
-                note("holding: r goes on, any other key stops")
+        self._tell_hold(executor)
         self.time_s = executor.time_s
         if self._progress is not None:
             self._progress("running", min(self.time_s / self._duration_s, 1.0))
+
+    def _tell_hold(self, executor: Running) -> None:
+        """Say why a run holds and who can let it go on; end one that nobody here can."""
+        if executor.state is not State.HOLDING:
+            self._told_hold, self._ends_s = "", None
+            return
+        alone, now_s = self._terminal is None, clock_s()
+        can = _ALONE if alone else "r goes on, any other key stops"
+        told = f"holding: {executor.why}; {can}" if executor.why else f"holding: {can}"
+        if told != self._told_hold:
+            self._told_hold = told
+            note(told)
+        if alone:
+            self._ends_s = now_s + UNATTENDED_S if self._ends_s is None else self._ends_s
+            if now_s >= self._ends_s:
+                executor.stopped_by = "Threadline: nobody is at the keys to let it go on"
+                self._desk.ask(Cause.STOP)
 
 
 @contextmanager

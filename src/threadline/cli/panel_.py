@@ -38,8 +38,9 @@ def panel(
     link: Annotated[
         str,
         typer.Option(
-            help="Link to the machine: sim is a simulated one, in its own process; "
-            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
+            help="Link to the machine: sim is a simulated one, in its own process; sim:slower goes "
+            "slower where the computer is too busy for real time; grbl:HOST:PORT or "
+            "grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
             "hal:plant are LinuxCNC's HAL without a machine."
         ),
     ] = "sim",
@@ -81,7 +82,7 @@ def panel(
     # Imported here, so that no other command waits for a web server.
     import uvicorn
 
-    from threadline.panel.admission import Admission
+    from threadline.panel.admission import Admission, PromptHttp
     from threadline.panel.calculation import Calculation
     from threadline.panel.machine_guide import MachineGuide
     from threadline.panel.owner_link import OwnerLink
@@ -105,12 +106,14 @@ def panel(
         config = uvicorn.Config(
             app,
             log_level="warning",
+            http=PromptHttp,
             ws="websockets-sansio",
             ws_max_size=MOST_TEXT,
             timeout_graceful_shutdown=1,
             access_log=False,
         )
         logging.getLogger("uvicorn.error").addFilter(_of_the_panel)
+        logging.getLogger("asyncio").addHandler(_to_standard_error())
         try:
             uvicorn.Server(config).run(sockets=[listening])
         except TerminatedError:
@@ -118,7 +121,16 @@ def panel(
             raise
         except KeyboardInterrupt:  # Ctrl-C is how a panel ends
             pass
-        say(f"The panel has ended: {served.ended}.")
+        say(f"The panel has ended: {served.ended.rstrip('.')}.")
+
+
+def _to_standard_error() -> logging.Handler:
+    """Return what writes the errors of tasks and connections: no caller is there to raise them."""
+    handler = logging.StreamHandler()
+    handler.setLevel(logging.ERROR)
+    handler.setFormatter(logging.Formatter("error of the panel: %(message)s"))
+    handler.addFilter(_of_the_panel)
+    return handler
 
 
 def _of_the_panel(record: logging.LogRecord) -> bool:

@@ -17,7 +17,9 @@ from threadline.cli.shared_options import (
     MachineOption,
     RecordingOption,
     ReportOption,
+    SignOption,
     keep_inputs,
+    key_of,
 )
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
@@ -31,6 +33,7 @@ from threadline.signals.files import write_recording
 from threadline.verdict import (
     Verdict,
     closing,
+    happened_lines,
     step_rows,
     verdict_json,
     verdict_rows,
@@ -52,6 +55,7 @@ def prove(
             "the verdict; threadline verify reads it.",
         ),
     ] = None,
+    sign: SignOption = None,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
@@ -70,9 +74,10 @@ def prove(
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
     trials = words.trials()
+    key = key_of("--sign", sign, proof_file)
     chosen = words.machine(machine)
     for output in (recording, proof_file):
-        keep_inputs(output, job, chosen.file, *words.files())
+        keep_inputs(output, job, chosen.file, *words.files(), sign)
         check_outputs(file=output, folder=report)
     options = words.options()
     asked = with_shaping(words.spec(chosen), chosen, options)
@@ -84,7 +89,7 @@ def prove(
                 watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
-                write_proof(proof, proof_file)
+                write_proof(proof, proof_file, key)
             written = None
             if report is not None:
                 # Searches take a while to load, and most proofs are without a report.
@@ -120,7 +125,7 @@ def show_proof(proof: Proof) -> None:
     header, rows = verdict_rows(proof.verdict)
     print_table(f"{plan.job.name} on {plan.machine.name}, {plan.planned_with}", header, rows)
     show_steps(proof.verdict, f", shaper {plan.options.get('shaper', 'none')}")
-    for line in about(proof):
+    for line in (*about(proof), *happened_lines(proof.verdict)):
         say(line)
     say(closing(proof.verdict))
 

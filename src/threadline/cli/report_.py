@@ -20,8 +20,8 @@ from threadline.proof_file import read_proof, spec_sha256
 from threadline.recorded import judge_files
 from threadline.report import write_report
 from threadline.search.studied import studied
-from threadline.signals.files import write_recording
-from threadline.store.index import REFUSED
+from threadline.signals.files import read_recording, write_recording
+from threadline.store.index import REFUSED, RunRecord
 from threadline.store.run_store import INPUTS, PROOF, TRACE, opened
 from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import verdict_json
@@ -72,6 +72,7 @@ def report(
         )
     pages = out or folder / "report"
     check_outputs(file=csv, folder=pages)
+    _check_samples(folder, record)
     known = read_proof(folder / PROOF)
     words = Words.of("judge", Door.LINE, {"spec": known.spec_path if spec is None else spec})
     judged = judge_files([folder / TRACE], words, read_one=whole_recording)
@@ -93,15 +94,31 @@ def report(
         if csv is not None:
             write_recording(recording, csv)
         written = write_report(studied(proof), pages)
+    override = record.override
     if json:
         content = verdict_json(judged.verdict, judged.plan)
+        content |= {"override": override} if override else {}
         print_json({**content, "run": folder.name, "judged_with": before, "report": str(written)})
     else:
         show_proof(proof)
+        if override:
+            say(f"Run although its proof did not pass, by an override: {override}")
         if before:
             say(as_one(before))
         say(f"Report: {written}")
     raise typer.Exit(0 if judged.verdict.passed else 1)
+
+
+def _check_samples(folder: Path, record: RunRecord) -> None:
+    """Refuse a run that ended before its first sample, as one that was stopped while homing."""
+    trace = folder / TRACE
+    nothing = not trace.exists() or not trace.stat().st_size
+    if nothing or read_recording(trace).is_empty():
+        why = f", {record.ended}: {record.text}" if record.text else ", without a word of its end"
+        raise StoreError(
+            f"run {folder.name} ended before its first sample{why}",
+            remedy="There is nothing to judge; run the job again.",
+        )
 
 
 def register(app: typer.Typer) -> None:

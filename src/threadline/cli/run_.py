@@ -30,9 +30,11 @@ from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import (
     JobArgument,
     JsonOption,
+    KeyOption,
     MachineOption,
     RecordingOption,
     keep_inputs,
+    key_of,
 )
 from threadline.cli.told import note, warning
 from threadline.cli.warn import tell
@@ -57,7 +59,15 @@ from threadline.signals import Ended, Recording
 from threadline.signals.files import write_recording
 from threadline.store.run_store import OpenRun, RunStore, check_folder
 from threadline.store.whole_trace import as_one, joined_with, whole_recording
-from threadline.verdict import Spec, Verdict, closing, judge, verdict_json, verdict_rows
+from threadline.verdict import (
+    Spec,
+    Verdict,
+    closing,
+    happened_lines,
+    judge,
+    verdict_json,
+    verdict_rows,
+)
 
 _MOST_SPEED = 1e6
 
@@ -83,8 +93,9 @@ class Execution:
     link: Annotated[
         str,
         typer.Option(
-            help="Link to the machine: sim is a simulated one, in its own process; "
-            "grbl:HOST:PORT or grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
+            help="Link to the machine: sim is a simulated one, in its own process; sim:slower goes "
+            "slower where the computer is too busy for real time; grbl:HOST:PORT or "
+            "grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
             "hal:plant are LinuxCNC's HAL without a machine."
         ),
     ] = "sim"
@@ -104,6 +115,7 @@ class Execution:
             "are now; default: the job is proved first.",
         ),
     ] = None
+    key: KeyOption = None
     override: Annotated[
         str | None,
         typer.Option(help="Why it is run out of specification; kept with the run."),
@@ -118,6 +130,14 @@ class Execution:
     continue_: ContinueOption = None
     at: AtOption = None
     confirmed: ConfirmedOption = False
+    approach: Annotated[
+        bool,
+        typer.Option(
+            "--approach",
+            help="Of grbl: move the axes to where the program begins, one after the other at their "
+            "manual feeds, linear ones first.",
+        ),
+    ] = False
     pass_stops: Annotated[
         bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
     ] = False
@@ -145,8 +165,9 @@ def run(
     trials = words.trials()
     chosen = words.machine(machine)
     inject, proof_file = execution.inject, execution.proof_file
+    secret = key_of("--key", execution.key, proof_file)
     fault = None if inject is None else parse_fault(inject, chosen)
-    over = link_of(execution.link, chosen, execution.speed, fault)
+    over = link_of(execution.link, chosen, execution.speed, fault, approach=execution.approach)
     store, confirmed = execution.store, execution.confirmed
     check_folder(store)
     check_continued(store, execution.continue_, execution.at, confirmed=confirmed)
@@ -156,7 +177,7 @@ def run(
     asked = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
     if proof_file is not None:
-        read_proof(proof_file)  # one that cannot be read is told before anything is planned
+        read_proof(proof_file, secret)  # one that cannot be read is told before any planning
     with (
         progress_bar(not json) as progress,
         tempfile.TemporaryDirectory() as folder,
@@ -169,11 +190,11 @@ def run(
             proof = prove_plan(plan, asked, progress, trials)
             tell(doubts(proof))
             write_proof(proof, proof_file)
-        known = check_runnable(proof_file, plan, asked, execution.override)
+        known = check_runnable(proof_file, plan, asked, execution.override, secret)
         for line in over.prepare(plan):
             note(line)
         leaves_m = way_of(chosen).hold_deviation_m(plan)
-        at_rest = _holds_at_rest(plan, asked, leaves_m)
+        at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
         told = {
             "link": execution.link,
             **({"label": over.label} if over.label else {}),
@@ -212,6 +233,8 @@ def run(
         "trace": str(kept.trace),
         "ended": ended.value,
         "hold_deviation_m": finite(leaves_m),
+        "hold_waits_for_rest": at_rest,
+        "spoiled_by_holds": spoiled,
         **({"judged_with": before} if before else {}),
     }
     _judged(kept, content, ended, text)
@@ -263,7 +286,8 @@ def _is_over(
 
 def _judged(kept: OpenRun, content: Mapping[str, Any], ended: Ended, text: str) -> None:
     with _moved(kept):
-        kept.judged(content, ended.value, text)
+        if said := kept.judged(content, ended.value, text):
+            warning(said)
 
 
 @contextmanager
@@ -291,12 +315,17 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
     )
 
 
-def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> bool:
-    """Say how far beside its path a hold would stand; return whether it waits for a rest."""
+def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> tuple[bool, list[dict[str, Any]]]:
+    """Say what a hold would do to the work; return whether it waits for a rest, and why."""
     at_rest = hold_waits(plan, spec, leaves_m)
-    if words := hold_words(plan, leaves_m, waits=at_rest):
+    spoiled = () if at_rest else way_of(plan.machine).spoiled_by_holds(plan, spec)
+    at_rest = at_rest or bool(spoiled)
+    if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
         note(words)
-    return at_rest
+    told = (
+        {"name": r.name, "axis": r.axis, "measured": r.measured, "limit": r.limit} for r in spoiled
+    )
+    return at_rest, list(told)
 
 
 def _show(
@@ -313,6 +342,8 @@ def _show(
         header, rows = verdict_rows(verdict)
         print_table(f"{plan.job.name} run on {plan.machine.name}, link {content['link']}",
                     header, rows)  # fmt: skip
+        for line in happened_lines(verdict):
+            say(line)
         say(closing(verdict) + (f"; {label}" if label else ""))
         if before := content.get("judged_with"):
             say(as_one(before))

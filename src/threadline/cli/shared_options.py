@@ -50,6 +50,23 @@ ParOption = Annotated[
     Path | None,
     typer.Option(help="FW-CNC.PAR whose settings replace those of the machine file."),
 ]
+SignOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--sign",
+        metavar="KEY",
+        help="With --proof: sign the proof with the key in this file (16 bytes and more), "
+        "HMAC-SHA256.",
+    ),
+]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--key",
+        metavar="KEY",
+        help="Refuse a proof that was not signed with the key in this file (prove --sign KEY).",
+    ),
+]
 JsonOption = Annotated[
     bool,
     typer.Option(
@@ -79,6 +96,24 @@ RecordingOption = Annotated[
         "operator.record_every ticks."
     ),
 ]
+
+
+def key_of(option: str, key: Path | None, proof: Path | None) -> bytes | None:
+    """Return the key that an option names, None without one.
+
+    Raises
+    ------
+    OptionError
+        If there is no proof that it could be of, or its file holds no key.
+    """
+    if key is None:
+        return None
+    if proof is None:
+        raise OptionError(f"{option} needs the file of a proof", remedy="Give --proof FILE.")
+    # Proofs take a while to load, and help reads none.
+    from threadline.proof_file import read_key
+
+    return read_key(key)
 
 
 def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:

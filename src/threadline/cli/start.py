@@ -22,6 +22,7 @@ def run() -> None:
     _open_streams()
     _silence_libraries()
     _calculate_on_one_thread()
+    _draw_into_files()
     with leaving_on_interrupt():  # behind the command, too, while the interpreter ends
         from threadline.cli.main import main
 
@@ -64,6 +65,11 @@ def _calculate_on_one_thread() -> None:
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+
+
+def _draw_into_files() -> None:
+    """Let matplotlib draw into files alone; it fails of the name of a backend that it lacks."""
+    os.environ["MPLBACKEND"] = "agg"
 
 
 if __name__ == "__main__":

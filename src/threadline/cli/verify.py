@@ -8,27 +8,37 @@ from typing import Annotated
 import typer
 
 from threadline.cli.output import print_json, say
-from threadline.cli.shared_options import JsonOption
+from threadline.cli.shared_options import JsonOption, KeyOption
 from threadline.errors import Place, ProofError
-from threadline.proof_file import read_proof, verify_proof
+from threadline.proof_file import read_key, read_proof, verify_proof
 from threadline.verdict.types import Level
+
+_SIGNED = {
+    "none": "Not signed: the measured values are those in the file, whoever wrote it.",
+    "not checked": "Signed: --key KEY says whether with your key.",
+    "good": "Signed with this key, and unchanged since.",
+}
 
 
 def verify(
     proof: Annotated[Path, typer.Argument(help="File of a proof (prove --proof FILE).")],
+    key: KeyOption = None,
     json: JsonOption = False,
 ) -> None:
     """Plan again from the files that PROOF names, and say whether it is still a proof of them.
 
     Job, machine, options, specification, the rows of the commands and the version of the program
-    must be what they were; nothing is simulated again.
+    must be what they were, and the verdict must follow from the criteria. Nothing is simulated
+    again: hashes do not show who wrote the measured values. --key does, or prove the job again,
+    which gives the same bytes.
 
     Exit status: 0 when nothing has changed and the work is in spec, 1 when it is out of spec, 2
     when something has changed or cannot be read.
 
     Example: threadline verify x-180.proof.json
     """
-    known = read_proof(proof)
+    secret = None if key is None else read_key(key)
+    known = read_proof(proof, secret)
     differences = verify_proof(known)
     if differences:
         raise ProofError(
@@ -36,12 +46,21 @@ def verify(
             place=Place(str(proof)),
             remedy="Prove the job again.",
         )
+    signature = "none" if not known.signed else "good" if secret is not None else "not checked"
     if json:
-        print_json({"proof": str(proof), "passed": known.passed, "level": known.level})
+        print_json(
+            {
+                "proof": str(proof),
+                "passed": known.passed,
+                "level": known.level,
+                "signature": signature,
+            }
+        )
     else:
         alone = known.level == Level.LIMITS.value
         verdict = "out of spec" if not known.passed else "limits kept" if alone else "in spec"
         say(f"{proof.name}: nothing has changed since it was proved; {verdict}, {known.level}")
+        say(_SIGNED[signature])
     raise typer.Exit(0 if known.passed else 1)
 
 

@@ -43,7 +43,7 @@ from threadline.search.machine_yield import (
 )
 from threadline.search.yield_rows import limited_rows, quantile
 from threadline.search.yield_state import YieldState
-from threadline.verdict import CriterionRow, Spec, percent_used
+from threadline.verdict import CriterionRow, Spec
 from threadline.verdict.binomial import CONFIDENCE, clopper_pearson
 from threadline.verdict.rendering import shown
 from threadline.verdict.types import Level
@@ -115,7 +115,7 @@ def yield_(
     judged = MachineYield(plan, asked)
     if wished is not None:
         _check_reachable(variants, wished, at_least or "")
-    warn(chosen, plan.job, own_feed=options.feed is None)
+    warn(chosen, plan.job, own_feed=options.own_feeds)
     state = None if resume is None else _opened(resume, plan, asked, seed)
     with progress_bar(not json) as progress:
         found = judged.drawn(
@@ -252,12 +252,7 @@ def _show(
     if hangs is not None:
         show_why(hangs, judged)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"
-    uses = "it cannot be simulated, or never ends what it waits for"
-    if any(row.text == bad.binding and row.missed.any() for row in found.found.rows):
-        uses = f"{bad.binding} is required, and was not measured"
-    elif np.isfinite(bad.share):
-        uses = f"{percent_used(bad.share, 1)} of {bad.binding}"
-    say(f"worst machine, {how}: {uses}")
+    say(f"worst machine, {how}: {bad.used}")
     if judged.left_out:
         say(f"not judged, for it compares runs of one machine: {', '.join(judged.left_out)}")
     for why, names in grouped(not_drawn(judged.plan.machine)).items():
@@ -302,6 +297,8 @@ def _content(
         "worst": {
             "share_of_limit": bad.share if np.isfinite(bad.share) else None,
             "criterion": bad.binding,
+            "measured": None if bad.row is None else finite(float(bad.row.values[0])),
+            "limit": None if bad.row is None else bad.row.limit,
             "of_corners": bad.of_corners,
             "numbers": bad.numbers,
         },

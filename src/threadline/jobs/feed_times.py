@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -102,7 +103,8 @@ def wanted_feed(
     """Return the feed that applies to a move.
 
     A rapid move stays rapid; otherwise ``given`` applies if there is one, else ``programmed``, else
-    the operator's normal feed.
+    the operator's normal feed. An override is a multiple of the feed without it, so that all keep
+    their ratios.
 
     Raises
     ------
@@ -113,6 +115,10 @@ def wanted_feed(
     """
     if programmed is not None and programmed.mode is FeedMode.RAPID:
         return programmed
+    if given is not None and given.mode is FeedMode.OVERRIDE:
+        own = wanted_feed(programmed, None, place, job, machine)
+        most = None if own.most is None else own.most * given.value
+        return replace(own, value=own.value * given.value, most=most)
     if given is not None:
         if given.mode is FeedMode.F_WORD:
             return as_f_words(given.value, job.feed_rule)
@@ -132,12 +138,15 @@ def nominal_time_s(
 ) -> tuple[FloatArray, int]:
     """Return the (n,) times in s at ``wanted``, and the number of moves that were slowed.
 
-    Moves are slowed to the operator's normal feed unless a feed is ``given``.
+    Moves are slowed to the operator's normal feed, which an override multiplies as well, unless a
+    feed is ``given``.
     """
     nominal = feed_time_s(displacement, wanted, job.axes, machine)
     operator = machine.operator
-    if given is not None or operator is None or wanted.mode is FeedMode.RAPID:
+    override = given is None or given.mode is FeedMode.OVERRIDE
+    if not override or operator is None or wanted.mode is FeedMode.RAPID:
         return nominal, 0
-    normal = Feed(FeedMode.COUNT_PER_TICK, operator.normal_feed.si)
+    share = 1.0 if given is None else given.value
+    normal = Feed(FeedMode.COUNT_PER_TICK, share * operator.normal_feed.si)
     slowest = feed_time_s(displacement, normal, job.axes, machine)
     return np.maximum(nominal, slowest), int((slowest > nominal * (1 + 1e-9)).sum())

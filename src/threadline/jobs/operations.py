@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import repeat
 from typing import Literal, TypeAlias
@@ -37,6 +37,7 @@ class FeedMode(StrEnum):
     F_WORD = "f-word"  # m/s of what the F words of the job are the speed of
     SHAFT = "shaft"  # stitches per second: turns of the machine's main shaft
     RAPID = "rapid"  # as fast as the machine's limits allow; value unused
+    OVERRIDE = "override"  # times the programmed feed, whatever that is the speed of
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,18 +45,25 @@ class Feed:
     """The wanted speed of a move: ``value`` in the SI unit of ``mode``.
 
     ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``. ``most`` is the
-    value up to which a timing by limits may go, where that is another than ``value``.
+    value up to which a timing by limits may go, where that is another than ``value``. ``travel``
+    says that the move is a G0 at the feed, which some firmwares make with the tool off.
     """
 
     mode: FeedMode
     value: float
     base_axes: tuple[str, ...] = ()
     most: float | None = None
+    travel: bool = False
 
     @property
     def at_limits(self) -> Feed:
         """The feed of a timing by limits."""
-        return self if self.most is None else Feed(self.mode, self.most, self.base_axes)
+        return self if self.most is None else replace(self, value=self.most, most=None)
+
+    @property
+    def travels(self) -> bool:
+        """Whether the move is a G0, rapid or at the feed."""
+        return self.travel or self.mode is FeedMode.RAPID
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +90,32 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
+class ToolEvent:
+    """An action of the tool, ``name``, with its ``value`` (trim, thread, tension, power).
+
+    ``words`` are those of a part program that ask for it, empty elsewhere; ``beside`` says that
+    they stand in the block of the move that they go with.
+    """
+
+    name: str
+    value: float
+    source: Source
+    words: str = ""
+    beside: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Move:
-    """Travel of all axes together to ``target``, (axes,) positions in m or rad."""
+    """Travel of all axes together to ``target``, (axes,) positions in m or rad.
+
+    ``acts`` happen as it begins, without a rest before it.
+    """
 
     target: tuple[float, ...]
     feed: Feed | None
     source: Source
     tags: Tags = field(default_factory=lambda: NO_TAGS)
+    acts: tuple[ToolEvent, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +134,8 @@ class MoveRun:
         As in ``Source``; they are the same for all moves of a run.
     columns
         (n,) values of each tag, by its name: stitch, layer, circuit, tension, thread.
+    acts
+        ``(i, events)``: what happens as move ``i`` begins (``Move.acts``), in order.
     """
 
     targets: FloatArray
@@ -115,6 +144,7 @@ class MoveRun:
     file: str
     passes: tuple[int, ...]
     columns: Mapping[str, Column] = field(default_factory=lambda: NO_COLUMNS)
+    acts: tuple[tuple[int, tuple[ToolEvent, ...]], ...] = ()
 
     def __len__(self) -> int:
         return len(self.targets)
@@ -126,7 +156,11 @@ class MoveRun:
             sources = map(Source, repeat(self.file), lines, repeat(self.passes))
             targets = map(tuple, self.targets[begin:end].tolist())
             tags = tagged(self.columns, begin, end) if self.columns else repeat(NO_TAGS)
-            yield from map(Move, targets, repeat(feed), sources, tags)
+            acts: Iterable[tuple[ToolEvent, ...]] = repeat(())
+            if self.acts:
+                found = dict(self.acts)
+                acts = (found.get(index, ()) for index in range(begin, end))
+            yield from map(Move, targets, repeat(feed), sources, tags, acts)
 
 
 def tagged(columns: Mapping[str, Column], begin: int, end: int) -> Iterator[Tags]:
@@ -215,19 +249,14 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Standing still until the operator goes on; ``final`` ends the job."""
+    """Standing still until the operator goes on; ``final`` ends the job.
+
+    ``words`` are as those of a ``ToolEvent``: a change of the tool is a stop, too.
+    """
 
     final: bool
     source: Source
-
-
-@dataclass(frozen=True, slots=True)
-class ToolEvent:
-    """An action of the tool, ``name``, with its ``value`` (trim, thread, tension)."""
-
-    name: str
-    value: float
-    source: Source
+    words: str = ""
 
 
 Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
@@ -302,6 +331,8 @@ class Job:
         no other feed is asked for.
     feed_rule
         Name of the rule for the meaning of F; empty for a job without F.
+    dialect
+        Name of the dialect of a part program; empty for other jobs.
     drawn
         Drawn lines that a seam follows. The tag ``contour`` of a stitch is the index of its line,
         and its tags ``from_m`` and ``to_m`` are the stretch of the line that it covers.
@@ -328,6 +359,7 @@ class Job:
     capped: tuple[str, ...] = ()
     paced_by: Pace = "feed"
     feed_rule: str = ""
+    dialect: str = ""
     drawn: tuple[DrawnLine, ...] = ()
     home: tuple[str, ...] = ()
     needle_follows: bool = False
@@ -392,4 +424,5 @@ def gathered(moves: list[Move]) -> MoveRun:
         file=moves[0].source.file,
         passes=moves[0].source.passes,
         columns=columns_of([move.tags for move in moves]),
+        acts=tuple((index, move.acts) for index, move in enumerate(moves) if move.acts),
     )

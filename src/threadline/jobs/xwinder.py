@@ -108,6 +108,7 @@ def read_x_winder(path: Path, *, machine: Machine) -> Job:
         operations=Stream(XWinderProgram.operations, program),
         warnings=reading.warnings(),
         feed_rule="x-winder",
+        dialect="x-winder",
     )
 
 

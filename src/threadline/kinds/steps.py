@@ -31,7 +31,7 @@ def _check(machine: Machine) -> None:
 
 
 def _check_options(machine: Machine, options: Options) -> None:
-    if foreign_options(STEPS.name, options):
+    if foreign_options(STEPS.name, machine, options):
         raise OptionError(
             f"{machine.name} moves between its stitches by a law: it has no path, shaper or "
             "feed-forward to choose",

@@ -101,6 +101,12 @@ def _check_options(machine: Machine, options: Options) -> None:
 def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     """Plan the path, its timing, and whether motors or loads follow it."""
     timing = options.timing
+    if timing.feed is not None and timing.feed.mode is FeedMode.OVERRIDE and job.paced_by != "feed":
+        raise OptionError(
+            f"feed {timing.feed.value * 100.0:g} %: {job.name} has no feeds to multiply, its speed "
+            f"is that of the {job.paced_by}",
+            remedy='Give a speed, like "36 mm/s", or change it in the job.',
+        )
     tick_s = float(machine.tick_clock.period_s)
     shaper = None if timing.shaper is None else parse_shaper(timing.shaper, tick_s)
     motion_law = None if timing.law is None else law_named(timing.law)

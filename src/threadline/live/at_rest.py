@@ -12,7 +12,7 @@ from threadline.errors import CommandError, LinkFaultError
 from threadline.live.desk import Desk
 from threadline.live.far_end import FarEnd
 from threadline.live.kept import Sink
-from threadline.live.states import Cause, State, next_state
+from threadline.live.states import Cause, State, homed_after, next_state
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 from threadline.signals import Ended
@@ -38,6 +38,10 @@ class AtRest:
     ----------
     latest
         Last sample of each channel that the machine has reported.
+    homed
+        Whether it is known where the axes are, or where they were when a fault came.
+    why
+        Reason of the latest change of state; empty where there was none.
     stops
         Number of stops that were heard, in any state.
     stopped_by
@@ -53,6 +57,7 @@ class AtRest:
         self.ended: tuple[Ended, str] | None = None
         self.over = False  # the run has ended and the machine has settled
         self.latest: Mapping[str, float] = {}
+        self.homed, self.why = False, ""
         self._homed = False
         self._stands = np.zeros(len(machine.axes), dtype=np.int64)
         self._began = self._stands  # where the run began
@@ -69,6 +74,11 @@ class AtRest:
     def stands(self) -> IntArray:
         """Commanded position, (axes,) in the units of the commands; known once it is homed."""
         return self._stands
+
+    @property
+    def lost(self) -> bool:
+        """Whether the link is gone, so that the machine can be had only by connecting again."""
+        return self._link.lost
 
     @property
     def time_s(self) -> float:
@@ -109,7 +119,7 @@ class AtRest:
             If there is no fault, the machine still brakes, or the link is gone.
         """
         if self._link.lost:
-            raise CommandError("the link is gone", remedy="Connect again.")
+            raise CommandError("the link is gone", remedy="Reconnect.")
         if self.state is State.FAULT and not self.over and self._number:
             raise CommandError("the machine is still braking", remedy="Wait until it stands.")
         self._go(Cause.RESET)
@@ -193,6 +203,8 @@ class AtRest:
 
     def _go(self, cause: Cause, text: str = "") -> None:
         self.state = next_state(self.state, cause)
+        self.homed = homed_after(cause, self.homed)
+        self.why = text
         self.stops += cause is Cause.STOP
         self._sink.state(self.tick, self.state, cause, text)
 

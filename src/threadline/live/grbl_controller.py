@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -11,7 +10,16 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
 from threadline.live.grbl_port import Port
-from threadline.live.grbl_words import RESET, STATUS, Status, numbers, settings_of, status_of
+from threadline.live.grbl_words import (
+    RESET,
+    RX_BYTES,
+    STATUS,
+    Status,
+    numbers,
+    settings_of,
+    status_of,
+)
+from threadline.live.lateness import clock_s
 from threadline.machine import Machine
 
 _ANSWER_S = 3.0
@@ -19,6 +27,10 @@ _HOMING_S = 120.0
 _LISTEN_S = 0.05  # to the controller while the operator may stop it
 _SAME = 1e-3  # relative, of a setting and the number in the machine file
 _QUIET_S = 5.0  # by which a controller that was reset has said all that it says of itself
+_LEAST_ROOM = 40  # characters of its receive buffer
+_ASLEEP_S = 1.0  # between two looks of a wait: longer, and this program did not run
+_OPTIONS = re.compile(r"\[OPT:[^,]*,(\d{1,6})(?:,(\d{1,6}))?(?:,.*)?\]")
+"""Blocks of the planner, and characters of the receive buffer."""
 _TRAVEL_M = 1e-3  # by which a report may lie beyond the travel
 
 
@@ -38,13 +50,15 @@ class Controller:
         As given.
     blocks
         Blocks that its planner holds: 15, unless it has told another number when it was met.
+    room
+        Characters that its receive buffer holds: 128, unless it has told of fewer.
     brakes_s
         Time in s in which every axis comes to rest from its highest speed, by its settings.
     """
 
     def __init__(self, port: Port, machine: Machine) -> None:
         self.port, self.machine = port, machine
-        self.blocks, self.brakes_s = 15, 0.0
+        self.blocks, self.room, self.brakes_s = 15, RX_BYTES, 0.0
         self._letters: tuple[str, ...] = ()
         self._homes = False
 
@@ -63,13 +77,20 @@ class Controller:
         found = self.ask_status()
         if found.state not in {"Idle", "Alarm"}:
             raise LinkFaultError(
-                f"the controller is not at rest: it tells {found.state}",
-                remedy="Stop it by its own means; nothing was sent that moves.",
+                f"the controller is not at rest: it{found.told.removeprefix('the controller')}",
+                remedy="Bring it to Idle by its own means; nothing was sent that moves.",
             )
         self.port.send(RESET)  # at rest: it forgets the modes and lines of whoever was there
         self._quiet()
         self._letters = self._ask_letters()
+        if self.room < _LEAST_ROOM:
+            raise CommandError(
+                f"the receive buffer of the controller holds {self.room} characters, the least is "
+                f"{_LEAST_ROOM}, a move by hand",
+                remedy="Build its firmware with a larger one.",
+            )
         settings = settings_of(self.ask(b"$$\n", _ANSWER_S))
+        _refuse_other_reports(settings)
         self._compare(settings)
         self._homes = bool(settings.get(22, 0.0))
 
@@ -129,18 +150,23 @@ class Controller:
         Raises
         ------
         LinkFaultError
-            If it is refused, not answered in time, or ``stopped`` meanwhile.
+            If it is refused, not answered in time, or ``stopped`` meanwhile; with ``stopped`` also
+        where this program did not run for a while, as in a computer that sleeps.
         """
         self.port.send(line)
-        until, found = time.monotonic() + timeout_s, list[str]()
-        while (left_s := until - time.monotonic()) > 0.0 and not self.port.lost:
-            if stopped is not None and stopped():
-                self.port.send(RESET)
-                raise LinkFaultError(
-                    "stopped by the operator while it homed, and reset",
-                    remedy="Clear its alarm by its own means, and home it.",
-                )
+        looked_s = clock_s()
+        until, found = looked_s + timeout_s, list[str]()
+        while (left_s := until - clock_s()) > 0.0 and not self.port.lost:
             heard = self.port.receive(left_s if stopped is None else min(left_s, _LISTEN_S))
+            if stopped is not None:
+                away_s, looked_s = clock_s() - looked_s, clock_s()
+                slept = f"this program did not run for {away_s:.1f} s" * (away_s > _ASLEEP_S)
+                if slept or stopped():
+                    self.port.send(RESET)
+                    raise LinkFaultError(
+                        f"{slept or 'stopped by the operator'} while it homed, and it was reset",
+                        remedy="Clear its alarm by its own means, and home it.",
+                    )
             if heard == "ok":
                 return found
             if heard is not None and heard.startswith(("error", "ALARM")):
@@ -154,11 +180,11 @@ class Controller:
 
     def ask_status(self) -> Status:
         """Ask for a status report, and return it; a LinkFaultError if none comes."""
-        until = time.monotonic() + _ANSWER_S
-        while (left_s := until - time.monotonic()) > 0.0 and not self.port.lost:
+        until = clock_s() + _ANSWER_S
+        while (left_s := until - clock_s()) > 0.0 and not self.port.lost:
             self.port.send(STATUS)
-            again = time.monotonic() + min(left_s, 0.5)
-            while (wait_s := again - time.monotonic()) > 0.0:
+            again = clock_s() + min(left_s, 0.5)
+            while (wait_s := again - clock_s()) > 0.0:
                 heard = self.port.receive(wait_s)
                 if heard is None:
                     break
@@ -171,9 +197,9 @@ class Controller:
 
     def _quiet(self) -> None:
         """Read what comes until nothing comes any more; a LinkFaultError where it has no end."""
-        until = time.monotonic() + _QUIET_S
+        until = clock_s() + _QUIET_S
         while self.port.receive(0.5) is not None:
-            if time.monotonic() >= until:
+            if clock_s() >= until:
                 raise LinkFaultError(
                     f"the controller was reset, and has not been quiet for {_QUIET_S:g} s",
                     remedy="Look whether it speaks grbl, and sends no reports by itself.",
@@ -185,8 +211,10 @@ class Controller:
             if line.startswith("[AXS:") and line.count(":") > 1:
                 return tuple(line.strip("[]").split(":")[2])
             if line.startswith("[OPT:"):
-                told = re.fullmatch(r"\[OPT:[^,]*,(\d{1,6})(,.*)?\]", line)
+                told = _OPTIONS.fullmatch(line)
                 self.blocks = self.blocks if told is None else int(told[1])
+                if told is not None and told[2] is not None:
+                    self.room = min(int(told[2]), RX_BYTES)
         return ("X", "Y", "Z")
 
     def _columns(self) -> Sequence[int]:
@@ -231,6 +259,11 @@ class Controller:
 
     def position(self, found: Status) -> FloatArray:
         """Return the (axes,) place in a status report, m or rad; a LinkFaultError if it is none."""
+        if found.position is None:
+            raise LinkFaultError(
+                "the controller reports no machine positions",
+                remedy="Set $10=1, so that it sends MPos.",
+            )
         if len(found.position) < len(self._letters or self.machine.axes):
             raise LinkFaultError(f"the controller reports {len(found.position)} axes")
         if found.offset is not None and np.any(found.offset):
@@ -245,6 +278,23 @@ class Controller:
             ):
                 return name
         return ""
+
+
+def _refuse_other_reports(settings: dict[int, float]) -> None:
+    """Refuse a controller whose settings give its numbers another meaning; see ``meet``."""
+    if settings.get(13, 0.0) != 0.0:
+        raise CommandError(
+            f"$13={settings[13]:g} of the controller: it reports inches, and millimetres are read",
+            remedy="Set $13=0.",
+        )
+    mask = settings.get(10, 1.0)
+    if not (np.isfinite(mask) and int(mask) & 1):
+        right = int(mask) | 1 if np.isfinite(mask) else 1
+        raise CommandError(
+            f"$10={mask:g} of the controller: it reports work positions, and machine positions are "
+            "read",
+            remedy=f"Set $10={right}.",
+        )
 
 
 def units_of(machine: Machine) -> FloatArray:

@@ -18,6 +18,7 @@ from threadline.live.grbl_program import notes_on, rest_of_program, written_prog
 from threadline.live.grbl_run import POLL_S, GrblRun
 from threadline.live.grbl_words import Status
 from threadline.live.kept import Sink
+from threadline.live.lateness import clock_s
 from threadline.live.operated import Load
 from threadline.live.states import Cause, State, next_state
 from threadline.live.ways import way_of
@@ -60,7 +61,7 @@ class GrblOperated(GrblRun):
     @property
     def age_s(self) -> float:
         """Age of the latest report beyond the time from one to the next, s."""
-        return max(time.monotonic() - self._heard_s - POLL_S, 0.0)
+        return max(clock_s() - self._heard_s - POLL_S, 0.0)
 
     @property
     def share_done(self) -> float | None:
@@ -99,7 +100,6 @@ class GrblOperated(GrblRun):
         except LinkFaultError as error:
             self.ended, self.over = (Ended.FAULT, error.message), True
             raise
-        self._heard_s = time.monotonic()
         self._keep_latest()
 
     def _stopped(self) -> bool:
@@ -116,7 +116,7 @@ class GrblOperated(GrblRun):
         """
         next_state(self.state, Cause.RESET)
         if self._port.lost:
-            raise CommandError("the link is gone", remedy="Connect again.")
+            raise CommandError("the link is gone", remedy="Reconnect.")
         if self.under_way:
             raise CommandError("the machine is still braking", remedy="Wait until it stands.")
         self.controller.unlock()
@@ -130,13 +130,14 @@ class GrblOperated(GrblRun):
             return
         self._set_out = self.over = False  # the motion before is past: what comes is heard
         self._wait(patience_s)
+        self._judge_silence()
         self._obey()
         self._listen()
 
     def _report_at_rest(self, found: Status) -> None:
         self._note(found)
         if found.state not in {"Idle", "Sleep"} and self.state not in _AT_REST:
-            self._fault_at_rest(f"the controller tells {found.state}, and was told nothing")
+            self._fault_at_rest(found.told)
 
     def _fault_at_rest(self, text: str) -> None:
         if self.state is State.FAULT:
@@ -146,7 +147,7 @@ class GrblOperated(GrblRun):
 
     def _note(self, found: Status) -> None:
         self._at = self.controller.position(found)
-        self._heard_s = time.monotonic()
+        self._heard_s = clock_s()
         self._keep_latest()
 
     def _keep_latest(self) -> None:
@@ -158,13 +159,13 @@ class GrblOperated(GrblRun):
     def prepare(self, plan: Plan) -> Load:
         """Write the program of a plan."""
         program, sent = written_program(plan)
-        return Load(plan, sent, notes_on(program, self.controller.blocks), program)
+        return Load(plan, sent, notes_on(program, self.controller), program)
 
     def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:  # noqa: ARG002  # it makes its own ramps
         """Return the rest of a load from an operation on: the lines that do it."""
         assert load.program is not None
         rest, program = rest_of_program(load.program, load.plan, operation)
-        notes = notes_on(program, self.controller.blocks)
+        notes = notes_on(program, self.controller)
         sent = dict.fromkeys(load.sent, b"".join(program.lines))
         return replace(load, sent=sent, notes=notes, program=program, rest=rest)
 
@@ -179,10 +180,16 @@ class GrblOperated(GrblRun):
         self.start(load.program, self._starts(load))
         self._set_out = True
 
+    def starts(self, load: Load) -> IntArray:
+        """Return where a load begins, (axes,) in counts."""
+        return (
+            way_of(self._machine).start(load.plan.commands)
+            if load.rest is None
+            else load.rest.begins
+        )
+
     def _starts(self, load: Load) -> FloatArray:
-        whole = way_of(self._machine).start(load.plan.commands)
-        begins = whole if load.rest is None else load.rest.begins
-        return np.asarray(begins / self._machine.counts_per_unit)
+        return np.asarray(self.starts(load) / self._machine.counts_per_unit)
 
     # --- by hand ---------------------------------------------------------------------------
 
@@ -217,7 +224,7 @@ class GrblOperated(GrblRun):
         jog = GrblJog(self.controller, float(self._at[k]), axis, velocity, end)
         self._forget()
         self._jog, self._set_out = jog, True
-        self._begun_s = self._heard_s = time.monotonic()
+        self._begun_s = self._heard_s = clock_s()
         self._lease_until_s = self._begun_s + lease_s
         self._go(Cause.JOG)
         jog.feed(float(self._at[k]))
@@ -234,7 +241,7 @@ class GrblOperated(GrblRun):
             raise CommandError(
                 f"there is no jog: the machine is {self.state.value}", remedy="Begin one anew."
             )
-        self._lease_until_s = time.monotonic() + LEASE_S
+        self._lease_until_s = clock_s() + LEASE_S
 
     def let_go(self) -> None:
         """End a jog: brake at once."""
@@ -248,9 +255,10 @@ class GrblOperated(GrblRun):
             super().step()
             self._keep_latest()
             return
-        self._wait(max(self._lease_until_s - time.monotonic(), 0.0))
+        self._wait(max(self._lease_until_s - clock_s(), 0.0))
+        self._judge_silence()
         self._obey()
-        if time.monotonic() >= self._lease_until_s and not jog.cancelled:
+        if clock_s() >= self._lease_until_s and not jog.cancelled:
             jog.why = f"nobody has renewed its lease for {LEASE_S:g} s"
             jog.cancel()
         self._listen()
@@ -299,8 +307,8 @@ class GrblOperated(GrblRun):
             if name := self.controller.beyond(self._at):
                 self._fault(f"axis {name} is beyond its travel")
             elif found.state not in {"Idle", "Jog"}:
-                self._fault(f"the controller tells {found.state}")
-        if jog.rests(found) or found.state == "Alarm":
+                self._fault(found.told)
+        if jog.rests(found) or (found.stands and found.state != "Idle"):
             self._end_by_hand(jog)
         else:
             jog.feed(float(self._at[jog.column]))

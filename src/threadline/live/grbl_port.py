@@ -5,16 +5,17 @@ from __future__ import annotations
 import os
 import select
 import socket
-import time
 from collections import deque
 
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.host_names import MOST_PORT, bare, is_host
+from threadline.live.lateness import clock_s
 
 _CONNECT_S = 5.0
 _AT_ONCE = 4096
 _DIGITS = 5  # of a port
 _LONGEST_LINE = 1 << 14
+_MOST_OLD = 10_000  # lines that came in a silence; who sends more is not waited for
 
 
 def host_and_port(address: str) -> tuple[str, int]:
@@ -116,15 +117,24 @@ class Port:
 
     def receive(self, timeout_s: float) -> str | None:
         """Return the next line without its end; None if none came in time or the link is gone."""
-        until = time.monotonic() + timeout_s
+        until = clock_s() + timeout_s
         while not self._lines and not self.lost:
-            left = max(until - time.monotonic(), 0.0)
+            left = max(until - clock_s(), 0.0)
             if not select.select([self._number], [], [], left)[0]:
                 return None
             self._read()
-            if not self._lines and time.monotonic() >= until:  # what comes may never be a line
+            if not self._lines and clock_s() >= until:  # what comes may never be a line
                 return None
         return self._lines.popleft() if self._lines else None
+
+    def forget_reports(self) -> None:
+        """Leave out the status reports that have come until now: they tell of a time before."""
+        while not self.lost and select.select([self._number], [], [], 0.0)[0]:
+            before = len(self._bytes), len(self._lines)
+            self._read()
+            if len(self._lines) > _MOST_OLD or before == (len(self._bytes), len(self._lines)):
+                break
+        self._lines = deque(line for line in self._lines if not line.startswith("<"))
 
     def _read(self) -> None:
         try:

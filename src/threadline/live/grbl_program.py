@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextvars import Context
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from threadline.arrays import IntArray
 from threadline.errors import CommandError
 from threadline.kinds import kind_of
 from threadline.live.derived import Rest, rest_from_row
-from threadline.live.grbl_controller import units_of
+from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
 from threadline.live.ways import way_of
 from threadline.plan import Plan
@@ -24,9 +24,14 @@ from threadline.targets.firmware_program import planned_instants
 
 _TARGET = "grbl"
 _FEED = re.compile(rb"F([\d.]+)")
-_SPINDLE = re.compile(rb"^M[35]$")
-_WORKS = re.compile(rb"^(?:[XYZABCUVW]|G1 |G4 |M)")
+_SWITCHES = re.compile(rb"(?<![A-Z0-9])(?:M[345789]|S[0-9.]+)(?![0-9.])")
+_COOLANT = (b"M7", b"M8")
+_WORKS = re.compile(rb"^(?:[XYZABCUVW]|G[014] |[MST])")
 """Lines that move, wait or switch; what stands before the first of them prepares the controller."""
+_SHIFTS = b"G92"
+_CHANGE = re.compile(rb"^(?=.*\bM6\b).*$", re.MULTILINE)
+"""A change of the tool, for which grbl has no word: who sends it programs makes a stop of it."""
+_MOTION = re.compile(rb"\bG[01]\b")
 
 
 def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
@@ -42,11 +47,11 @@ def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
         file = Path(folder) / "program.nc"
         # In a context of its own it is there at once, and no output of the command.
         Context().run(kind_of(machine).targets[_TARGET].write, plan, file)
-        text = file.read_bytes()
+        text = _CHANGE.sub(b"M0", file.read_bytes())
     starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
     program = program_of(text, machine.axis_names, units_of(machine), starts)
     begins_s = planned_instants(
-        _TARGET, plan.job, plan.motion.trajectory, machine, as_programmed=plan.feeds_as_programmed
+        _TARGET, plan.job, plan.motion.trajectory, machine, override=plan.feed_override
     )
     rows = np.rint(begins_s / float(machine.tick_clock.period_s)).astype(np.int64)
     return replace(program, rows=rows, operations=_operations(plan, rows)), {file.name: text}
@@ -68,8 +73,9 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
     """Return the rest of a job from an operation on, and the program that does it.
 
     It begins with the line that was to be under way when the operation began: a line goes on over
-    the ends of operations that lie on it. What prepares the controller, the feed in force and a
-    spindle that runs come before it.
+    the ends of operations that lie on it. What prepares the controller, the feed in force, and
+    spindle, its speed or power, and coolant as they were come before it. Where the program's zero
+    is the controller still knows.
 
     Parameters
     ----------
@@ -91,10 +97,15 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
     first = max(k for k in works if k == works[0] or program.rows[k] <= began + 1)  # it is rounded
     starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
     begins = program.ends[first - 1] if first else starts
-    before = lines[: works[0]]
+    before = [line for line in lines[: works[0]] if not line.startswith(_SHIFTS)]
     feeds = [found for line in lines[:first] for found in _FEED.findall(line)]
-    spindle = [line for line in lines[:first] if _SPINDLE.match(line.strip())]
-    again = [*before, *([b"G1 F" + feeds[-1] + b"\n"] if feeds else []), *spindle[-1:]]
+    motions = [found for line in lines[:first] for found in _MOTION.findall(line)]
+    again = [
+        *before,
+        *([b"G1 F" + feeds[-1] + b"\n"] if feeds else []),
+        *([b"G0\n"] if motions[-1:] == [b"G0"] else []),
+        *_switched(lines[:first]),
+    ]
     text = b"".join([*again, *lines[first:]])
     rest = program_of(text, machine.axis_names, units_of(machine), begins)
     row, of = int(program.rows[first]), int(program.operations[first])
@@ -109,6 +120,26 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
     )
 
 
+def _switched(lines: Sequence[bytes]) -> list[bytes]:
+    """Return the lines that switch spindle and coolant as some lines leave them."""
+    speed = spindle = b""
+    coolant: list[bytes] = []
+    for word in (word for line in lines for word in _SWITCHES.findall(line)):
+        if word.startswith(b"S"):
+            speed = word
+        elif word == b"M9":
+            coolant = [word]
+        elif word in _COOLANT:
+            coolant = [*(one for one in coolant if one not in {word, b"M9"}), word]
+        else:
+            spindle = word
+    return [
+        b" ".join(filter(None, words)) + b"\n"
+        for words in ((spindle, speed), coolant)
+        if any(words)
+    ]
+
+
 def _first_row(plan: Plan, operation: int) -> int:
     for block in tick_table(plan.commands):
         of = np.flatnonzero(block.operation >= operation)
@@ -119,15 +150,9 @@ def _first_row(plan: Plan, operation: int) -> int:
     )
 
 
-def notes_on(program: Program, blocks: int) -> tuple[str, ...]:
-    """Return what the operator has to know before a program is sent.
-
-    Parameters
-    ----------
-    blocks
-        Blocks that the controller's planner holds.
-    """
-    goes_s, _ = runs_out(program, blocks)
+def notes_on(program: Program, controller: Controller) -> tuple[str, ...]:
+    """Return what the operator has to know before a program is sent to a controller."""
+    goes_s, _ = runs_out(program, controller.blocks, controller.room)
     return (
         "grbl plans its own ramps: what is proved is the program's path, not its timing",
         f"if the link is lost, the controller runs out its own buffer: up to {goes_s:.1f} s at "

@@ -8,7 +8,6 @@ done.
 from __future__ import annotations
 
 import select
-import time
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_trace import ReportTrace, way_passed
 from threadline.live.grbl_words import (
     HOLD,
+    PAUSES,
     RESET,
     RESUME,
     STATUS,
@@ -30,18 +30,21 @@ from threadline.live.grbl_words import (
     status_of,
 )
 from threadline.live.kept import Sink
+from threadline.live.lateness import clock_s
 from threadline.live.place_words import place_words
-from threadline.live.states import MOVING, Cause, State, next_state
+from threadline.live.states import MOVING, Cause, State, homed_after, next_state
 from threadline.signals import Ended
 
 POLL_S = 0.1
 """Time in s from one question for the position to the next."""
 SILENCE_S = 1.0
 """Time in s without a report after which the link counts as lost."""
+_FRESH_S = 5.0  # by which the latest report is older than a start at most
 _SETTLE_S = 0.5
-_RESUMES_S = 1.0  # after which a controller that was told to go on and still holds does not go on
+_OBEYS_S = 1.0  # in which a controller that was told to hold, or to go on, reports that it does
 _OFF_PATH_M = 1e-3
 _STANDS_S = 1.0  # at a place before the end of its program, after which it does not go on
+_ANSWERS_S = 30.0  # beyond what its lines take: a spindle may be waited for
 _LISTENS_S = 0.05  # at once: the operator may have asked for something meanwhile
 _HOLDS_S = 2.0  # beyond twice the time that it brakes for, after which it does not hold
 
@@ -66,6 +69,10 @@ class GrblRun:
         Number of lines whose ends the position reports have passed.
     ended
         How it ended, and why; None before.
+    why
+        Reason of the latest change of state; empty where there was none.
+    homed
+        Whether it is known where the axes are, or where they were when a fault came.
     stops
         Number of stops that were heard, in any state.
     """
@@ -77,6 +84,8 @@ class GrblRun:
         self._port, self._machine = controller.port, controller.machine
         machine = self._machine
         self.state, self.stops, self.stopped_by = State.DISABLED, 0, OPERATOR
+        self.homed = False
+        self.why = ""
         self._at: FloatArray = np.zeros(len(machine.axes))
         self._asked_s = self._heard_s = 0.0
         self._none = program_of(b"", machine.axis_names, np.ones(len(machine.axes)), self._at)
@@ -88,19 +97,27 @@ class GrblRun:
         self.ended: tuple[Ended, str] | None = None
         self.over = False
         self.executed = self.acknowledged = 0
-        self._count = CharacterCount()
+        self._count = CharacterCount(self.controller.room)
         self._program = self._none
         self._sent_from = self._at
         self._begun_s = 0.0
         self._settled_s: float | None = None
         self._braking = False
         self._brakes_until_s = self._stood_s = np.inf
-        self._resumed_s = -np.inf
+        self._told_s = -np.inf  # when it was told to hold, or to go on
+        self._looked_s = clock_s()
+        self._told_state = ""  # of the controller, while it holds
+        self._unready = ""  # why it cannot go on
+
+    @property
+    def lost(self) -> bool:
+        """Whether the link is gone, so that the machine can be had only by connecting again."""
+        return self._port.lost
 
     @property
     def time_s(self) -> float:
         """Time since the beginning of the run, s."""
-        return time.monotonic() - self._begun_s if self._begun_s else 0.0
+        return clock_s() - self._begun_s if self._begun_s else 0.0
 
     @property
     def _all_answered(self) -> bool:
@@ -120,6 +137,7 @@ class GrblRun:
         except LinkFaultError as error:
             self._go(Cause.FAULT, error.message)
             raise
+        self._heard_s = clock_s()
         self._trace.begin(self._at)
         found = self.controller.has_switches
         self._go(Cause.HOMED, "" if found else "it has no switches: it is where it says")
@@ -145,18 +163,24 @@ class GrblRun:
         Raises
         ------
         CommandError
-            If the machine is not idle, or stands elsewhere.
+            If the machine is not idle, stands elsewhere, or was not heard of late.
         LinkFaultError
             If an end of a line is beyond the travel.
         """
         next_state(self.state, Cause.START)
         self.refuse_program(program, starts)
+        if (silent_s := clock_s() - self._heard_s) > _FRESH_S:
+            raise CommandError(
+                f"the controller was last heard {silent_s:.0f} s ago: this computer slept, or this "
+                "program was stopped",
+                remedy="Look at the machine, and start again.",
+            )
         self._forget()
         self._trace.again(self._at)
         self._program = program
         self._go(Cause.START)
         self._sent_from = starts
-        self._begun_s = self._heard_s = time.monotonic()
+        self._begun_s = self._heard_s = clock_s()
         self._feed()
 
     def refuse_program(self, program: Program, starts: FloatArray) -> None:
@@ -170,7 +194,14 @@ class GrblRun:
             )
             raise CommandError(
                 f"axis {machine.axis_names[k]} stands at {here}, the run begins at {there}",
-                remedy="Home the machine, or move it there.",
+                remedy="Move it there first (run --approach, or Approach of the panel).",
+            )
+        longest = max(map(len, program.lines), default=0)
+        if longest > self.controller.room:
+            raise CommandError(
+                f"a line of the program has {longest} characters, the receive buffer of the "
+                f"controller {self.controller.room}",
+                remedy="Build its firmware with a larger one.",
             )
         for end in program.ends:
             if name := self.controller.beyond(end):
@@ -183,16 +214,36 @@ class GrblRun:
     def step(self) -> None:
         """Wait for a line or a command and act on it; to be called until ``over`` is True."""
         self._wait(POLL_S)
+        self._judge_silence()
         self._obey()
         self._listen()
 
+    def _judge_silence(self) -> None:
+        """End a run or a jog in which this program did not run for a while; to be called first.
+
+        The computer slept, or the process was stopped. The controller went on with what it held,
+        and stands where nobody knows. Its answers that wait to be read would have more sent to it;
+        so it is told to hold, and is reset once it stands.
+        """
+        now_s = clock_s()
+        away_s, self._looked_s = now_s - self._looked_s, now_s
+        if away_s <= SILENCE_S or self.over:
+            return
+        self._port.forget_reports()
+        self._heard_s = now_s
+        if self._settled_s is None and self.state in MOVING:
+            self._fault(
+                f"this program did not run for {away_s:.1f} s: the computer slept, or it was "
+                "stopped; the controller was told to hold"
+            )
+
     def _wait(self, most_s: float) -> None:
         """Ask for the position where that is due, and wait until there is something to do."""
-        now = time.monotonic()
+        now = clock_s()
         if now - self._asked_s >= POLL_S:
             self._ask(now)
         if not self._port.waiting and not self._port.lost:
-            wait_s = max(self._asked_s + POLL_S - time.monotonic(), 0.0)
+            wait_s = max(self._asked_s + POLL_S - clock_s(), 0.0)
             waited = [self._desk.fileno(), self._port.fileno()]
             ready, _, _ = select.select(waited, [], [], min(wait_s, most_s))
             if self._desk.fileno() in ready:
@@ -213,42 +264,44 @@ class GrblRun:
 
     def _listen(self) -> None:
         """Act on what the controller has said, or on its silence."""
-        until = time.monotonic() + _LISTENS_S
+        until = clock_s() + _LISTENS_S
         try:
             while not self.over and (line := self._port.receive(0.0)) is not None:
                 self._hear(line)
-                if time.monotonic() >= until:
+                if clock_s() >= until:
                     break
         except LinkFaultError as error:
             self._fault(error.message)
         if self._port.lost and not self.over:
             self._lost("the link is gone")
-        elif time.monotonic() - self._heard_s > SILENCE_S and not self.over:
+        elif clock_s() - self._heard_s > SILENCE_S and not self.over:
             self._lost(f"the controller was silent for {SILENCE_S:g} s")
 
     def _command(self, cause: Cause) -> None:
         moving = self.state in MOVING
+        if cause is Cause.RESUME and self._unready:
+            raise CommandError(self._unready, remedy="Close the door, then go on.")
         self._go(cause)
         if cause is Cause.STOP and moving:
             self.ended = (Ended.STOPPED, f"stopped by {self.stopped_by}")
             self._brake()
-        elif cause is Cause.HOLD:
-            self._port.send(HOLD)
-        elif cause is Cause.RESUME:
-            self._port.send(RESUME)
-            self._resumed_s = time.monotonic()
+        elif cause in (Cause.HOLD, Cause.RESUME):
+            self._port.send(HOLD if cause is Cause.HOLD else RESUME)
+            self._told_s, self._told_state = clock_s(), ""
 
     def _brake(self) -> None:
         """Hold the feed; when it stands, or will not, a reset drops what it still has."""
         self._braking = True
         most_s = 2.0 * self.controller.brakes_s + _HOLDS_S
-        self._brakes_until_s = min(self._brakes_until_s, time.monotonic() + most_s)
+        self._brakes_until_s = min(self._brakes_until_s, clock_s() + most_s)
         self._port.send(HOLD)
 
     def _feed(self) -> None:
         """Send as many lines as the controller has room for."""
         sent = self.acknowledged + self._count.open
         while self.state is State.RUNNING and sent < len(self._program.lines):
+            if clock_s() - self._looked_s > SILENCE_S:
+                return  # this program did not run meanwhile, which ends the run first
             line = self._program.lines[sent]
             if not self._count.fits(line):
                 return
@@ -278,7 +331,7 @@ class GrblRun:
     def _report(self, found: Status) -> None:
         was_at, was = self._at, self.executed
         self._at = self.controller.position(found)
-        self._heard_s = time.monotonic()
+        self._heard_s = clock_s()
         if self._settled_s is None:
             self._pass_lines()
         passed = way_passed(self._program, self._machine, (was_at, self._at), (was, self.executed))
@@ -292,21 +345,54 @@ class GrblRun:
             self._stood_s = np.inf
         if name := self.controller.beyond(self._at):
             self._fault(f"axis {name} is beyond its travel")
-        if found.state == "Alarm" and not self._braking:
-            self._fault("the controller is in alarm")
-        elif self._braking and found.state in {"Hold", "Idle", "Alarm"} and found.detail <= 0:
+        if self._braking and found.stands:
             self._port.send(RESET)
             self._end()
+        elif found.state == "Alarm" and not self._braking:
+            self._fault("the controller is in alarm")
         elif self._heard_s > self._brakes_until_s:
             self._fault(f"the controller was told to hold, tells {found.state}, and was reset")
             self._port.send(RESET)
             self._end()
-        elif found.state in {"Hold", "Door"} and self.state is State.RUNNING:
-            # Of its own accord (M0, its own button), unless the report is older than our resume.
-            if self._heard_s - self._resumed_s > _RESUMES_S:
-                self._go(Cause.HOLD, f"the controller tells {found.state}")
-        elif self.state is State.RUNNING and found.state == "Idle" and self._all_answered:
-            self._stand_at_end()
+        elif not self._braking:
+            self._follow(found)
+
+    def _follow(self, found: Status) -> None:
+        """Do what the controller does of its own accord: hold, go on, or end where it cannot."""
+        fresh = self._heard_s - self._told_s > _OBEYS_S  # else the report may be the older
+        if found.state in PAUSES:
+            door = found.state == "Door"
+            self._unready = found.told if door and found.detail in (1, 2) else ""
+            if self.state is State.RUNNING and fresh and not (door and found.detail == 3):
+                self._go(Cause.HOLD, found.told)
+                self._told_state = found.told
+            elif (
+                self.state is State.HOLDING
+                and (door or self._told_state)
+                and found.told != self._told_state
+            ):
+                self._told_state = self.why = found.told
+                self._sink.state(self._trace.tick, self.state, Cause.HOLD, found.told)
+            return
+        self._unready = ""
+        if found.state not in {"Idle", "Run"}:
+            self._fault(found.told)
+        elif self.state is State.HOLDING and fresh:  # by its own button, or at its end
+            self._go(Cause.RESUME, "the controller goes on by itself")
+            self._feed()
+        elif self.state is State.RUNNING and found.state == "Idle":
+            if self._all_answered:
+                self._stand_at_end()
+            else:
+                self._stand_unanswered()
+
+    def _stand_unanswered(self) -> None:
+        """Let a controller stand that has lines, but not for longer than they have it wait."""
+        self._stood_s = min(self._stood_s, self._heard_s)
+        sent = slice(self.acknowledged, self.acknowledged + self._count.open)
+        most_s = _ANSWERS_S + float(self._program.durations_s[sent].sum())
+        if self._heard_s - self._stood_s > most_s:
+            self._fault(f"the controller stands, and has not answered {self._count.open} lines")
 
     def _stand_at_end(self) -> None:
         """End a run whose lines were all answered where the controller stands at their end.
@@ -355,7 +441,7 @@ class GrblRun:
         assert self.ended is not None
         ended, text = self.ended
         self._trace.end(ended, text)
-        self._settled_s = time.monotonic() + _SETTLE_S
+        self._settled_s = clock_s() + _SETTLE_S
 
     def _leave(self) -> None:
         if self.state is State.STOPPING:
@@ -382,4 +468,6 @@ class GrblRun:
 
     def _go(self, cause: Cause, text: str = "") -> None:
         self.state = next_state(self.state, cause)
+        self.homed = homed_after(cause, self.homed)
+        self.why = text
         self._sink.state(self._trace.tick, self.state, cause, text)

@@ -19,7 +19,24 @@ from threadline.errors import LinkFaultError, PlanError
 STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
 """Bytes that grbl acts on at once, wherever they come; they take no room in its buffer."""
 RX_BYTES = 128
-"""Characters that grbl's receive buffer holds."""
+"""Characters that grbl's receive buffer holds, unless it tells of fewer (``$I``)."""
+_STANDS = frozenset({"Idle", "Alarm", "Sleep", "Check"})
+_STANDING = {"Hold": (-1, 0), "Door": (-1, 0, 1)}
+"""Numbers behind states that say that the machine stands; -1 is none."""
+PAUSES = frozenset({"Hold", "Door"})
+"""States that a run is in for a while, and goes on from."""
+_TOLD = {
+    "Hold": "by its own hold button, or by M0",
+    "Door": "its safety door is closed again, and it waits to be told to go on",
+    "Door:1": "its safety door is open, and has to be closed before it can go on",
+    "Door:2": "its safety door was opened, and it brakes",
+    "Door:3": "its safety door is closed, and it goes on",
+    "Sleep": "its motors are off, so that it has to be reset and homed",
+    "Check": "it reads lines and moves by none, until $C ends that",
+    "Home": "it homes, and was not told to here",
+    "Jog": "it is moved by hand, and was not told to here",
+    "Run": "it moves, and was not told to here",
+}
 _REALTIME = re.compile(rb"[?!~\x00-\x1f\x7f-\xff]")
 _REPORT = re.compile(r"<([A-Za-z]+)(?::(\d{1,4}))?\|(.*)>")
 _SETTING = re.compile(r"\$(\d{1,5})=([^\s(]*).*")
@@ -37,15 +54,26 @@ class Status:
     detail
         Number behind the state: ``Hold:0`` stands, ``Hold:1`` still brakes. -1 without one.
     position
-        (letters,) machine position, mm or degrees.
+        (letters,) machine position, mm or degrees; None where the report has none.
     offset
         (letters,) work coordinate offset; None where the report has none.
     """
 
     state: str
     detail: int
-    position: FloatArray
+    position: FloatArray | None
     offset: FloatArray | None
+
+    @property
+    def stands(self) -> bool:
+        """Whether nothing moves, and nothing will before it is told to."""
+        return self.state in _STANDS or self.detail in _STANDING.get(self.state, ())
+
+    @property
+    def told(self) -> str:
+        """The state in words, for people."""
+        means = _TOLD.get(f"{self.state}:{self.detail}", _TOLD.get(self.state, ""))
+        return f"the controller tells {self.state}{f': {means}' if means else ''}"
 
 
 def status_of(line: str) -> Status | None:
@@ -54,19 +82,15 @@ def status_of(line: str) -> Status | None:
     Raises
     ------
     LinkFaultError
-        If a report has no machine position, or numbers that are none.
+        If numbers of a report are none.
     """
     form = _REPORT.fullmatch(line)
     if form is None:
         return None
     state, detail, rest = form.groups()
     fields = dict(part.partition(":")[::2] for part in rest.split("|"))
-    if "MPos" not in fields:
-        raise LinkFaultError(
-            "the controller reports work positions", remedy="Set $10=1, so that it sends MPos."
-        )
-    offset = numbers(fields["WCO"]) if "WCO" in fields else None
-    return Status(state, -1 if detail is None else int(detail), numbers(fields["MPos"]), offset)
+    place, offset = (numbers(fields[name]) if name in fields else None for name in ("MPos", "WCO"))
+    return Status(state, -1 if detail is None else int(detail), place, offset)
 
 
 def numbers(text: str) -> FloatArray:
@@ -163,7 +187,7 @@ def program_of(text: bytes, axes: Sequence[str], scale: FloatArray, start: Float
                 then[k] = float(value) * scale[k]
         way = float(np.linalg.norm((then - at) / scale))
         dwell = sum(float(v) for w, v in words if w == "P")
-        durations.append(60.0 * way / feed if feed else dwell)
+        durations.append((60.0 * way / feed if feed else 0.0) + dwell)
         lines.append(line + b"\n")
         ends.append(then)
         at = then
@@ -189,7 +213,7 @@ def refuse_realtime(line: bytes, number: int) -> None:
         )
 
 
-def runs_out(program: Program, blocks: int) -> tuple[float, float]:
+def runs_out(program: Program, blocks: int, most: int = RX_BYTES) -> tuple[float, float]:
     """Return how long and how far grbl goes on by itself at most when nothing more is sent.
 
     It has then the line under way, as many blocks as its planner holds, and the lines in its
@@ -197,8 +221,8 @@ def runs_out(program: Program, blocks: int) -> tuple[float, float]:
 
     Parameters
     ----------
-    blocks
-        Of its planner.
+    blocks, most
+        Blocks of its planner, and characters of its receive buffer.
 
     Returns
     -------
@@ -208,7 +232,7 @@ def runs_out(program: Program, blocks: int) -> tuple[float, float]:
     ways = np.linalg.norm(np.diff(program.ends, axis=0, prepend=program.ends[:1]), axis=1)
     longest_s = longest = 0.0
     for first in range(len(program.lines)):
-        end, room = first + blocks + 1, RX_BYTES
+        end, room = first + blocks + 1, most
         while end < len(program.lines) and room >= len(program.lines[end]):
             room -= len(program.lines[end])
             end += 1

@@ -1,26 +1,38 @@
-"""The distance from the path at which a hold would stand.
+"""What a hold does to the work: the distance from the path at which it stands, and the braking.
 
 With feed-forward or a shaper the commands are not the path itself: they are made so that the loads
 follow it at the full rate. In a hold the loads come to rest at the commanded positions, which lie
-beside the path.
+beside the path. Where the commands are the path, the axes brake along it as hard as their limits
+allow, which may shake a load more than the plan does: that is simulated.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from math import ceil
 
 import numpy as np
 
-from threadline.live.path_window import HALTS, rest_rows
+from threadline.arrays import FloatArray
+from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
+from threadline.live.path_window import HALTS, PathWindow, rest_rows
+from threadline.pipeline import simulate
 from threadline.plan import Plan
-from threadline.signals import tick_table
+from threadline.signals import Event, RecordingBlock, Stream, TickBlock, TickTable, tick_table
 from threadline.trajectory import TrajectoryReader
-from threadline.verdict import Spec
+from threadline.verdict import Result, Spec, Status, judge
+from threadline.verdict.rendering import shown
 
 _AROUND_S = 2.0  # time before and after, in s, in which the nearest place of the path is sought
 _FINER = 4  # points of the path for each tick
 _AT_ONCE = 1 << 13
+_HOLDS = 8  # that are simulated, each where the rows are fastest in a part of the table
+_STANDS_S = 0.5  # of each: the loads come to rest in it
+_MOST_ROWS = 200_000  # of the table that are simulated with holds
+_SPARE = 0.97  # of a limit: what a hold may use of it by its prediction
 
 
 def hold_deviation_m(plan: Plan) -> float:
@@ -98,7 +110,95 @@ def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
     return leaves_m > 0.0 and math.isfinite(limit_m) and hold_ahead_m(plan) > limit_m
 
 
-def hold_words(plan: Plan, leaves_m: float, *, waits: bool) -> str:
+def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
+    """Return the criteria that holds of a run would bring out of specification, as measured.
+
+    A run that is held at its fastest rows, in ``_HOLDS`` parts of its table, is simulated on the
+    machine as its file says: it brakes and starts again as the executor does. What fails without a
+    hold too is not the fault of a hold.
+    """
+    asked = [c for c in spec.criteria if c.limit and not c.hard]
+    narrower = tuple(replace(c, limit=_SPARE * (c.limit or 0.0)) for c in asked)
+    if not asked:
+        return ()
+    table = tick_table(plan.commands)
+    window = PathWindow(table, pass_stops=True)
+    places, until = _held_places(table, window, plan)
+    if not until:
+        return ()
+    counts = np.diff(window.rounded(places), axis=0)
+    operation = window.operations(places[:-1])
+    rows = TickBlock(first_tick=0, counts=counts, operation=operation)
+    held = simulate(replace(table, blocks=Stream.of([rows])), plan.machine)
+    told = _told(places, until, float(table.clock.period_s))
+    recording = replace(held, blocks=Stream(_with_events, held.blocks, told, table.clock.name))
+    failed = [
+        result
+        for result in judge([recording], plan, replace(spec, criteria=narrower)).results
+        if result.status is Status.FAILED
+    ]
+    if failed:
+        alone = judge([simulate(plan.commands, plan.machine)], plan, spec)
+        bad = {(r.name, r.axis) for r in alone.results if r.status is Status.FAILED}
+        failed = [result for result in failed if (result.name, result.axis) not in bad]
+    limits = {(c.name, c.axis): c.limit for c in asked}
+    return tuple(
+        replace(r, limit=limits.get((r.name, r.axis), limits.get((r.name, "")))) for r in failed
+    )
+
+
+def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[FloatArray, int]:
+    """Return the (n,) places at the ticks of a run with holds, and the tick behind the last.
+
+    0 where no row moves. The rest of the table behind the last hold is played as it is.
+    """
+    rows = int(window.reach(_MOST_ROWS))
+    radius = plan.machine.radius_m / table.counts_per_unit
+    step = np.diff(window.counts(np.arange(rows + 1.0)), axis=0) * radius
+    speed = np.linalg.norm(step, axis=1)
+    limits = CountLimits.of(plan.machine, loads_follow=plan.motion.of_loads is not None)
+    stands = np.ones(ceil(_STANDS_S / float(table.clock.period_s)))
+    places, until = np.arange(3.0), 0
+    for begin, end in pairwise(np.linspace(0, rows, _HOLDS + 1).astype(int).tolist()):
+        fastest = begin + int(np.argmax(speed[begin:end])) if end > begin else begin
+        if end <= begin or speed[fastest] <= 0.0 or fastest <= places[-1] or fastest + 2 >= rows:
+            continue
+        on = np.arange(places[-1] + 1.0, fastest + 1.0)
+        places = np.concatenate([places, on])
+        window.reach(places[-1] + 2.0 * MOST_PLACES)
+        last = float(window.reach(places[-1]))
+        before = (float(places[-3]), float(places[-2]), float(places[-1]))
+        down = np.minimum(brake(window, before, limits), last)
+        rests_at = float(down[-1]) if len(down) else float(places[-1])
+        up = np.minimum(rise(window, rests_at, limits), last)
+        places = np.concatenate([places, down, rests_at * stands, up])
+        until = len(places)
+    rest = np.arange(np.floor(places[-1]) + 1.0, rows + 1.0)
+    return np.concatenate([places, rest]), until
+
+
+def _told(places: FloatArray, until: int, tick_s: float) -> list[Event]:
+    """Return an event for each tick up to ``until`` at which the run isn't where its clock is."""
+    held = np.flatnonzero(places[:until] != np.arange(until))
+    return [
+        Event(tick=int(k), kind="plan", operation=-1, value=float(places[k]) * tick_s)
+        for k in (*held.tolist(), *([until] if len(places) > until else []))
+    ]
+
+
+def _with_events(
+    blocks: Iterable[RecordingBlock], told: Sequence[Event], clock: str
+) -> Iterator[RecordingBlock]:
+    """Yield blocks with the events ``told``, each in the block of its tick."""
+    left = list(told)
+    for block in blocks:
+        count = max(map(len, block.samples.values()), default=0)
+        due = [e for e in left if e.tick < block.first_tick[clock] + count]
+        left = left[len(due) :]
+        yield replace(block, events=(*block.events, *due))
+
+
+def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Result] = ()) -> str:
     """Return what the operator has to know of holds before a run; empty where that is nothing.
 
     Parameters
@@ -107,7 +207,17 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool) -> str:
         The plan.
     leaves_m, waits
         The distance from the path at which it would stand, and whether it waits for a rest.
+    spoiled
+        The criteria that a hold would bring out of specification, by simulation.
     """
+    if spoiled and math.isfinite(leaves_m):
+        found = ", ".join(
+            f"{' '.join(filter(None, (r.name, r.axis)))} {shown(r.measured or 0.0, r.unit)} of "
+            f"{shown(r.limit or 0.0, r.unit)}"
+            for r in spoiled
+        )
+        until = "at the next rest" if rests_within(plan) else "at the end, for there is no rest"
+        return f"braking at full speed would shake the load ({found}), so h stands {until}"
     if not 0.0 < leaves_m < math.inf:
         return ""
     ahead_m = hold_ahead_m(plan)

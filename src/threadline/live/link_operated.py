@@ -18,7 +18,7 @@ from threadline.live.hal_process import hal_link
 from threadline.live.kept import Sink
 from threadline.live.links import link_of
 from threadline.live.operated import Load, Operated
-from threadline.live.sim_process import REAL_TIME, sim_link
+from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
 from threadline.live.ways import way_of
 from threadline.live.wire import Connection
 from threadline.machine import Machine
@@ -59,6 +59,8 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
     found = link_of(link, machine, speed, None)
     if link == "sim":
         return AtLink()
+    if link == SLOWER:
+        return AtLink("", {}, ("where the computer is busy, the simulated machine goes slower",))
     if link.startswith("hal:"):
         return AtLink(found.label, {}, (_NO_HOME,))
     return AtLink(
@@ -126,6 +128,7 @@ def operated(
     if link.startswith("grbl:"):
         yield GrblOperated(Controller(Port(link.removeprefix("grbl:")), machine), desk, sink)
         return
+    speed = IN_STEP if link == SLOWER else speed
     with _rows(link, machine, speed) as connection:
         yield RowsOperated(connection, machine, desk, sink, speed=speed)
 

@@ -23,21 +23,25 @@ from threadline.live.hal_link import HalLink
 from threadline.live.kept import Sink
 from threadline.live.operated import Load
 from threadline.live.sim_faults import SimFault
-from threadline.live.sim_process import REAL_TIME, sim_link
+from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
 from threadline.live.states import State
-from threadline.live.supervised import approached
+from threadline.live.supervised import approached, led
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.plan import Plan
 from threadline.signals import Ended
 
-LINKS = ("sim", "hal:loopback", "hal:plant", "grbl:HOST:PORT", "grbl:/dev/ttyUSB0")
+LINKS = ("sim", SLOWER, "hal:loopback", "hal:plant", "grbl:HOST:PORT", "grbl:/dev/ttyUSB0")
 
 
 class Running(Protocol):
     """A run under way."""
 
     state: State
+    why: str
+    """Reason of its latest change of state; empty where there was none."""
+    stopped_by: str
+    """Who is said to have stopped it, where it is stopped."""
 
     @property
     def time_s(self) -> float:
@@ -119,7 +123,10 @@ class SimLink(ExecutedLink):
             return "Its drives had no supply: how far it coasted is not simulated."
         braked = "The machine has come to rest by itself."
         if self._speed == REAL_TIME:
-            braked += " If the computer was too busy for real time, --speed 0 simulates without it."
+            braked += (
+                f" If the computer was too busy for real time, --link {SLOWER} goes slower "
+                "instead, and --speed 0 simulates as fast as it can."
+            )
         return braked
 
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
@@ -136,6 +143,8 @@ class GrblLink:
         ``HOST:PORT``, or the path of a serial device.
     machine
         The machine that it drives.
+    approach
+        Whether its axes are moved to where the program begins, one after the other, before it.
 
     Raises
     ------
@@ -145,13 +154,13 @@ class GrblLink:
 
     label = ""
 
-    def __init__(self, address: str, machine: Machine) -> None:
+    def __init__(self, address: str, machine: Machine, *, approach: bool = False) -> None:
         check_address(address)
         if "grbl" not in kind_of(machine).targets:
             raise OptionError(
                 f"{machine.name} is not driven by part programs", remedy="Use --link sim."
             )
-        self._address = address
+        self._address, self._approach = address, approach
         self.after_fault = (
             "The controller was told to hold; without its link it runs out its buffer."
         )
@@ -165,7 +174,7 @@ class GrblLink:
         self._program, self.sent = written_program(plan)
         self._controller = Controller(Port(self._address), machine)
         self._controller.meet()
-        return notes_on(self._program, self._controller.blocks)
+        return notes_on(self._program, self._controller)
 
     def run(
         self,
@@ -192,6 +201,11 @@ class GrblLink:
         if again is not None and (why := approached(one, machine, again, confirmed)):
             return why
         load = Load(plan, program=self._program, rest=None if again is None else again.rest)
+        if self._approach and again is None:
+            starts = zip(machine.axes, one.starts(load).tolist(), strict=True)
+            in_order = sorted(starts, key=lambda way: machine.axes[way[0]].kind != "linear")
+            if why := led(one, machine, in_order, watch):
+                return why
         one.run(load, hold_at_rest=False)
         while not one.over:
             one.step()
@@ -212,8 +226,10 @@ class GrblLink:
             self._controller.port.close()
 
 
-def link_of(text: str, machine: Machine, speed: float, fault: SimFault | None) -> Link:
-    """Return the link of that name.
+def link_of(
+    text: str, machine: Machine, speed: float, fault: SimFault | None, *, approach: bool = False
+) -> Link:
+    """Return the link of that name; ``approach`` is of a controller with grbl.
 
     Raises
     ------
@@ -221,12 +237,26 @@ def link_of(text: str, machine: Machine, speed: float, fault: SimFault | None) -
         If there is none, or an option has no meaning for it.
     """
     name, _, address = text.partition(":")
+    if approach and name != "grbl":
+        raise OptionError(
+            f"--approach is of a controller with grbl, and --link is {text[:40]!r}",
+            remedy="Leave it out: this machine stands where the program begins.",
+        )
     if text == "sim":
         return SimLink(speed, fault)
+    if text == SLOWER:
+        if speed != REAL_TIME:
+            raise OptionError(
+                f"--link {SLOWER} goes at real time where it can, and has no --speed {speed:g}",
+                remedy="Leave --speed out, or use --link sim.",
+            )
+        return SimLink(IN_STEP, fault)
     if name not in {"grbl", "hal"} or not address:
         raise OptionError(f"unknown link {text[:40]!r}", remedy=f"Use {', '.join(LINKS)}.")
     if speed != REAL_TIME or fault is not None:
         raise OptionError(
             "--speed and --inject are of the simulated machine", remedy="Leave them out."
         )
-    return HalLink(address, machine) if name == "hal" else GrblLink(address, machine)
+    if name == "hal":
+        return HalLink(address, machine)
+    return GrblLink(address, machine, approach=approach)

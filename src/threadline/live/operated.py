@@ -52,6 +52,8 @@ class Operated(Protocol):
     over: bool
     late_ticks: int
     latest: Mapping[str, float]
+    homed: bool
+    """Whether it is known where the axes are, or where they were when a fault came."""
     stopped_by: str
     """Who is said to have stopped what moves, where it is stopped."""
     meanwhile: Callable[[], None]
@@ -64,6 +66,10 @@ class Operated(Protocol):
     @property
     def stands(self) -> IntArray:
         """Commanded position, (axes,) in counts; known once it is homed."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the link is gone, so that the machine can be had only by connecting again."""
 
     @property
     def time_s(self) -> float:

@@ -7,6 +7,7 @@ after the executor has answered the last report, so that the load of the compute
 
 from __future__ import annotations
 
+import math
 import signal
 import socket
 import time
@@ -24,6 +25,10 @@ from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 
 REAL_TIME = 1.0
+SLOWER = "sim:slower"
+"""Link to a simulated machine at real time where it can, and slower where the computer is busy."""
+IN_STEP = math.nextafter(REAL_TIME, 0.0)
+"""Its speed: as good as real time, and its time waits for the executor as at any other."""
 HOMING_S = 0.5
 """Time that homing takes in real time, s; the simulated machine stands at its home already."""
 LEAST_SPEED = 1e-3

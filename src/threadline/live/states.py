@@ -84,6 +84,14 @@ COMMANDS = frozenset(_C) - {_C.HOMED, _C.AT_REST, _C.AT_REST_UNHOMED, _C.COMPLET
 """Causes that are commands of the operator; the others are reported."""
 
 
+_NOT_HOMED = frozenset({_C.HOME, _C.DISABLE, _C.RESET, _C.AT_REST_UNHOMED})
+
+
+def homed_after(cause: Cause, before: bool) -> bool:
+    """Return whether it is known where the axes are after a transition, or were before a fault."""
+    return cause is Cause.HOMED or (before and cause not in _NOT_HOMED)
+
+
 def next_state(state: State, cause: Cause) -> State:
     """Return the state after ``cause``.
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from threadline.arrays import IntArray
 from threadline.errors import OptionError, Place, PlanError, ProofError
@@ -28,7 +28,9 @@ _ASK_S = 0.05
 """Time in s from one look for an answer of the operator to the next."""
 
 
-def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | None) -> ProofFile:
+def check_runnable(
+    proof_file: Path, plan: Plan, spec: Spec, override: str | None, key: bytes | None = None
+) -> ProofFile:
     """Return the proof of a plan, if it allows the plan to be run.
 
     Parameters
@@ -39,15 +41,18 @@ def check_runnable(proof_file: Path, plan: Plan, spec: Spec, override: str | Non
         The plan, and the specification that it was judged by.
     override
         Reason to run a plan that is out of specification; None to run only one that is not.
+    key
+        What the proof has to be signed with; None does not look for a signature.
 
     Raises
     ------
     ProofError
-        If the proof is of another plan, or is out of specification and ``override`` is None.
+        If the proof is of another plan, is not signed with the key, or is out of specification and
+        ``override`` is None.
     OptionError
         If there is an override for a plan in specification.
     """
-    proof = read_proof(proof_file)
+    proof = read_proof(proof_file, key)
     place = Place(str(proof_file))
     differences = check_proof(proof, plan, spec)
     if differences:
@@ -209,6 +214,9 @@ class Led(Protocol):
         """Go on with a motion."""
 
 
+LedT = TypeVar("LedT", bound=Led)
+
+
 def approached(
     executor: Led, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
 ) -> tuple[Ended, str] | None:
@@ -222,8 +230,28 @@ def approached(
         executor.stand(0.0 if answer else _ASK_S)
     if not answer or executor.stops:
         return Ended.STOPPED, "nobody has confirmed that it may go on"
+    return led(executor, machine, again.approach)
+
+
+def led(
+    executor: LedT,
+    machine: Machine,
+    ways: Iterable[tuple[str, int]],
+    watch: Callable[[LedT], None] = lambda _: None,
+) -> tuple[Ended, str] | None:
+    """Move axes one after the other, at their manual feeds; return why that came to an end.
+
+    None where the machine stands at the end of all.
+
+    Parameters
+    ----------
+    ways
+        Axes in their order, and the counts that each moves to.
+    watch
+        Called after each step.
+    """
     names = list(machine.axes)
-    for axis, to in again.approach:
+    for axis, to in ways:
         if executor.stands[names.index(axis)] == to:
             continue
         executor.move(axis, to)
@@ -231,6 +259,7 @@ def approached(
             if executor.state is State.JOGGING:
                 executor.renew()
             executor.step()
+            watch(executor)
         assert executor.ended is not None
         if executor.ended[0] is not Ended.COMPLETED or executor.stops:
             ended, why = executor.ended

@@ -13,7 +13,7 @@ from threadline.kinds import kind_of
 from threadline.live.ahead import Ahead, halts_of_rows
 from threadline.live.derived import Rest, rest_of_rows, rest_of_scans, rest_of_turns
 from threadline.live.guards import Guards
-from threadline.live.hold_deviation import hold_deviation_m
+from threadline.live.hold_deviation import hold_deviation_m, spoiled_by_holds
 from threadline.live.scan_guards import ScanGuards
 from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
 from threadline.live.turn_guards import TurnGuards
@@ -30,6 +30,7 @@ from threadline.signals import (
     played,
     tick_table,
 )
+from threadline.verdict import Result, Spec
 
 
 class RunAhead(Protocol):
@@ -144,6 +145,8 @@ class Way:
     hold_deviation_m
         Returns how far beside its path a hold would stand, in m; infinite where work is held at
         its rests alone.
+    spoiled_by_holds
+        Returns the criteria that a hold anywhere would bring out of specification.
     rest
         Makes the commands that do the rest of a job.
     loads_follow
@@ -160,6 +163,7 @@ class Way:
     halts: Callable[[Commands], Iterable[Event]]
     hold_deviation_m: Callable[[Plan], float]
     rest: MakeRest
+    spoiled_by_holds: Callable[[Plan, Spec], tuple[Result, ...]] = lambda _, __: ()
     loads_follow: Callable[[Plan], bool] = lambda _: False
     by_hand: bool = False
     tells_plan: bool = False
@@ -172,6 +176,7 @@ _WAYS: dict[type[Commands], Way] = {
         guards=Guards,
         halts=halts_of_rows,
         hold_deviation_m=hold_deviation_m,
+        spoiled_by_holds=spoiled_by_holds,
         rest=rest_of_rows,
         loads_follow=lambda plan: plan.motion.of_loads is not None,
         by_hand=True,

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -23,6 +24,7 @@ from threadline.foreign_messages import field_fault, nearest, toml_fault
 from threadline.input_files import note_input, read_text
 from threadline.machine.missing import MISSING, missing_keys
 from threadline.machine.model import Machine
+from threadline.machine.parts import switches_in_the_way
 from threadline.machine.pneumatics import switch_faults
 from threadline.machine.schema import ADAPTER, field_names, in_file, kinds_with, line_of
 
@@ -111,7 +113,11 @@ def load_machine(reference: str | Path) -> Machine:
         machine = ADAPTER.validate_python(content)
     except ValidationError as error:
         _refuse(error, content, written)
-    for key, fault, remedy in switch_faults(machine.cylinders, machine.contacts):
+    faults = (
+        switch_faults(machine.cylinders, machine.contacts),
+        switches_in_the_way(machine.axes, machine.inputs),
+    )
+    for key, fault, remedy in chain.from_iterable(faults):
         raise MachineError(f"{key}: {fault}", place=written.place(*key.split(".")), remedy=remedy)
     return machine
 

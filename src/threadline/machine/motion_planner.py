@@ -29,12 +29,14 @@ class GrblPlanner:
     """The planner of grbl and FluidNC: trapezoids of speed, and corners by junction deviation.
 
     ``blocks`` is the size of the ring buffer of blocks, 16 when left out; one block of it is always
-    empty.
+    empty. ``left_out``, of every planner, says what the firmware does besides: a motion is planned
+    without it, and told so.
     """
 
     kind: Literal["grbl"]
     junction_deviation: Deviation
     blocks: Ring | None = None
+    left_out: list[str] = Field(default_factory=list)
 
     @property
     def look_ahead(self) -> int:
@@ -48,14 +50,19 @@ class MarlinPlanner:
 
     ``jump`` is the jump of speed that Marlin calls jerk, which an axis may make at a corner
     (``M205 X Y Z``), by the axis' letter. ``acceleration`` limits every move (``M204 T``) where it
-    is less than the limits of the axes.
+    is less than the limits of the axes. ``least_speed`` is the speed of a move whose F is slower
+    (``M205 T``). Moves that take less than ``short_time`` (``M205 B``), 20 ms when left out, are
+    made slower while few of them wait.
     """
 
     kind: Literal["marlin"]
     junction_deviation: Deviation | None = None
     jump: dict[str, Jump] = Field(default_factory=dict)
     acceleration: Acceleration | None = None
+    least_speed: Speed | None = None
+    short_time: Annotated[Quantity, Units(("s",), not_negative=True)] | None = None
     blocks: Ring | None = None
+    left_out: list[str] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _one_rule(self) -> MarlinPlanner:
@@ -90,6 +97,7 @@ class KlipperPlanner:
     minimum_cruise_ratio: Annotated[Quantity, Units(("",), not_negative=True)] | None = None
     jump: dict[str, Jump] = Field(default_factory=dict)
     alone: dict[str, AloneAcceleration] = Field(default_factory=dict)
+    left_out: list[str] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _below_one(self) -> KlipperPlanner:
@@ -120,6 +128,7 @@ class RepRapPlanner:
     policy: Annotated[Quantity, Units(("",), not_negative=True, whole=True, most=1)] | None = None
     acceleration: Acceleration | None = None
     blocks: Ring | None = None
+    left_out: list[str] = Field(default_factory=list)
 
     @property
     def joins_all(self) -> bool:
@@ -145,6 +154,7 @@ class LinuxCncPlanner:
     tolerance: Deviation | None = None
     cam_tolerance: Deviation | None = None
     exact_stop: StrictBool = False
+    left_out: list[str] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _one_mode(self) -> LinuxCncPlanner:

@@ -7,6 +7,8 @@ frame, a rack on the ground and a gear are links that differ in their weights.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, StrictBool, model_validator
@@ -276,6 +278,37 @@ class LimitSwitch:
     at: Position
     beyond: Literal["below", "above"]
     cuts: str
+
+
+def switches_in_the_way(
+    axes: Mapping[str, Axis], inputs: Mapping[str, LimitSwitch]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield key, fault and remedy of each limit switch within the travel of its axis.
+
+    It would cut the supply of a motor in the midst of a motion that keeps all limits. That is for
+    the numbers of a file: a machine drawn within its tolerances may have one a little nearer.
+    """
+    for name, switch in inputs.items():
+        axis = axes[switch.axis]
+        if axis.travel is None:
+            continue
+        low, high = (end.si for end in axis.travel)
+        above = switch.beyond == "above"
+        if switch.at.si > high if above else switch.at.si < low:
+            continue
+        told = [_place(value, axis.kind) for value in (switch.at.si, low, high)]
+        yield (
+            f"inputs.{name}.at",
+            f"the limit switch cuts drives.{switch.cuts} from {told[0]} on, within the travel of "
+            f"axes.{switch.axis}, {told[1]} to {told[2]}: a job that keeps its limits would lose "
+            "its motor there",
+            f"End the travel before the switch, or place the switch {'above' if above else 'below'}"
+            f" {told[2] if above else told[1]}.",
+        )
+
+
+def _place(value_si: float, kind: str) -> str:
+    return f"{1e3 * value_si:.6g} mm" if kind == "linear" else f"{math.degrees(value_si):.6g} deg"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)

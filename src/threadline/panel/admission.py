@@ -1,18 +1,23 @@
 """Who is let in: host, origin and token of every request, before anything reads it.
 
 A page of another site can make a browser send requests to this machine. It cannot choose their
-``Origin``; and a name that was bent to this address shows in their ``Host``.
+``Origin``; and a name that was bent to this address shows in their ``Host``. Who connects and does
+not finish a request keeps nobody else out.
 """
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
+import h11
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from threadline.errors import OptionError
 from threadline.live.host_names import in_url
@@ -23,6 +28,11 @@ _READS = frozenset({"GET", "HEAD"})
 _LEAST_TOKEN = 16
 _FIRST, _LAST = "!", "~"  # of the characters that are visible in ASCII
 _MOST_NAMED = 5
+HALF_OPEN_S = 5.0
+"""Time in s in which a request has to say what it wants, and then to send more of its body."""
+MOST_HALF_OPEN = 256
+"""Connections without a whole request; where there is one more, the oldest is dropped."""
+_MOST_BODY_S = 60.0  # from the first of a body to its last
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; "
@@ -138,3 +148,60 @@ class AdmittingApp:
         else:
             answer = PlainTextResponse(f"{why}\n", status_code=status, headers=dict(HEADERS))
             await answer(scope, receive, send)
+
+
+class PromptHttp(H11Protocol):
+    """A connection that is dropped where its request is not whole in time.
+
+    uvicorn waits for ever for the rest of a request, and each such connection costs one of the
+    files that a process may have open: a stop would not get through any more.
+    """
+
+    half_open: ClassVar[dict[PromptHttp, None]] = {}
+    """Connections without a whole request, the oldest first."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self._due: asyncio.TimerHandle | None = None
+        self._body_until_s = 0.0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for a request."""
+        super().connection_made(transport)
+        self._await_until(self.loop.time() + HALF_OPEN_S)
+        while len(self.half_open) > MOST_HALF_OPEN:
+            next(iter(self.half_open))._drop()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came, and wait for the rest of the request, or not any more."""
+        super().data_received(data)
+        now_s = self.loop.time()
+        gone = self.transport.is_closing() or self.transport.get_protocol() is not self
+        if not gone and self.conn.their_state is h11.SEND_BODY:
+            self._body_until_s = self._body_until_s or now_s + _MOST_BODY_S
+            self._await_until(min(now_s + HALF_OPEN_S, self._body_until_s))
+        elif gone or self.conn.their_state is not h11.IDLE:
+            self._have()
+        elif self._due is None:  # another request of the same connection
+            self._await_until(now_s + HALF_OPEN_S)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait for nothing any more."""
+        self._have()
+        super().connection_lost(exc)
+
+    def _await_until(self, due_s: float) -> None:
+        if self._due is not None:
+            self._due.cancel()
+        self._due = self.loop.call_at(due_s, self._drop)
+        self.half_open.setdefault(self)
+
+    def _have(self) -> None:
+        if self._due is not None:
+            self._due.cancel()
+        self._due, self._body_until_s = None, 0.0
+        self.half_open.pop(self, None)
+
+    def _drop(self) -> None:
+        self._have()
+        self.transport.close()

@@ -19,7 +19,7 @@ from threadline.arrays import FloatArray
 from threadline.asked import chosen_machine, trials_of
 from threadline.doubts import doubts
 from threadline.errors import ThreadlineError
-from threadline.input_files import noting_inputs
+from threadline.input_files import noting_inputs, reading_within
 from threadline.jobs.circuit import begins_circuit
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source
 from threadline.live.ways import way_of
@@ -62,10 +62,11 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
     with noting_inputs():
         asked = load_spec(None if told["spec"] is None else Path(told["spec"]), machine)
         folder, trials = Path(told["folder"]), trials_of(level=told["level"])
-        words = _by_priority(folder, told, machine, asked, trials)
-        plan, options = planned(folder, {**told, **words}, machine)
-        spec = with_shaping(asked, machine, options)
-        proof = prove_plan(plan, spec, _share, trials)
+        with reading_within(folder):
+            words = _by_priority(folder, told, machine, asked, trials)
+            plan, options = planned(folder, {**told, **words}, machine)
+            spec = with_shaping(asked, machine, options)
+            proof = prove_plan(plan, spec, _share, trials)
         write_proof(proof, told["proof_file"])
     starts = way_of(machine).start(plan.commands).tolist()
     return {

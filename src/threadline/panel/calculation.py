@@ -72,6 +72,16 @@ class Calculation:
         self.forget()
         self.share = 0.0
         self._task = asyncio.create_task(self._run(asked, tell))
+        self._task.add_done_callback(lambda task: self._over(task, tell))
+
+    def _over(self, task: asyncio.Task[None], tell: Callable[[Figures | str], None]) -> None:
+        """Note that nothing is calculated any more; tell why, where a fault has ended it.
+
+        A task that is cancelled before its first step never runs: it cannot note that by itself.
+        """
+        self.share = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            tell(f"the calculation has failed: {error}")
 
     def forget(self) -> None:
         """Forget what was proven: a program was changed."""
@@ -101,11 +111,15 @@ class Calculation:
             "par": machine.parameters or None,
             "spec": None if self._spec_file is None else str(self._spec_file),
         }
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", _CHILD,
-            stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
-            limit=_MOST_LINE, start_new_session=True,
-        )  # fmt: skip
+        try:
+            process = await asyncio.create_subprocess_exec(
+                sys.executable, "-c", _CHILD,
+                stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
+                limit=_MOST_LINE, start_new_session=True,
+            )  # fmt: skip
+        except OSError as error:
+            tell(f"the process that calculates cannot be started: {error.strerror or error}")
+            return
         try:
             assert process.stdin is not None
             assert process.stdout is not None
@@ -121,7 +135,6 @@ class Calculation:
                     return
             tell(why)
         finally:
-            self.share = None
             with suppress(ProcessLookupError):
                 process.kill()
             await process.wait()
@@ -147,5 +160,4 @@ class Calculation:
         """End a calculation that is under way, and wait for its end."""
         self.cancel()
         if self._task is not None:
-            with suppress(asyncio.CancelledError):
-                await self._task
+            await asyncio.wait([self._task])

@@ -1,11 +1,15 @@
 """Runs of the panel: the check of the proof beforehand, the store, and the verdict afterwards.
 
-Check and verdict take seconds, and are threads: the executor goes on to listen. Nothing moves while
-they work.
+Both take seconds, and the executor goes on to listen, and may move: the check is a thread, whose
+start is given up where anything else is asked for, and the judge is a process.
 """
 
 from __future__ import annotations
 
+import os
+import pickle
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
@@ -16,7 +20,15 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import finite
-from threadline.errors import ProofError, RecordingError, StoreError, ThreadlineError
+from threadline.errors import (
+    CommandError,
+    InputError,
+    ProofError,
+    RecordingError,
+    StoreError,
+    ThreadlineError,
+)
+from threadline.importing import words_of
 from threadline.input_files import inputs_read, noting_inputs
 from threadline.live.continued_sink import ContinuedSink
 from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
@@ -29,6 +41,7 @@ from threadline.live.ways import way_of
 from threadline.machine import Machine
 from threadline.panel.project_programs import planned
 from threadline.pipeline import with_shaping
+from threadline.plan import Plan
 from threadline.proof_file import ProofFile
 from threadline.signals import Channel, RecordingBlock
 from threadline.store.run_store import OpenRun, RunStore
@@ -36,6 +49,9 @@ from threadline.store.unfinished import refuse_other_rows, trace_of, unfinished_
 from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
 from threadline.verdict.plan_clock import PlanClock
+
+_JUDGE = words_of("threadline.panel.kept_runs", "be_judge")
+_NICE = 10  # the executor comes first
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +137,7 @@ class KeptRuns:
         self._link = {"link": link, **({"label": label} if label else {})}
         self._pool = ThreadPoolExecutor(1)
         self._preparing: tuple[Future[Prepared], int, int] | None = None
+        self._given_up = ""  # what was asked for in place of the start that is being checked
         self._judging: Future[_Finished] | None = None
         self._channels: tuple[Channel, ...] = ()
         self._simulated = True
@@ -163,13 +180,22 @@ class KeptRuns:
     # --- a run -----------------------------------------------------------------------------
 
     @property
-    def busy(self) -> bool:
-        """Whether a run is prepared, open, or being judged."""
-        return not (self._preparing is None and self._open is None and self._judging is None)
+    def busy(self) -> str:
+        """Why no run can begin now, for people; empty where one can."""
+        if self._preparing is not None:
+            return "a start is being checked"
+        if self._open is not None:
+            return "a run is under way"
+        return "" if self._judging is None else "the last run is being judged"
+
+    def give_up(self, asked: str) -> None:
+        """Let a start that is being checked begin nothing: something else was asked for."""
+        self._given_up = self._given_up or asked
 
     def prepare(self, told: Mapping[str, Any], stops: int, executor: Operated) -> None:
         """Begin to check what a client wants to run; ``prepared`` has the answer."""
         number = int(told["number"])
+        self._given_up = ""
         work = self._pool.submit(self._prepared, told, stops, executor)
         self._preparing = (work, number, stops)
 
@@ -180,9 +206,12 @@ class KeptRuns:
         future, number, _ = self._preparing
         self._preparing = None
         try:
-            return future.result()
+            found = future.result()
         except (ThreadlineError, OSError) as error:
             return number, str(error)
+        if self._given_up:
+            return number, f"it was not begun: {self._given_up!r} was asked for meanwhile"
+        return found
 
     def _prepared(self, told: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
         """Plan it anew, and compare that with the proof, hash by hash."""
@@ -200,8 +229,10 @@ class KeptRuns:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
         leaves_m = way_of(self._machine).hold_deviation_m(plan)
         at_rest = hold_waits(plan, spec, leaves_m)
+        spoiled = () if at_rest else way_of(self._machine).spoiled_by_holds(plan, spec)
+        at_rest = at_rest or bool(spoiled)
         load, number = executor.prepare(plan), int(told["number"])
-        if words := hold_words(plan, leaves_m, waits=at_rest):
+        if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
             load = replace(load, notes=(*load.notes, words))
         found = Prepared(number, stops, load, spec, proof, override, inputs, leaves_m, at_rest)
         if "run" not in told:
@@ -281,7 +312,7 @@ class KeptRuns:
         with suppress(StoreError):  # an index that is locked may be free when the verdict is there
             run.over(ended, why)
         try:
-            verdict = judge([whole_recording(run.trace)], ready.load.plan, ready.spec)
+            verdict, closes = judged_apart(run.trace, ready.load.plan, ready.spec)
         except RecordingError as error:
             if ready.again is None:
                 raise
@@ -289,7 +320,7 @@ class KeptRuns:
             run.unjudged(ended, text)
             return _Finished({}, text)
         content = {
-            **verdict_json(verdict, ready.load.plan),
+            **verdict,
             **self._link,
             **self._known_of(ready),
             "run": run.path.name,
@@ -299,12 +330,13 @@ class KeptRuns:
         }
         before = joined_with(run.trace)
         content |= {"judged_with": before} if before else {}
-        run.judged(content, ended, why)
+        unsaid = run.judged(content, ended, why)
         if before:
             told = f"; {as_one(before)}"
         else:
             told = f"; the rest of {ready.continues} alone" if ready.again is not None else ""
-        return _Finished(content, closing(verdict) + told)
+        told += f"; {unsaid}" if unsaid else ""
+        return _Finished(content, closes + told)
 
     @staticmethod
     def _known_of(ready: Prepared) -> dict[str, str]:
@@ -355,3 +387,48 @@ class KeptRuns:
         """Close an open run, as one that ``error`` has ended; wait for what the threads do."""
         self._break_off(error)
         self._pool.shutdown(wait=True)
+
+
+def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any], str]:
+    """Return the verdict on the recording of a run, as JSON and in a line, by another process.
+
+    A judge in this one would keep the processor from what moves the machine.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be judged.
+    CommandError
+        If the other process cannot be started, or ends without an answer.
+    """
+    try:
+        done = subprocess.run(  # noqa: S603  # this interpreter, and words of ours
+            [sys.executable, "-c", _JUDGE],
+            input=pickle.dumps((trace.absolute(), plan, spec)),
+            stdout=subprocess.PIPE,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            start_new_session=True,
+            check=False,
+        )
+    except OSError as error:
+        raise CommandError(
+            f"the process that judges cannot be started: {error.strerror or error}"
+        ) from error
+    if done.returncode:
+        raise CommandError("the process that judges has ended without an answer")
+    found: tuple[Mapping[str, Any], str] | str = pickle.loads(done.stdout)  # noqa: S301  # of our child
+    if isinstance(found, str):
+        raise RecordingError(found)
+    return found
+
+
+def be_judge() -> None:
+    """Judge the recording that standard input names; write the verdict, or why there is none."""
+    os.nice(_NICE)
+    trace, plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe
+    try:
+        verdict = judge([whole_recording(trace)], plan, spec)
+        found: tuple[Mapping[str, Any], str] | str = (verdict_json(verdict, plan), closing(verdict))
+    except InputError as error:
+        found = error.message
+    sys.stdout.buffer.write(pickle.dumps(found))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import select
 import threading
-import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from typing import Any
 from threadline.errors import CommandError, LinkFaultError, ThreadlineError
 from threadline.live.at_rest import OPERATOR
 from threadline.live.desk import Desk
+from threadline.live.lateness import clock_s
 from threadline.live.operated import Operated
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.wire import Connection, Message
@@ -31,10 +31,16 @@ SILENT_S = 1.0
 TELL_S = 0.04
 """Period of the reports to the server, s."""
 _PATIENCE_S = 0.02
+_OLD_S = 3.0
+"""Age in s of a request that is not obeyed any more: nobody knows what has become of it."""
+_SAFE = frozenset({"let-go", "hold"})
 _BY_DESK = {"hold": Cause.HOLD, "resume": Cause.RESUME}
 _LATER = frozenset({"start", "continue"})
 """What is answered when it was checked, which takes seconds."""
 _MOVES = frozenset({"zero", "zero-axis", "approach"})
+_DRIVES = frozenset({"enable", "disable", "home", "reset"})
+_NO_START = frozenset({"disable", "home", "jog", "step", "approach-rest", "start-rest", *_MOVES})
+"""What ends a start that is being checked: the machine would be elsewhere, or off."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +77,7 @@ class Owner:
         executor.meanwhile = self._tell
         self._asked: deque[_Asked] = deque()
         self._stops = 0
-        self._heard_s = time.monotonic()
+        self._heard_s = clock_s()
         self._leaving = False
         self._moves = MoveSequence()
         self._rest: Prepared | None = None  # of a run that was broken off, not confirmed yet
@@ -113,7 +119,7 @@ class Owner:
                 message = None
             if message is None:
                 break
-            self._heard_s = time.monotonic()
+            self._heard_s = clock_s()
             if message.kind == "stop":
                 self._executor.stopped_by = OPERATOR
                 self._stop()
@@ -133,9 +139,9 @@ class Owner:
         self._desk.ask(Cause.STOP)
 
     def _watch_server(self) -> None:
-        silent_s = time.monotonic() - self._heard_s
+        silent_s = clock_s() - self._heard_s
         if silent_s > SILENT_S and self._executor.under_way:
-            self._heard_s = time.monotonic()
+            self._heard_s = clock_s()
             self._stop_for("the panel, whose web server was silent")
             self._say("said", text="the web server is silent: stopped", wrong=True)
 
@@ -145,6 +151,11 @@ class Owner:
             number = asked.head.get("number", 0)
             if asked.stops != self._stops:
                 self._say("answer", number=number, ok=False, text="it was stopped before it began")
+                continue
+            age_s = clock_s() - float(asked.head.get("at_s", clock_s()))
+            if age_s > _OLD_S and asked.what not in _SAFE:
+                text = f"it was asked for {age_s:.0f} s ago: this computer slept"
+                self._say("answer", number=number, ok=False, text=text)
                 continue
             try:
                 self._obey(asked)
@@ -158,11 +169,13 @@ class Owner:
     def _obey(self, asked: _Asked) -> None:
         executor, head = self._executor, asked.head
         what = asked.what
+        if what in _NO_START:
+            self._runs.give_up(what)
         if what in _BY_DESK:
             self._refuse_impossible(_BY_DESK[what])
             self._desk.ask(_BY_DESK[what])
         elif what == "renew":
-            self._moves.renew(time.monotonic())
+            self._moves.renew(clock_s())
             if executor.state is State.JOGGING or not self._moves.left:
                 executor.renew()
         elif what == "let-go":
@@ -174,12 +187,12 @@ class Owner:
         elif what in _MOVES:
             self._refuse_impossible(Cause.JOG)
             ways = [(str(axis), int(to)) for axis, to in head["to"]]
-            self._moves.begin(ways, asked.stops, time.monotonic())
+            self._moves.begin(ways, asked.stops, clock_s())
         elif what == "step":
             self._refuse_impossible(Cause.JOG)
             k = self._machine.axis_names.index(str(head["axis"]))
             to = int(executor.stands[k]) + int(head["by"])
-            self._moves.begin([(str(head["axis"]), to)], asked.stops, time.monotonic())
+            self._moves.begin([(str(head["axis"]), to)], asked.stops, clock_s())
         elif what in _LATER:
             self._refuse_impossible(Cause.START)
             self._rest = None
@@ -187,22 +200,28 @@ class Owner:
         elif what == "approach-rest":
             self._refuse_impossible(Cause.JOG)
             ways = self._ready_rest().ways(self._machine)
-            self._moves.begin(ways, asked.stops, time.monotonic())
+            self._moves.begin(ways, asked.stops, clock_s())
         elif what == "start-rest":
             self._refuse_impossible(Cause.START)
             self._runs.set_out(self._ready_rest(), executor)
             self._rest = None
-        elif what == "enable":
-            executor.enable()
-        elif what == "disable":
-            executor.disable()
-        elif what == "home":
-            self._rest = None
-            executor.home()
-        elif what == "reset":
-            executor.reset()
+        elif what in _DRIVES:
+            self._obey_drives(what)
         else:
             raise CommandError(f"{what[:40]!r} is no command", remedy="Use the panel's own page.")
+
+    def _obey_drives(self, what: str) -> None:
+        """Switch or home the machine; what it was to move, and has not begun, is dropped."""
+        self._moves.clear()
+        if what == "home":
+            self._rest = None
+        executor = self._executor
+        {
+            "enable": executor.enable,
+            "disable": executor.disable,
+            "home": executor.home,
+            "reset": executor.reset,
+        }[what]()
 
     def _ready_rest(self) -> Prepared:
         if self._rest is None:
@@ -214,8 +233,10 @@ class Owner:
             raise CommandError(
                 f"{cause.value!r} is not possible while the machine is {self._executor.state.value}"
             )
-        if cause in (Cause.JOG, Cause.START) and (self._runs.busy or self._moves.left):
-            raise CommandError("the machine is busy with what was asked before", remedy="Wait.")
+        if cause in (Cause.JOG, Cause.START) and self._moves.left:
+            raise CommandError("the machine moves as it was asked before", remedy="Wait.")
+        if cause is Cause.START and self._runs.busy:
+            raise CommandError(f"no run can begin now: {self._runs.busy}", remedy="Wait.")
 
     # --- what goes on by itself ------------------------------------------------------------
 
@@ -255,7 +276,7 @@ class Owner:
 
     def _next_move(self) -> None:
         """Move the next axis of a sequence, if there is one and nothing speaks against it."""
-        executor, now_s = self._executor, time.monotonic()
+        executor, now_s = self._executor, clock_s()
         if executor.state is not State.IDLE:
             self._moves.clear()
             return
@@ -272,7 +293,7 @@ class Owner:
 
     def _tell(self, *, at_once: bool = False) -> None:
         """Tell the server how the machine is, every ``TELL_S`` and when its state has changed."""
-        now_s, executor, machine = time.monotonic(), self._executor, self._machine
+        now_s, executor, machine = clock_s(), self._executor, self._machine
         if not at_once and now_s - self._told_s < TELL_S and executor.state is self._told:
             return
         self._told_s, self._told = now_s, executor.state
@@ -282,11 +303,14 @@ class Owner:
             state=executor.state.value,
             why=self._runs.why,
             time_s=executor.time_s,
-            axes=positions(channels, executor.latest, machine, executor.stands),
+            axes=positions(
+                channels, executor.latest, machine, executor.stands if executor.homed else None
+            ),
             signals=signals(channels, executor.latest),
             late_ticks=executor.late_ticks,
             moving=executor.under_way or bool(self._moves.left),
             busy=self._runs.busy,
+            lost=executor.lost,
             progress=self._runs.progress(executor),
             rest=None if self._rest is None else self._rest.told_rest(),
             age_s=executor.age_s,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, assert_never
 
 from threadline.errors import CommandError, ThreadlineError
 from threadline.live.jogging import manual_feed
+from threadline.live.lateness import clock_s
 from threadline.live.link_operated import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.ways import way_of
@@ -41,7 +41,10 @@ _CAUSES = {
 }  # fmt: skip
 _OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
 _OF_REST = frozenset({"approach-rest", "start-rest"})
-_OF_IDLE = frozenset({Cause.JOG, Cause.START, Cause.HOME, Cause.DISABLE})
+_OF_REST_ALONE = frozenset({Cause.JOG, Cause.HOME})
+"""Causes that wait until nothing moves, and for nothing else; to switch off waits for nothing."""
+_BROKEN = frozenset({State.FAULT, State.DISABLED})
+"""States in which a link may be begun anew."""
 
 
 class Panel:
@@ -89,19 +92,25 @@ class Panel:
         """Begin with an owner of the machine; to be called on the event loop."""
         self._owner.connect(self._heard)
 
+    def busy(self) -> str:
+        """Return why no run and no calculation can begin now, for people; empty where they can."""
+        if self.calculation.share is not None:
+            return "a program is being calculated"
+        return str(self._owner.now.get("busy", ""))
+
     async def close(self) -> None:
         """Stop the machine, leave the owner, and end a calculation; ``ended`` tells of it."""
         self.ended = await self._stopped()
         await self.calculation.close()
-        await asyncio.to_thread(self._owner.close)
+        await self._owner.close()
 
     async def _stopped(self) -> str:
         """Stop the machine, wait until it is told that it stands, and return what was told."""
-        owner, since_s = self._owner, time.monotonic()
+        owner, since_s = self._owner, clock_s()
         if not owner.gone and not owner.now:
             return "the machine was not reached yet"
         owner.send("stop")
-        while not owner.gone and time.monotonic() < since_s + _STANDS_S:
+        while not owner.gone and clock_s() < since_s + _STANDS_S:
             known = owner.heard_s > since_s + 2.0 * TELL_S  # what was on its way has come
             if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
                 return _told_end(owner.now)
@@ -129,7 +138,7 @@ class Panel:
 
     def take(self, client: Client, message: say.Stop | say.Control | say.Alive | say.Act) -> None:
         """Act on a message of a client; a refusal is answered."""
-        now_s = time.monotonic()
+        now_s = clock_s()
         match message:
             case say.Stop():
                 self.stop(client.number, message.number)
@@ -164,7 +173,7 @@ class Panel:
 
     def may_change(self, lease: str) -> bool:
         """Return whether a lease is the one in force, and renew it."""
-        return self._control.renew(lease, time.monotonic())
+        return self._control.renew(lease, clock_s())
 
     def _word(self, client: Client, word: str, now_s: float) -> None:
         if word == "take":
@@ -196,19 +205,20 @@ class Panel:
                 f"the state that you have seen is older than {SEEN_S:g} s", remedy="Look again."
             )
         if command.what not in {*self.allowed(), "renew", "let-go"}:
-            now = self._owner.now
-            state, busy = now.get("state", "not known"), now.get("busy", False)
+            runs = command.what == "calculate" or _CAUSES.get(command.what) is Cause.START
+            busy = self.busy() if runs else ""
+            lost = self._owner.gone or self._owner.now.get("lost", False)
             raise CommandError(
-                f"{command.what!r} is not possible now: the machine is {state}"
-                f"{', and busy with what was asked before' if busy else ''}",
-                remedy="Wait." if busy else "",
+                f"{command.what!r} is not possible now: the machine is {self.state().state}"
+                f"{f', and {busy}' if busy else ''}",
+                remedy="Reconnect." if lost else "Wait." if busy else "",
             )
         if isinstance(command, say.Calculate):
             self.calculation.begin(command, self._told)
         elif command.what == "cancel":
             self.calculation.cancel()
         elif command.what == "reconnect":
-            self.connect()
+            self._owner.connect(self._heard)
         else:
             self._requests += 1
             self._asked[self._requests] = (client.number, act.number)
@@ -273,12 +283,14 @@ class Panel:
         now, calculation = self._owner.now, self.calculation
         if not now:
             return []
-        state = State(now["state"])
-        at_rest = not (now["moving"] or now["busy"] or calculation.share is not None)
+        state, stands = State(now["state"]), not now["moving"]
+        free = stands and not self.busy()
         found = [
             what
             for what, cause in _CAUSES.items()
-            if (state, cause) in TRANSITIONS and (at_rest or cause not in _OF_IDLE)
+            if (state, cause) in TRANSITIONS
+            and (stands or cause not in _OF_REST_ALONE)
+            and (free or cause is not Cause.START)
         ]
         if not way_of(self.machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
@@ -287,8 +299,13 @@ class Panel:
         if now["rest"] is None:
             found = [what for what in found if what not in _OF_REST]
         found = [what for what in found if what not in self._far_end.lacks]
-        calculates = ["cancel"] if calculation.share is not None else []
-        return [*found, *(["calculate"] if at_rest else calculates)]
+        if now["lost"]:
+            found.clear()  # there is nobody who would hear it
+        if stands and (state in _BROKEN or now["lost"]):
+            found.append("reconnect")
+        if calculation.share is not None:
+            return [*found, "cancel"]
+        return [*found, *(["calculate"] if free else [])]
 
     # --- what is shown ---------------------------------------------------------------------
 
@@ -313,7 +330,7 @@ class Panel:
 
     def state(self) -> say.State:
         """Return the state now, without a number of its own."""
-        now_s, now, control = time.monotonic(), self._owner.now, self._control
+        now_s, now, control = clock_s(), self._owner.now, self._control
         held = control.holder(now_s)
         names = {number: client.name for number, client in self._clients.items()}
         holder = None if held is None else held.client
@@ -344,6 +361,7 @@ class Panel:
             rest=None if not now.get("rest") else say.RestOfRun.model_validate(now["rest"]),
             proven=self.calculation.proven,
             calculating=self.calculation.share,
+            busy=self.busy(),
             clients=len(self._clients),
         )
 
@@ -352,7 +370,7 @@ class Panel:
         while True:
             if self._owner.now:  # it reads from then on
                 self._owner.send("alive")
-            self._granted(self._control.passes(time.monotonic()))
+            self._granted(self._control.passes(clock_s()))
             self._seq += 1
             text = self.state().model_dump_json()
             for client in self._clients.values():

@@ -13,9 +13,14 @@ _PLACES = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD)
 
 
 def positions(
-    channels: Iterable[Channel], latest: Mapping[str, float], machine: Machine, stands: IntArray
+    channels: Iterable[Channel],
+    latest: Mapping[str, float],
+    machine: Machine,
+    stands: IntArray | None,
 ) -> dict[str, list[float | None]]:
     """Return commanded, measured and load position of all that moves, SI; None where not known.
+
+    Of an axis that is not homed no position is known, whatever its encoder counts.
 
     Parameters
     ----------
@@ -24,11 +29,16 @@ def positions(
     latest
         The last sample of each, by its name.
     machine, stands
-        The machine, and its (axes,) commanded position in counts, for what was not reported yet.
+        The machine, and its (axes,) commanded position in counts, for what was not reported yet;
+        None where it is not homed.
     """
-    at = dict(zip(machine.axes, (stands / machine.counts_per_unit).tolist(), strict=True))
-    found: dict[str, list[float | None]] = {name: [at[name], None, None] for name in machine.axes}
+    found: dict[str, list[float | None]] = {name: [None, None, None] for name in machine.axes}
+    if stands is not None:
+        for name, at in zip(machine.axes, (stands / machine.counts_per_unit).tolist(), strict=True):
+            found[name][0] = at
     for channel in channels:
+        if stands is None and channel.axis in machine.axes:
+            continue
         if channel.kind in _PLACES and channel.axis:
             row = found.setdefault(channel.axis, [None, None, None])
             column = _PLACES.index(channel.kind)

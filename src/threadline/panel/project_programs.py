@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from threadline.errors import JobError, Place
+from threadline.input_files import reading_within
 from threadline.jobs import FORMATS
 from threadline.jobs.seam.job import AXES as SEAM_AXES
 from threadline.kinds import kind_of
@@ -56,6 +57,7 @@ def program_names(folder: Path, machine: Machine) -> list[str]:
         if _NAME.fullmatch(file.name)
         and _is_done(file.name.lower(), machine)
         and file.is_file()
+        and not file.is_symlink()
         and _may_be_job(file)
     )
     return found[:_MOST_FILES]
@@ -91,13 +93,18 @@ def program_path(folder: Path, name: str) -> Path:
     Raises
     ------
     JobError
-        If the name is none of a file in the folder itself, or leads out of it by a link.
+        If the name is none of a file in the folder itself, or that of a link.
     """
-    path = folder / name
-    if not _NAME.fullmatch(name) or path.resolve().parent != folder.resolve():
+    if not _NAME.fullmatch(name):
         raise JobError(
             f"{name[:60]!r} is no name of a program in the project folder",
             remedy="Use letters, digits, blanks, dots, dashes and underscores.",
+        )
+    path = folder / name
+    if path.is_symlink():
+        raise JobError(
+            f"{name[:60]!r} is a link, and the panel follows none",
+            remedy="Put the file itself into the project folder.",
         )
     return path
 
@@ -110,11 +117,17 @@ def untaught(machine: Machine) -> str:
     return f"{machine.name} takes {' and '.join(f'{one}s' for one in takes)}, no part programs"
 
 
-def take_program(folder: Path, name: str, content: bytes) -> None:
+class ThereAlreadyError(JobError):
+    """There is a file of the name of an upload, and nobody has said that it may go."""
+
+
+def take_program(folder: Path, name: str, content: bytes, *, overwrite: bool) -> None:
     """Write a program that a client has sent into the folder; whole or not at all.
 
     Raises
     ------
+    ThereAlreadyError
+        If there is a file of that name, and ``overwrite`` is False.
     JobError
         If its name, its format or its content is not taken.
     """
@@ -132,8 +145,14 @@ def take_program(folder: Path, name: str, content: bytes) -> None:
         )
     if name.lower().endswith(_PART_PROGRAMS):
         _refuse_realtime(name, content)
-    with atomic_file(path) as file:
-        file.write(content)
+    if path.exists() and not overwrite:
+        raise ThereAlreadyError(f"{name} is in the project folder already", remedy="")
+    try:
+        with atomic_file(path) as file:
+            file.write(content)
+    except OSError as error:
+        why = error.strerror or error
+        raise JobError(f"{name[:60]!r} cannot be written: {why}", place=Place(name)) from error
 
 
 def _refuse_realtime(name: str, content: bytes) -> None:
@@ -161,11 +180,14 @@ def words_of(told: Mapping[str, Any]) -> Options:
 def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
     """Return the plan of a program, and the options that it was made with.
 
+    No file outside of the folder is read for it, whatever program and options name.
+
     Raises
     ------
     InputError
         If the program cannot be read or planned.
     """
-    options = words_of(told)
-    job = open_job(program_path(folder, str(told["program"])), machine, options)
-    return plan_job(job, machine, options), options
+    with reading_within(folder):
+        options = words_of(told)
+        job = open_job(program_path(folder, str(told["program"])), machine, options)
+        return plan_job(job, machine, options), options

@@ -241,7 +241,7 @@ class Welcome(BaseModel):
 
 
 class Where(BaseModel):
-    """An axis now, SI units; None where nothing is known.
+    """An axis now, SI units; None where nothing is known, as of an axis that is not homed.
 
     ``load`` is where the driven mass is, which a simulated machine alone can tell.
     """
@@ -314,6 +314,8 @@ class State(BaseModel):
     proven: Proven | None
     calculating: float | None
     """Share of a calculation that is done; None where there is none."""
+    busy: str = ""
+    """Why no run and no calculation can begin now, for people; empty where nothing is worked at."""
     clients: int
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import re
 import shutil
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -20,6 +19,7 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp
 
 from threadline.errors import InputError, StoreError
+from threadline.live.lateness import clock_s
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
 from threadline.panel.clients import Client
@@ -27,7 +27,12 @@ from threadline.panel.drawing_requests import TooLongError, add_drawing, whole_b
 from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
 from threadline.panel.machine_guide import MachineGuide, add_guide
 from threadline.panel.panel import Panel
-from threadline.panel.project_programs import MOST_UPLOAD, program_names, take_program
+from threadline.panel.project_programs import (
+    MOST_UPLOAD,
+    ThereAlreadyError,
+    program_names,
+    take_program,
+)
 
 PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""
@@ -37,6 +42,7 @@ _NO_PAGE = "The page was not built: run make panel.\n"
 _REFUSALS: dict[int | str, dict[str, Any]] = {
     404: {"description": "there is none of that name"},
     409: {"description": "the lease is not that in force"},
+    412: {"description": "there is a file of that name: send it with X-Overwrite: yes"},
     413: {"description": "more than is taken"},
     422: {"description": "what was sent is not taken, or cannot be read; a line says why"},
 }
@@ -69,6 +75,7 @@ def make_api(
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         panel.connect()
         beat = asyncio.create_task(panel.beat())
+        beat.add_done_callback(_tell_of_end)
         yield
         beat.cancel()
         with suppress(asyncio.CancelledError):
@@ -87,6 +94,13 @@ def make_api(
     _add_live(app, panel, admission)
     _add_page(app)
     return app
+
+
+def _tell_of_end(beat: asyncio.Task[None]) -> None:
+    """Have it logged at once that an error has ended the states; the owner stops the machine."""
+    if not beat.cancelled() and (error := beat.exception()) is not None:
+        told = {"message": "no states are sent any more", "exception": error, "task": beat}
+        beat.get_loop().call_exception_handler(told)
 
 
 def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
@@ -117,7 +131,10 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
         except ClientDisconnect:  # nobody reads the answer
             return PlainTextResponse("the request broke off\n", 400)
         try:
-            await asyncio.to_thread(take_program, folder, name, content)
+            overwrite = request.headers.get("x-overwrite") == "yes"
+            await asyncio.to_thread(take_program, folder, name, content, overwrite=overwrite)
+        except ThereAlreadyError as error:
+            return PlainTextResponse(f"{error.message}\n", 412)
         except InputError as error:
             return PlainTextResponse(f"{error}\n", 422)
         panel.calculation.forget()
@@ -245,7 +262,7 @@ async def _greeted(socket: WebSocket, panel: Panel, admission: Admission) -> Cli
 
 async def _send(socket: WebSocket, client: Client) -> None:
     while not client.full:
-        if (text := await client.next_text(time.monotonic)) is not None:
+        if (text := await client.next_text(clock_s)) is not None:
             await socket.send_text(text)
     await _close(socket, _SLOW, "the client does not take what it is sent")
 

@@ -6,6 +6,7 @@ from threadline.kinds import kind_of
 from threadline.live.executor import LEASE_S
 from threadline.live.jogging import manual_feed
 from threadline.live.link_operated import AtLink
+from threadline.live.sim_process import SLOWER
 from threadline.live.ways import way_of
 from threadline.machine import Machine
 from threadline.panel import protocol as say
@@ -26,7 +27,7 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
         machine=machine.name,
         title=machine.title,
         link=link,
-        simulated=link == "sim",
+        simulated=link in ("sim", SLOWER),
         label=far_end.label,
         lacks=dict(far_end.lacks),
         notes=list(far_end.notes),

@@ -9,6 +9,8 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.quantity import LEAST_SI
 
+_CREEP = 1e-12  # m/s or rad/s: sliding, and nothing else
+
 
 def current_needed(
     machine: Machine, axis: str, velocity_si: float, acceleration_si: float
@@ -30,6 +32,51 @@ def current_needed(
     turning = drive_rate(machine, axis, rates)
     force = rigid_force(machine, axis, velocity_si, acceleration_si)
     return float(force / (turning * drive.torque_constant.si))
+
+
+def drive_needs(machine: Machine, axis: str) -> tuple[FloatArray, FloatArray]:
+    """Return what an axis needs of its motor, all links rigid: current in A, voltage in V.
+
+    Returns
+    -------
+    tuple
+        Two (3,): to overcome sliding friction, more for 1 m/s or rad/s, and more for 1 m/s^2 or
+        rad/s^2; the voltage is that across the winding.
+    """
+    drive = machine.drive_of(axis)
+    turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+    still, moving = (abs(current_needed(machine, axis, speed, 0.0)) for speed in (_CREEP, 1.0))
+    push = abs(current_needed(machine, axis, 0.0, 1.0))
+    current = np.array([still, moving - still, push])
+    winding = drive.resistance.si * current
+    winding[1] += drive.back_emf.si * turning
+    return current, winding
+
+
+def drive_limits(
+    machine: Machine, axis: str, current: FloatArray, winding: FloatArray
+) -> list[tuple[float, FloatArray, str]]:
+    """Return the limits of an axis' drive, each beside the needs that it is a limit of.
+
+    They are those of the controller's output and of the winding's voltage in V, and of the current
+    in A; infinite where the file has none. ``current`` and ``winding`` are as from ``drive_needs``.
+
+    Returns
+    -------
+    list
+        Limit, (3,) needs in its unit, and what the limit is called.
+    """
+    amplifier = machine.drive_of(axis).amplifier
+    told = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
+    most_v, most_a = (
+        np.inf if limit is None else limit.si
+        for limit in (amplifier.voltage_limit, amplifier.current_limit)
+    )
+    return [
+        (machine.controller_of(axis).dac.range.si, told, "full output of the controller, {:.4g} V"),
+        (most_v, winding, "voltage_limit of {:.4g} V"),
+        (most_a, current, "current_limit of {:.4g} A"),
+    ]
 
 
 def rigid_force(machine: Machine, axis: str, velocity_si: float, acceleration_si: float) -> float:

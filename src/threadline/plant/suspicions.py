@@ -7,7 +7,15 @@ import numpy as np
 from threadline.machine import Machine
 from threadline.machine.parts import Axis
 from threadline.plant.controllers import difference_equation
-from threadline.plant.rigid import current_needed, drive_rate, drive_unit, rigid_force, rigid_motion
+from threadline.plant.rigid import (
+    current_needed,
+    drive_limits,
+    drive_needs,
+    drive_rate,
+    drive_unit,
+    rigid_force,
+    rigid_motion,
+)
 from threadline.plant.values import Values
 
 _VISCOUS_SHARE = 0.5
@@ -15,6 +23,7 @@ _CONSTANTS_APART = 0.05
 _SCALES_APART = 0.01
 _DEAD_COUNTS = 5.0
 _SPARE = 1.0 + 1e-9
+_BEYOND = 1.05  # an axis limit may be so much above its drive: data sheets are rounded
 
 
 def suspicions(machine: Machine) -> list[str]:
@@ -26,6 +35,8 @@ def suspicions(machine: Machine) -> list[str]:
     - counts of an axis that differ from those of its sensor over belt and gear by more than 1 % and
       the tolerances,
     - friction that takes half of a motor's current or more at the axis' working speed,
+    - a velocity or acceleration limit of an axis that is more than 5 % above the most that its
+      motor and amplifier reach,
     - a working speed and an allowed acceleration that together need more current, or more torque of
       a stepper or pulse servo, than the drive has,
     - a controller that rounds an error of several counts at rest to no DAC level.
@@ -39,6 +50,7 @@ def suspicions(machine: Machine) -> list[str]:
             continue
         found += _scale(machine, name)
         found += _viscous(machine, name)
+        found += _beyond_drive(machine, name)
         found += _beyond_current(machine, name)
         found += _dead_band(machine, name)
     return found
@@ -132,6 +144,42 @@ def _beyond_current(machine: Machine, name: str) -> list[str]:
         f"{acceleration:.4g} {unit} needs {needed:.1f} A, more than the {limit.si:g} A of "
         f"drives.{drive_name}; at that speed {left} are left"
     ]
+
+
+def _beyond_drive(machine: Machine, name: str) -> list[str]:
+    """Return a warning for each limit of an axis that is far above what its drive can do.
+
+    Its speed is the one that it reaches in the end with nothing left to accelerate, its
+    acceleration the one that it has from rest; sliding friction is taken from both.
+    """
+    axis = machine.axes[name]
+    drive = machine.controllers[axis.controller].drive
+    needs = drive_limits(machine, name, *drive_needs(machine, name))
+    found = []
+    for said, limit, column, unit in (
+        ("velocity", axis.velocity.si, 1, "/s"),
+        ("acceleration", axis.acceleration.si, 2, "/s^2"),
+    ):
+        reached, why = min(
+            (
+                (max(most - need[0], 0.0) / need[column], called.format(most))
+                for most, need, called in needs
+                if need[column] > 0.0 and np.isfinite(most)
+            ),
+            default=(np.inf, ""),
+        )
+        if limit > _BEYOND * reached:
+            found.append(
+                f"axes.{name}: {said} is {_shown(axis, limit)}{unit} by the machine file, and "
+                f"drives.{drive} reaches {_shown(axis, reached)}{unit} at most, with the {why}: "
+                f"the machine falls behind a plan that asks for more; lower axes.{name}.{said}"
+            )
+    return found
+
+
+def _shown(axis: Axis, value_si: float) -> str:
+    """Return a length in m, or an angle in degrees, without the end of its unit."""
+    return f"{value_si:.4g} m" if axis.kind == "linear" else f"{np.degrees(value_si):.4g} deg"
 
 
 def _beyond_torque(machine: Machine, name: str) -> list[str]:

@@ -12,6 +12,8 @@ from threadline.escaping import plain
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.option_words import parse_tolerance_m, tolerance_words
+from threadline.signals import Recording
+from threadline.verdict import Verdict, happened_rows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +48,12 @@ class Table:
             or (len(self.header) == 2 and not self.headed)
             for column, name in enumerate(self.header)
         )
+
+
+def changes(verdict: Verdict) -> list[Table]:
+    """Return a table of what changed the motion of the runs; none where nothing did."""
+    header, rows = happened_rows(verdict)
+    return [Table(title="What changed the motion", header=header, rows=rows)] if rows else []
 
 
 def failing(row: Sequence[str]) -> tuple[bool, ...]:
@@ -150,6 +158,15 @@ def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list
             ("machine sha256", machine.sha256),
         ]
     return facts
+
+
+def run_facts(recording: Recording) -> list[tuple[str, str]]:
+    """Return the facts of a run of the machine; none of a recording that was simulated for a proof.
+
+    ``override`` is the reason why it was run although its proof did not pass.
+    """
+    origin = recording.origin
+    return [(name, origin[name]) for name in ("link", "label", "override") if name in origin]
 
 
 def options_facts(

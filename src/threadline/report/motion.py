@@ -16,8 +16,10 @@ from threadline.report.circuits import count_circuits
 from threadline.report.document import (
     Document,
     Table,
+    changes,
     options_facts,
     origin_facts,
+    run_facts,
 )
 from threadline.report.figures import all_figures
 from threadline.report.publish import write_document
@@ -64,6 +66,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
             warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
+                *changes(proof.verdict),
                 Table(
                     title="The job",
                     header=("", ""),
@@ -169,11 +172,11 @@ def facts(proof: Proof) -> list[tuple[str, str]]:
 
 def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str, str]]:
     """Return versions, files and options, without the options in ``leave_out``."""
-    plan, origin = proof.plan, proof.recording.origin
+    plan = proof.plan
     return [
         *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
-        *((name, origin[name]) for name in ("link", "label") if name in origin),
+        *run_facts(proof.recording),
         *options_facts(plan.options, plan.machine, leave_out),
     ]
 

@@ -16,8 +16,10 @@ from threadline.report.document import (
     Document,
     Printed,
     Table,
+    changes,
     options_facts,
     origin_facts,
+    run_facts,
 )
 from threadline.report.drawn_run import DrawnRun, drawn_run, run_words
 from threadline.report.each_stitch import stitch_lines
@@ -80,6 +82,7 @@ def write_stitched(studied: Studied, folder: Path) -> Path:
             warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
+                *changes(proof.verdict),
                 Table(title="Stitches", header=["", ""], rows=stitch_rows(plan)),
                 _worst_table(proof, run),
             ],
@@ -215,6 +218,7 @@ def _facts(proof: Proof) -> list[tuple[str, str]]:
     return [
         *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        *run_facts(proof.recording),
         ("tables", f"{len(commands.library)}, counted by {commands.counted_by}"),
         ("law", plan.stitched.law.name),
         *options_facts(plan.options, plan.machine, _LEFT_OUT),

@@ -15,8 +15,10 @@ from threadline.report.document import (
     Document,
     Printed,
     Table,
+    changes,
     options_facts,
     origin_facts,
+    run_facts,
 )
 from threadline.report.drawn_run import drawn_run
 from threadline.report.onoff import break_figure
@@ -110,6 +112,7 @@ def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = 
             warnings=grouped(doubts(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
+                *changes(proof.verdict),
                 *steps,
                 *(Table(title=t, header=h, rows=r) for t, h, r in tables),
             ],
@@ -177,6 +180,7 @@ def _facts(proof: Proof) -> list[tuple[str, str]]:
     return [
         *origin_facts(plan.machine, plan.job),
         ("simulated", "yes" if proof.verdict.simulated else "no, recorded live"),
+        *run_facts(proof.recording),
         ("scan", f"{float(plan.commands.clock.period_s) * 1e3:g} ms"),
         ("schedule", f"{plan.duration_s:g} s, {len(plan.scheduled.commands.ticks)} switchings"),
         *((f"cylinder {axis}", words) for axis, words in shaping_rows(plan)),

@@ -15,7 +15,7 @@ from threadline.asked import Words, with_radii_of
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode, Job, Pace
 from threadline.machine import Machine
-from threadline.option_defaults import DEFAULT_INTERPOLATION, NO_CONTOUR, UNSHAPED_WORD
+from threadline.option_defaults import NO_CONTOUR, UNSHAPED_WORD, USUAL
 from threadline.option_form import Word
 from threadline.option_words import (
     feed_words,
@@ -81,6 +81,7 @@ class Question:
         named, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
         options = words.options(robust=planned)
         chosen = with_radii_of(named, options)
+        options = options.on(chosen)
         job = open_job(file, chosen, options)
         given = {f"--{word}": words.text(word) for word in _NOT_EVERYWHERE}
         refuse_for_pace(job, given)
@@ -102,7 +103,7 @@ def _planned_for(words: Words) -> str | None:
 
     A plan without averages to choose is made for the machine of the file, and judged on the others.
     """
-    plain = words.text("interpolation") == DEFAULT_INTERPOLATION and words.text("law") is None
+    plain = words.text("interpolation") in USUAL and words.text("law") is None
     return words.text("robust") if words.flag("feed_forward") and plain else None
 
 
@@ -180,7 +181,8 @@ def _feed(asked: Question) -> Answer:
         actual=asked.actual, trials=asked.trials,
     )  # fmt: skip
     found = result.best.found
-    return Answer(found.best, "m/s", found.limited_by, result, job_words(result))
+    unit = "" if result.by is FeedMode.OVERRIDE else "m/s"
+    return Answer(found.best, unit, found.limited_by, result, job_words(result))
 
 
 def _needle(asked: Question) -> Answer:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
+from contextvars import Context
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from threadline.errors import PlanError
 from threadline.jobs.operations import Job
+from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.options import Options
+from threadline.path.interpolations import FIRMWARE
 from threadline.pipeline import (
     NOMINAL,
     Proof,
@@ -17,6 +22,7 @@ from threadline.pipeline import (
     plan_job,
     prove_plan,
 )
+from threadline.plan import Plan
 from threadline.progress_call import Progress
 from threadline.search.gentle import fastest_job
 from threadline.search.rungs import FastestJob
@@ -38,11 +44,15 @@ class Comparison:
         1994 experiment was judged; empty when it was not asked for.
     refused
         Shapers that the machine cannot follow, each with why.
+    as_run_s
+        Per proof, how long the planner of the machine's own firmware takes over the program that
+        is written of it; None where there is no such program.
     """
 
     proofs: tuple[Proof, ...]
     fastest: dict[str, FastestJob]
     refused: tuple[tuple[str, str], ...] = ()
+    as_run_s: tuple[float | None, ...] = ()
 
 
 def placement_spec(spec: Spec) -> Spec:
@@ -82,6 +92,7 @@ def compare(
         If a plan without a shaper fails, or those of all shapers do.
     """
     check_machine(machine)
+    planned = list(dict.fromkeys(one.on(machine) for one in planned))
     searched = job.paced_by in ("feed", "needle") and not machine.without_dynamics
     with_fastest = with_fastest and searched
     proofs = []
@@ -119,4 +130,32 @@ def compare(
             fastest[interpolation] = fastest_job(
                 job, machine, placement_spec(spec), chosen, trials=trials
             )
-    return Comparison(proofs=tuple(proofs), fastest=fastest, refused=tuple(refused))
+    return Comparison(
+        proofs=tuple(proofs),
+        fastest=fastest,
+        refused=tuple(refused),
+        as_run_s=tuple(as_run_s(proof.plan) for proof in proofs),
+    )
+
+
+def as_run_s(plan: Plan) -> float | None:
+    """Return how long the machine's own firmware takes over the program that a plan becomes.
+
+    None where the machine file names no planner, and where the plan is not written so: one with a
+    shaper or feed-forward, or with words that are lost.
+    """
+    planner = plan.machine.planner
+    if planner is None or planner.kind not in kind_of(plan.machine).targets:
+        return None
+    if plan.interpolation == FIRMWARE:
+        return plan.duration_s
+    if {"shaper", "feed-forward"} & plan.options.keys():
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "program"
+        try:
+            # In a context of its own the file is there at once, and no output of the command.
+            written = Context().run(kind_of(plan.machine).targets[planner.kind].write, plan, file)
+        except PlanError:
+            return None
+    return None if written[0].as_run_s is None else written[0].as_run_s[1]

@@ -197,4 +197,5 @@ def _cut(run: MoveRun, begin: int, end: int) -> MoveRun:
         line=run.line[begin:end],
         feeds=tuple(feeds[ahead:]),
         columns={name: column[begin:end] for name, column in run.columns.items()},
+        acts=tuple((at - begin, acts) for at, acts in run.acts if begin <= at < end),
     )

@@ -11,9 +11,10 @@ import numpy as np
 from threadline.errors import LimitError
 from threadline.jobs.feed_times import feed_time_s
 from threadline.jobs.gcode.f_words import RULES, as_f_words
-from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.options import Options
+from threadline.path import programmed_path
 from threadline.pipeline import NOMINAL, Trials, plan_job, try_plan
 from threadline.plan import Following
 from threadline.progress_call import Progress
@@ -33,12 +34,64 @@ from threadline.search.until import Until
 from threadline.verdict import Spec, Verdict
 
 
-def searched_by(job: Job) -> FeedMode:
-    """Return what a search for a feed varies: F as the job has it, or the fastest axis' speed."""
+def searched_by(job: Job, machine: Machine) -> FeedMode:
+    """Return what a search for a feed varies.
+
+    Where a program has feeds that differ it is their override, which keeps their ratios; else F as
+    the job has it, or the speed of the fastest axis. An operator whose machine has a normal feed
+    sets one for all moves, and no override.
+    """
     named = job.feed_rule.partition(":")[0]
-    if named not in RULES or RULES[named][0] is FeedMode.FASTEST_AXIS:
+    if named not in RULES:
         return FeedMode.FASTEST_AXIS
-    return FeedMode.F_WORD
+    if machine.operator is None and _feeds_differ(job):
+        return FeedMode.OVERRIDE
+    return FeedMode.FASTEST_AXIS if RULES[named][0] is FeedMode.FASTEST_AXIS else FeedMode.F_WORD
+
+
+def _feeds_differ(job: Job) -> bool:
+    first: tuple[FeedMode, float] | None = None
+    for item in move_runs(job):
+        for _, feed in item.feeds if isinstance(item, MoveRun) else ():
+            if feed is None or feed.mode is FeedMode.RAPID:
+                continue
+            first = (feed.mode, feed.value) if first is None else first
+            if (feed.mode, feed.value) != first:
+                return True
+    return False
+
+
+def search_range(job: Job, machine: Machine, by: FeedMode) -> tuple[float, float]:
+    """Return the feeds between which a search makes sense, of what ``by`` says.
+
+    Those of ``feed_range_m_s``. Of an override: up to where the moves that the program wants the
+    fastest are as fast as their axes can be, 1 at least, because beyond that slower ones alone
+    become faster and ratios are lost; from where these moves make a count per tick.
+    """
+    if by is not FeedMode.OVERRIDE:
+        return feed_range_m_s(machine, by, job.feed_rule)
+    column = [machine.axis_names.index(axis) for axis in job.axes]
+    radius, velocity = machine.radius_m[column], machine.velocity_limit[column]
+    fastest_m_s, faster = 0.0, 1.0
+    last = np.array(job.start)
+    for block in programmed_path(job, machine):
+        way = np.abs(np.diff(block.positions, axis=0, prepend=last[None]))
+        last = block.positions[-1]
+        fed = (block.nominal_s > 0.0) & way.any(axis=1)
+        if not fed.any():
+            continue
+        nominal_s = block.nominal_s[fed]
+        speeds = (way[fed] * radius).max(axis=1) / nominal_s
+        shares = nominal_s / (way[fed] / velocity).max(axis=1)
+        top = float(speeds.max())
+        if top > fastest_m_s * (1.0 + _SAME):
+            fastest_m_s, faster = top, 1.0
+        same = speeds >= fastest_m_s * (1.0 - _SAME)
+        faster = max(faster, float(shares[same].max(initial=1.0)))
+    least_m_s = feed_range_m_s(machine)[0]
+    if not fastest_m_s:
+        return 0.01, 1.0
+    return _typed(min(least_m_s / fastest_m_s, 0.5), math.ceil), _typed(faster, math.floor)
 
 
 def feed_range_m_s(
@@ -78,6 +131,10 @@ def _of_all(passed: Sequence[Verdict]) -> Verdict:
     rows = zip(*(verdict.results for verdict in passed), strict=True)
     worst = (max(row, key=lambda one: (one.measured is not None, one.severity)) for row in rows)
     return replace(closest, results=tuple(worst))
+
+
+_SAME = 1e-3
+"""Speeds that differ by a smaller share are the same one."""
 
 
 def _typed(feed: float, towards: Callable[[float], int]) -> float:
@@ -124,14 +181,15 @@ def fastest_feed(
     until
         When the search has to come to an answer.
     by
-        What the feed is of: the fastest axis, or F words, by the job's rule for them.
+        What the feed is of: the fastest axis, or F words, by the job's rule for them; or an
+        override, a share of the programmed feeds.
     seen, every
         As ``find_fastest`` takes them.
     """
     # Where one of the shortest shows already that a feed fails, the others need no simulation.
     shortest_first = sorted(parts, key=moves_in) if len(parts) > 1 else parts or (job,)
     judged_jobs = [LongMoves.of(part, machine) for part in shortest_first]
-    lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
+    lowest, highest = search_range(job, machine, by)
 
     def judged(feed_m_s: float) -> Verdict:
         passed = []

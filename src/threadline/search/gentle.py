@@ -27,7 +27,7 @@ from threadline.search.fastest import (
     Fastest,
     check_range,
 )
-from threadline.search.feed import fastest_feed, feed_range_m_s, searched_by
+from threadline.search.feed import fastest_feed, search_range, searched_by
 from threadline.search.forbidden import closeness, worst_criterion
 from threadline.search.long_moves import LongMoves
 from threadline.search.rungs import FastestJob, Rung
@@ -68,7 +68,7 @@ def fastest_job(
     Parameters
     ----------
     low, high
-        Feeds to search between, m/s of the fastest axis or of F words.
+        Feeds to search between: m/s of the fastest axis or of F words, shares of an override.
     actual
         The machine that does the job, where it isn't the one that plans are made for.
     trials
@@ -76,8 +76,8 @@ def fastest_job(
     until
         When the search has to come to an answer.
     by
-        What the feed is of; when None F where the job's rule for it is another than the fastest
-        axis, else that. ``optimal`` is always capped by the fastest axis.
+        What the feed is of; when None what ``searched_by`` says. ``optimal`` is always capped by
+        the fastest axis.
 
     Notes
     -----
@@ -103,9 +103,10 @@ def fastest_job(
             trials=trials,
             until=until,
         )
-    by = searched_by(job) if by is None else by
-    lowest, highest = feed_range_m_s(machine, by, job.feed_rule)
-    check_range(lowest if low is None else low, highest if high is None else high, "m/s")
+    by = searched_by(job, machine) if by is None else by
+    lowest, highest = search_range(job, machine, by)
+    unit = "times the feeds" if by is FeedMode.OVERRIDE else "m/s"
+    check_range(lowest if low is None else low, highest if high is None else high, unit)
     if progress is not None:
         progress("looking for what repeats", 0.0)
     if until is not None:

@@ -35,6 +35,7 @@ from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
 from threadline.verdict.binomial import clopper_pearson
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.rendering import shown
 
 AT_ONCE = 4096
 """Machines that are judged, and kept in a state, as one part; results do not depend on it."""
@@ -59,9 +60,12 @@ class Worst:
     numbers
         Names in the file and their SI values, of those that are not as the file says.
     share
-        The largest share of a limit that it uses.
+        The largest share of a limit that it uses; infinite where it exceeds a limit of 0.
     binding
         The criterion of that limit.
+    row
+        What was measured of that criterion, in this machine alone; None where it cannot be
+        simulated, or never ends what it waits for.
     of_corners
         Whether every corner of the tolerances was tried.
     """
@@ -70,7 +74,20 @@ class Worst:
     numbers: dict[str, float]
     share: float
     binding: str
+    row: CriterionRow | None
     of_corners: bool
+
+    @property
+    def used(self) -> str:
+        """What it uses of the limit, for people."""
+        if self.row is None:
+            return "it cannot be simulated, or never ends what it waits for"
+        if self.row.missed.any():
+            return f"{self.binding} is required, and was not measured"
+        if np.isfinite(self.share):
+            return f"{percent_used(self.share, 1)} of {self.binding}"
+        limit = shown(self.row.limit or 0.0, self.row.unit)
+        return f"{shown(float(self.row.values[0]), self.row.unit)} of {self.binding}, limit {limit}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -193,6 +210,8 @@ class MachineYield:
         ------
         OptionError
             If there are none, or the seed is out of range.
+        RecordingError
+            If the first machine comes to something else than the state has of it.
         """
         if variants < 1:
             raise OptionError(f"variants must be at least 1, got {variants}")
@@ -200,6 +219,7 @@ class MachineYield:
         through = 0
         if state is not None and state.known is not None:
             through = min(state.known.runs, variants)
+            state.check_first(self.judged(drawn(self.plan.machine, seed, np.arange(1))))
             found.append(state.known.taken(np.arange(through)))
             if done is not None:
                 done(through)
@@ -273,22 +293,24 @@ class MachineYield:
         return best, share, bound
 
     def _worst(self, parts: FloatArray, share: float, binding: str, *, of_corners: bool) -> Worst:
-        share, binding = self._told_alone(parts, share, binding)
+        alone = self._alone.judged(parts[None])
+        shares, names = shares_of(alone)
+        if np.isfinite(shares[0]):
+            share, binding = float(shares[0]), names[0]
+        of_runs = [row for row in alone.rows if not row.of_plan]
+        answers = any(np.isfinite(row.values[0]) for row in of_runs)
+        row = next((row for row in of_runs if row.text == binding), None)
         moved = numbers_at(self.plan.machine, parts)
         own = numbers_at(self.plan.machine, np.zeros(len(self.numbers)))
         numbers = {k: float(v[0]) for k, v in moved.items() if v[0] != own[k][0]}
         return Worst(
-            parts=parts, numbers=numbers, share=share, binding=binding, of_corners=of_corners
+            parts=parts,
+            numbers=numbers,
+            share=share,
+            binding=binding,
+            row=row if answers else None,
+            of_corners=of_corners,
         )
-
-    def _told_alone(self, parts: FloatArray, share: float, binding: str) -> tuple[float, str]:
-        """Return share and criterion of a machine judged alone; those given where it cannot be."""
-        if self._many is None:
-            return share, binding
-        shares, names = shares_of(self._alone.judged(parts[None]))
-        if not np.isfinite(shares[0]):
-            return share, binding
-        return float(shares[0]), names[0]
 
     def halved(self, variants: int, seed: int, done: Done | None = None) -> FloatArray:
         """Return (n,) the yield if the tolerance of one number were half of what it is.
@@ -353,8 +375,8 @@ def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
         for path, (value, unit) in told.items()
     }
     lines = [
-        f"# The worst machine found within the tolerances: {percent_used(worst.share, 1)} of",
-        f"# {worst.binding}, by threadline yield.",
+        f"# The worst machine found within the tolerances: {worst.used},",
+        "# by threadline yield.",
         f"base = {toml_string(base)}",
         f"name = {toml_string(machine.name.split('+')[0] + '-worst')}",
         f"title = {toml_string(machine.title + ', worst of its tolerances')}",

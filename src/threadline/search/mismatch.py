@@ -59,6 +59,9 @@ FEED = Searched(name="feed", best="fastest", unit="mm/s", per_unit=1e3, done="do
 F_WORDS = Searched(
     name="F", best="fastest", unit="mm/min by its rule", per_unit=60_000.0, done="done"
 )
+OVERRIDE = Searched(
+    name="feed override", best="fastest", unit="% of the feeds", per_unit=100.0, done="done"
+)
 SHAFT = Searched(
     name="speed of the shaft", best="fastest", unit="stitch/min", per_unit=60.0, done="sewn"
 )

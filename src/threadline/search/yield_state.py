@@ -1,9 +1,13 @@
 """Results of drawn machines, kept in a file as they come, so that a yield can be continued.
 
 The file has a line for what it is of, and one for each part of the sequence of machines; lines are
-only ever added. A line that was cut short by an interrupt is left out, and its machines are drawn
-again: a machine depends on the seed and its number alone, so that the answer is the same to the
-bit.
+only ever added, by one process at a time. A line that was cut short by an interrupt is left out,
+and its machines are drawn again: a machine depends on the seed and its number alone, so that the
+answer is the same to the bit.
+
+A line begins with its check sum, and its rows have numbers. Whether a machine failed is no part of
+it, but follows from value and limit; and who goes on judges the first machine again, so that a file
+of other criteria or values is found out.
 """
 
 from __future__ import annotations
@@ -11,11 +15,12 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-import os
+import math
+import sys
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import IO, Any, NoReturn
 
 import numpy as np
 
@@ -23,12 +28,19 @@ from threadline.errors import OptionError, Place, RecordingError
 from threadline.input_files import naming
 from threadline.signals.files.common import parse_json
 from threadline.verdict import CriterionRow, EachRun
+from threadline.verdict.each_run import exceeded
+from threadline.verdict.registry import MEASURES
 from threadline.writing import check_output, is_stdout
 
-FORMAT = "threadline yield 1"
+if sys.platform != "win32":
+    import fcntl
+
+FORMAT = "threadline yield 2"
 _MOST_LINE = 64 << 20
 _MOST_RUNS = 1 << 20  # of one line
-_TOLD = ("name", "axis", "step", "limit", "unit", "required", "hard", "of_plan")
+_TEXTS = ("name", "axis", "step", "unit")
+_FLAGS = ("required", "hard", "of_plan")
+_TOLD = (*_TEXTS, "limit", *_FLAGS)
 
 
 class YieldState:
@@ -52,7 +64,8 @@ class YieldState:
     Raises
     ------
     OptionError
-        If the file must not be written, or is of other machines, commands or criteria.
+        If the file must not be written, is of other machines, commands or criteria, or another
+        process writes it.
     RecordingError
         If it is no such file, or damaged.
     """
@@ -66,42 +79,92 @@ class YieldState:
         self._path = path
         self.known: EachRun | None = None
         self.cut = False
-        if path.exists() and path.stat().st_size:
-            self._read(identity)
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._append({"format": FORMAT, "identity": dict(identity)})
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with naming(path, path):
+            self._file: IO[bytes] = path.open("a+b")
+        try:
+            self._lock()
+            if self._file.seek(0, 2):
+                self._read(identity)
+            else:
+                self._append({"format": FORMAT, "identity": dict(identity)})
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __del__(self) -> None:
+        if hasattr(self, "_file"):
+            self._file.close()
 
     def add(self, found: EachRun) -> None:
         """Keep what came of the next machines of the sequence."""
         at = 0 if self.known is None else self.known.runs
-        self._append({"first": at, "runs": found.runs, "rows": [_packed(r) for r in found.rows]})
+        rows = [{"number": k, **_packed(row)} for k, row in enumerate(found.rows)]
+        content = {"first": at, "runs": found.runs, "incomplete": found.incomplete, "rows": rows}
+        self._append(content)
         parts = [found] if self.known is None else [self.known, found]
         self.known = EachRun.joined(parts)
 
+    def check_first(self, found: EachRun) -> None:
+        """Hold what the file has of the first machine against what came of it now.
+
+        Raises
+        ------
+        RecordingError
+            If they differ.
+        """
+        assert self.known is not None
+        told, now = (
+            [(*_table(row), row.values[:1].tobytes()) for row in one.rows]
+            for one in (self.known, found)
+        )
+        if told != now or self.known.incomplete != found.incomplete:
+            self._refuse("its first machine comes to something else today", 2)
+
+    def _lock(self) -> None:
+        """Keep other processes from writing the file, until this one forgets it or ends."""
+        if sys.platform == "win32":
+            return
+        try:
+            fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            raise OptionError(
+                f"another program writes {str(self._path)!r} at this moment",
+                remedy="Wait for its end, or give another file to --resume.",
+            ) from None
+        except OSError as error:
+            raise OptionError(
+                f"{str(self._path)!r} cannot be locked against other programs: {error.strerror}",
+                remedy="Give a file on a disk of this computer to --resume.",
+            ) from error
+
     def _append(self, content: Mapping[str, Any]) -> None:
         text = json.dumps(content, ensure_ascii=True, separators=(",", ":")).encode()
-        with naming(self._path, self._path), self._path.open("ab") as file:
-            file.write(b"%08x %s\n" % (zlib.crc32(text), text))
+        with naming(self._path, self._path):
+            self._file.write(b"%08x %s\n" % (zlib.crc32(text), text))
+            self._file.flush()
 
     def _read(self, identity: Mapping[str, str]) -> None:
         found: list[EachRun] = []
-        with self._path.open("rb") as file:
-            head = self._content(file.readline(_MOST_LINE), 1)
-            if head.get("format") != FORMAT:
-                self._refuse("it is not the state of a yield", 1)
-            self._check_identity(head.get("identity"), identity)
-            good, line = file.tell(), 1
-            while text := file.readline(_MOST_LINE):
-                line += 1
-                if not text.endswith(b"\n") and not file.read(1):
-                    self.cut = True
-                    break
-                at = sum(part.runs for part in found)
-                found.append(self._part(self._content(text, line), at, line))
-                good = file.tell()
+        file = self._file
+        file.seek(0)
+        head = self._content(file.readline(_MOST_LINE), 1)
+        if head.get("format") != FORMAT:
+            self._refuse("it is not the state of a yield of this version", 1)
+        self._check_identity(head.get("identity"), identity)
+        good, line = file.tell(), 1
+        while text := file.readline(_MOST_LINE):
+            line += 1
+            if not text.endswith(b"\n") and not file.read(1):
+                self.cut = True
+                break
+            at = sum(part.runs for part in found)
+            found.append(self._part(self._content(text, line), at, line))
+            if [*map(_table, found[-1].rows)] != [*map(_table, found[0].rows)]:
+                self._refuse("it has other criteria than the lines before it", line)
+            good = file.tell()
         if self.cut:
-            os.truncate(self._path, good)
+            file.truncate(good)
         if found:
             self.known = EachRun.joined(found)
 
@@ -125,14 +188,28 @@ class YieldState:
             )
 
     def _part(self, content: dict[str, Any], at: int, line: int) -> EachRun:
-        runs = content.get("runs")
-        if content.get("first") != at or not isinstance(runs, int) or not 0 < runs <= _MOST_RUNS:
+        runs, first = content.get("runs"), content.get("first")
+        if type(first) is not int or first != at or type(runs) is not int:
             self._refuse(f"machines {at} and on should stand here", line)
+        if not 0 < runs <= _MOST_RUNS:
+            self._refuse(f"it has {runs} machines in one line, not 1 to {_MOST_RUNS}", line)
+        incomplete = content.get("incomplete")
         try:
-            rows = tuple(_unpacked(row, runs) for row in content["rows"])
-        except (KeyError, TypeError, ValueError, zlib.error, binascii.Error):
+            rows = tuple(_unpacked(row, k, runs) for k, row in enumerate(content["rows"]))
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            OverflowError,
+            zlib.error,
+            binascii.Error,
+        ) as error:
+            told = f": {error}" if type(error) is ValueError else ""
+            self._refuse(f"it was changed{told}", line)
+        if not isinstance(incomplete, str) or not rows:
             self._refuse("it was changed", line)
-        return EachRun(rows=rows, runs=runs)
+        return EachRun(rows=rows, runs=runs, incomplete=incomplete)
 
     def _refuse(self, why: str, line: int) -> NoReturn:
         raise RecordingError(
@@ -142,18 +219,32 @@ class YieldState:
         )
 
 
+def _table(row: CriterionRow) -> tuple[Any, ...]:
+    """Return what a row is of."""
+    return tuple(getattr(row, key) for key in _TOLD)
+
+
 def _packed(row: CriterionRow) -> dict[str, Any]:
-    told = {key: getattr(row, key) for key in _TOLD}
     values = np.ascontiguousarray(row.values, dtype="<f8").tobytes()
-    failed = np.packbits(row.failed).tobytes()
-    return told | {"values": _text(values), "failed": _text(failed)}
+    return {**dict(zip(_TOLD, _table(row), strict=True)), "values": _text(values)}
 
 
-def _unpacked(told: Mapping[str, Any], runs: int) -> CriterionRow:
+def _unpacked(told: Mapping[str, Any], number: int, runs: int) -> CriterionRow:
+    if type(told["number"]) is not int or told["number"] != number:
+        raise ValueError(f"row {number} is not where it belongs")
+    if not all(isinstance(told[key], str) for key in _TEXTS):
+        raise ValueError(f"row {number} has a name that is no text")
+    if not all(isinstance(told[key], bool) for key in _FLAGS):
+        raise ValueError(f"row {number} has a mark that is neither true nor false")
+    limit = told["limit"]
+    if limit is not None and (isinstance(limit, bool) or not math.isfinite(limit)):
+        raise ValueError(f"row {number} has a limit that is no number")
+    if (kind := MEASURES.get(told["name"])) is None:
+        raise ValueError(f"row {number} is of no criterion")
     values = np.frombuffer(_bytes(told["values"], 8 * runs), dtype="<f8").astype(np.float64)
-    bits = np.frombuffer(_bytes(told["failed"], (runs + 7) // 8), dtype=np.uint8)
-    failed = np.unpackbits(bits, count=runs).astype(np.bool_)
-    return CriterionRow(**{key: told[key] for key in _TOLD}, values=values, failed=failed)
+    return CriterionRow(
+        **{key: told[key] for key in _TOLD}, values=values, failed=exceeded(kind, limit, values)
+    )
 
 
 def _text(content: bytes) -> str:
@@ -164,5 +255,5 @@ def _bytes(text: str, count: int) -> bytes:
     reader = zlib.decompressobj()
     content = reader.decompress(base64.b64decode(text, validate=True), count + 1)
     if len(content) != count:
-        raise ValueError(f"{len(content)} bytes, not {count}")
+        raise ValueError(f"a row has {len(content)} bytes, not {count}")
     return content

@@ -114,13 +114,19 @@ class Recording:
 
     def __post_init__(self) -> None:
         first = {(c.kind, c.axis): c for c in reversed(self.channels)}
+        # ``X.current`` is the current at the samples, also where ``X.current_peak`` stands first.
+        plain = (c for c in self.channels if c.name == f"{c.axis}.{c.kind.value}")
+        first |= {(c.kind, c.axis): c for c in plain}
         object.__setattr__(self, "_by_kind", first)
 
     def __iter__(self) -> Iterator[RecordingBlock]:
         return iter(self.blocks)
 
     def find(self, kind: ChannelKind, axis: str = "") -> Channel | None:
-        """Return the channel of ``kind`` and ``axis``, or None when the machine has none."""
+        """Return the channel of ``kind`` and ``axis``, or None when the machine has none.
+
+        Of several, it is the one called ``AXIS.kind``, else the first.
+        """
         return self._by_kind.get((kind, axis))
 
     def channel(self, name: str) -> Channel:
@@ -142,6 +148,10 @@ class Recording:
         if self.runs == 1:
             return self
         return replace(self, blocks=Stream(_of_one_run, self.blocks, number - 1), runs=1)
+
+    def is_empty(self) -> bool:
+        """Say whether no channel has a sample; reads as far as the first one."""
+        return not any(len(values) for block in self for values in block.samples.values())
 
     def outcome(self) -> Outcome:
         """Return how the run ended and whether its rows came in time; reads every block."""

@@ -154,6 +154,20 @@ class RunStore:
             raise
         return run
 
+    def catch_up(self) -> None:
+        """Tell the index of verdicts that it could not be told: somebody else was writing into it.
+
+        Where it is still locked, or a verdict cannot be read, nothing changes.
+        """
+        for record in self.index.runs():
+            file = self.folder / record.run / VERDICT
+            if record.passed is not None or not file.is_file():
+                continue
+            with suppress(StoreError, OSError, ValueError, KeyError, TypeError):
+                content = json.loads(file.read_bytes())
+                if "late_ticks" in content:  # of a run that was judged
+                    _tell(self.index, record.run, {**content, "text": record.text})
+
     def find(self, run: str) -> Path:
         """Return the folder of a run by its name; ``last`` stands for the latest one.
 
@@ -171,6 +185,17 @@ class RunStore:
                 remedy=nearest(run, names) if names else "threadline run makes one.",
             )
         return self.folder / run
+
+
+def _tell(index: RunIndex, run: str, content: Mapping[str, Any]) -> None:
+    """Write verdict and end of a run into its row of the index."""
+    index.end(
+        run,
+        ended=str(content["ended"]),
+        text=str(content["text"]),
+        late_ticks=int(content["late_ticks"]),
+        passed=bool(content["passed"]),
+    )
 
 
 def _told_url(folder: Path) -> str | None:
@@ -241,7 +266,11 @@ def opened(folder: Path) -> RunStore | None:
     """
     check_folder(folder)
     kept = any(os.path.lexists(folder / name) for name in (INDEX, INDEX_URL))
-    return RunStore(folder) if kept else None
+    if not kept:
+        return None
+    store = RunStore(folder)
+    store.catch_up()
+    return store
 
 
 class OpenRun:
@@ -365,13 +394,21 @@ class OpenRun:
         finally:
             made.unlink(missing_ok=True)
 
-    def judged(self, content: Mapping[str, Any], ended: str, text: str) -> None:
-        """Write the verdict into the folder, and verdict and end of the run into the index."""
+    def judged(self, content: Mapping[str, Any], ended: str, text: str) -> str:
+        """Write the verdict into the folder, and verdict and end of the run into the index.
+
+        Returns
+        -------
+        str
+            Why the index could not be told, and what tells it later; empty where it was told. The
+            run is kept all the same.
+        """
         self._write(content)
-        self._index.end(
-            self.path.name,
-            ended=ended,
-            text=text,
-            late_ticks=int(content["late_ticks"]),
-            passed=bool(content["passed"]),
-        )
+        try:
+            _tell(self._index, self.path.name, {**content, "ended": ended, "text": text})
+        except StoreError as error:
+            return (
+                f"the run and its verdict are kept in {self.path}, but {error.message}; "
+                f"threadline runs --store {self.path.parent} enters it into the index later"
+            )
+        return ""

@@ -34,7 +34,7 @@ class Board:
     dialect
         In which it is written and read back; empty for the one of its own name.
     stops
-        Whether it knows M0, M3 and M5.
+        Whether it knows M0.
     head
         Returns comments about a machine and the axes of a job, which come first.
     """

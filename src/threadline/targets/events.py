@@ -36,10 +36,14 @@ def first_tick_from(time_s: float, clock: Clock) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Operations between two moves: ``first`` is the index of the first of them."""
+    """Operations between two moves: ``first`` is the index of the first of them.
+
+    Without a rest they are what happens as a move begins, which has that index.
+    """
 
     first: int
     operations: tuple[Operation, ...]
+    rests: bool = True
 
     @property
     def dwell_s(self) -> float:
@@ -53,7 +57,7 @@ class EventPlacer:
     group belongs to the instant at which the rest begins, each later one to the end of the dwells
     before it. The rest begins where the dwell of the group begins in the trajectory; failing
     that (a shaped motion ends later and its dwell is shorter) where the next move begins, less
-    the dwells.
+    the dwells. What happens as a move begins (``Move.acts``) belongs to that instant.
 
     Parameters
     ----------
@@ -89,6 +93,9 @@ class EventPlacer:
 
     def _rest_begin_s(self, group: _Group, block: TrajectoryBlock) -> float | None:
         operation = block.operation
+        if not group.rests:
+            at = int(np.searchsorted(operation, group.first))
+            return None if at == len(operation) else float(block.start_s[at])
         if group.dwell_s > 0:
             # Operations before the first move rest at the start vertex, which has index 0.
             move = max(group.first - 1, 0)
@@ -107,7 +114,8 @@ class EventPlacer:
     def _place(self, group: _Group, begin_s: float) -> Iterator[Event]:
         time_s = begin_s
         for index, operation in enumerate(group.operations, start=group.first):
-            yield _event(first_tick_from(time_s, self._clock), index, operation)
+            of = index if group.rests else group.first
+            yield _event(first_tick_from(time_s, self._clock), of, operation)
             if isinstance(operation, Dwell):
                 time_s += operation.duration_s
 
@@ -120,6 +128,8 @@ def _groups(job: Job) -> Iterator[_Group]:
             if kept:
                 yield _Group(first, tuple(kept))
                 kept = []
+            acts = item.acts if isinstance(item, MoveRun) else ((0, item.acts),)
+            yield from (_Group(index + at, own, rests=False) for at, own in acts if own)
             index += len(item) if isinstance(item, MoveRun) else 1
             continue
         if not kept:
@@ -143,7 +153,7 @@ def _event(tick: int, index: int, operation: Operation) -> Event:
         case Dwell():
             kind, value = "dwell", operation.duration_s
         case Stop():
-            kind = "end" if operation.final else "stop"
+            kind, name = "end" if operation.final else "stop", operation.words
         case Move() | Home():
             raise ValueError(f"a {type(operation).__name__.lower()} is no event")
     return Event(tick=tick, kind=kind, operation=index, name=name, value=value)

@@ -110,6 +110,7 @@ class _Words:
         if not self._wording.timed:
             for operation in self._job:
                 if isinstance(operation, Move):
+                    yield from self._acts(operation)
                     yield self._move(operation)
                 else:
                     yield self._other(operation)
@@ -119,9 +120,14 @@ class _Words:
         next(times)  # of the start position
         for operation in self._job:
             if isinstance(operation, Move):
+                yield from self._acts(operation)
                 yield self._move(operation, next(times))
             else:
                 yield self._other(operation)
+
+    def _acts(self, move: Move) -> Iterator[OutBlock]:
+        for act in move.acts:
+            yield OutBlock(-1, act.words, passes=move.source.passes)
 
     def _move(self, move: Move, planned_s: float | None = None) -> OutBlock:
         before = list(self._position)
@@ -190,10 +196,10 @@ class _Words:
             duration = numbers.text(numbers.seconds(operation.duration_s))
             return OutBlock(-1, f"G{blank}4 P{blank}{duration}", passes=passes)
         if isinstance(operation, Stop):
-            code = "30" if operation.final else "0"
-            return OutBlock(-1, f"M{blank}{code}", passes=passes, final=operation.final)
-        if isinstance(operation, ToolEvent) and (operation.name, operation.value) == ("spindle", 0):
-            return OutBlock(-1, f"M{blank}5", passes=passes)
+            code = f"M{blank}{30 if operation.final else 0}"
+            return OutBlock(-1, operation.words or code, passes=passes, final=operation.final)
+        if isinstance(operation, ToolEvent) and operation.words:
+            return OutBlock(-1, operation.words, passes=passes)
         raise PlanError(
             f"a part program has no word for {operation_words(operation)}",
             place=operation.source.place,

@@ -6,12 +6,22 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from math import ceil, comb, degrees, radians, sqrt
+from operator import sub
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray
-from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Source
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    Operation,
+    Source,
+    ToolEvent,
+)
 from threadline.machine import Machine
 from threadline.signals import Stream
 from threadline.trajectory.types import Trajectory
@@ -19,6 +29,7 @@ from threadline.trajectory.types import Trajectory
 CHORD_TOLERANCE_M = 1e-5
 _DECIMALS = 6  # of a millimetre or a degree: a nanometre is far below the chords' tolerance
 _PARTS_OF_UNIT = 1_000_000
+_STAYS = 1e-9  # m or rad: a path leaves out a vertex so near to the one before
 
 
 def planned_job(
@@ -26,7 +37,8 @@ def planned_job(
 ) -> Job:
     """Return ``job`` with its moves replaced by chords of ``trajectory``, each with its time.
 
-    Everything but moves stays where it was, dwells included.
+    Everything but moves stays where it was, dwells included; what happens as a move begins happens
+    as the first chord of that move does.
 
     Parameters
     ----------
@@ -41,24 +53,23 @@ def planned_job(
     Ends are rounded to 1e-6 mm and degrees, from where they are and not from each other.
     Linear interpolation over a step h is off by at most h^2 max|f''| / 8.
     """
+    return replace(job, operations=Stream(_operations, job, trajectory, machine, tolerance_m))
+
+
+def _operations(
+    job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float
+) -> Iterator[Operation]:
+    return (item for item, _ in planned_operations(job, trajectory, machine, tolerance_m))
+
+
+def planned_operations(
+    job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float = CHORD_TOLERANCE_M
+) -> Iterator[tuple[Operation, Feed | None]]:
+    """Yield the operations of ``planned_job``, each chord with the feed of its programmed move."""
     column = [machine.axis_names.index(axis) for axis in trajectory.axes]
     radius = machine.radius_m[column]
     order = [trajectory.axes.index(axis) for axis in job.axes]
     linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
-    return replace(
-        job,
-        operations=Stream(_operations, job, trajectory, radius, order, linear, tolerance_m),
-    )
-
-
-def _operations(
-    job: Job,
-    trajectory: Trajectory,
-    radius: FloatArray,
-    order: list[int],
-    linear: list[bool],
-    tolerance_m: float,
-) -> Iterator[Operation]:
     merged = _Merged(job)
     for block in trajectory:
         changes: NDArray[np.bool_] = block.coefficients[:, 1:] != 0.0
@@ -71,17 +82,18 @@ def _operations(
             strict=True,
         )
         for operation, duration_s, coefficients, moves, parts in pieces:
-            yield from merged.before(operation)
+            yield from ((item, None) for item in merged.before(operation))
             if not moves:
                 if not merged.dwells_next():
-                    yield Dwell(duration_s, merged.source)
+                    yield Dwell(duration_s, merged.source), None
                 continue
             feed = Feed(FeedMode.INVERSE_TIME, parts / duration_s)
             ends = _powers(parts, len(coefficients)) @ coefficients
             for target in ends[:, order].tolist():
                 rounded = tuple(map(_rounded, target, linear))
-                yield Move(rounded, feed, merged.source)
-    yield from merged.rest()
+                yield Move(rounded, feed, merged.source, acts=merged.acts), merged.feed
+                merged.acts = ()
+    yield from ((item, None) for item in merged.rest())
 
 
 def _rounded(position_si: float, linear: bool) -> float:
@@ -121,19 +133,28 @@ class _Merged:
     def __init__(self, job: Job) -> None:
         self._operations = enumerate(job)
         self._waiting: list[tuple[int, Operation]] = []
-        self._sources: dict[int, Source] = {}
+        self._moves: dict[int, Move] = {}
+        self._target = job.start
         self._read = -1
         self._ended = False
         self.source = Source(job.file, 0)
+        self.feed: Feed | None = None
+        self.acts: tuple[ToolEvent, ...] = ()  # of the moves that have begun, for the next chord
 
     def _read_group_after(self, operation: int) -> None:
-        """Read on to the first move behind ``operation``."""
+        """Read on to the first move behind ``operation`` that goes anywhere.
+
+        A move that stays has no pieces of its own: the pause behind it stands at the move before.
+        """
         while not self._ended and self._read <= operation:
             self._read, found = next(self._operations, (self._read, None))
             if found is None:
                 self._ended = True
             elif isinstance(found, Move):
-                self._sources[self._read] = found.source
+                self._moves[self._read] = found
+                if max(map(abs, map(sub, found.target, self._target))) <= _STAYS:
+                    operation = max(operation, self._read)
+                self._target = found.target
             else:
                 self._waiting.append((self._read, found))
                 operation = max(operation, self._read)  # the group goes on
@@ -141,12 +162,20 @@ class _Merged:
     def before(self, operation: int) -> Iterator[Operation]:
         """Yield what comes before the pieces of ``operation``."""
         self._read_group_after(operation)
+        for number in [k for k in self._moves if k <= operation]:
+            move = self._moves.pop(number)
+            while self._waiting and self._waiting[0][0] < number:
+                yield from self._given()
+            self.source, self.feed = move.source, move.feed
+            self.acts += move.acts
         while self._waiting and self._waiting[0][0] < operation:
-            yield self._waiting.pop(0)[1]
-        if operation in self._sources:
-            self.source = self._sources[operation]
-            for old in [k for k in self._sources if k < operation]:
-                del self._sources[old]
+            yield from self._given()
+
+    def _given(self) -> Iterator[Operation]:
+        """Yield the first that waits, behind what moves without a way of their own leave."""
+        yield from self.acts
+        self.acts = ()
+        yield self._waiting.pop(0)[1]
 
     def dwells_next(self) -> bool:
         """Say whether a dwell of the job comes before its next move."""
@@ -154,6 +183,5 @@ class _Merged:
 
     def rest(self) -> Iterator[Operation]:
         """Yield what comes after the last piece."""
-        self._read_group_after(1 << 62)
-        for _, found in self._waiting:
-            yield found
+        yield from self.before(1 << 62)
+        yield from self.acts

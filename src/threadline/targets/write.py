@@ -9,13 +9,15 @@ from typing import Protocol
 
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
+from threadline.path.types import ProgrammedPath
 from threadline.signals import Commands, TickTable
 from threadline.signals.files.array import write_array
 from threadline.signals.files.beside import Beside
 from threadline.signals.files.common import Written, written
 from threadline.signals.files.table import write_table_csv, write_table_npz
 from threadline.targets.boards import BOARDS
-from threadline.targets.firmware_program import write_firmware_program
+from threadline.targets.carried_words import refuse_lost
+from threadline.targets.firmware_program import refuse_slower, write_firmware_program
 from threadline.targets.nc import NcStyle, write_part_program
 from threadline.targets.planned_job import planned_job
 from threadline.targets.plcopen import write_plcopen
@@ -44,7 +46,12 @@ TABLES: dict[str, TableWriter] = {
 
 
 class Timed(Protocol):
-    """What a target of moves needs of an intent: the trajectory."""
+    """What a target of moves needs of an intent."""
+
+    @property
+    def programmed(self) -> ProgrammedPath:
+        """What the job says, at the feeds that were asked for."""
+        ...
 
     @property
     def trajectory(self) -> Trajectory:
@@ -71,8 +78,13 @@ class WrittenPlan(Protocol):
         ...
 
     @property
-    def feeds_as_programmed(self) -> bool:
-        """Whether the feeds of the job hold, and none was given in their place."""
+    def feed_override(self) -> float | None:
+        """By which the feeds of the job hold; None where another was given in their place."""
+        ...
+
+    @property
+    def limits_in_full(self) -> bool:
+        """Whether it may use all of the limits of acceleration and jerk."""
         ...
 
     @property
@@ -101,14 +113,19 @@ class Target:
         Writes whole files, or none.
     takes_shaped
         It can hold what a shaper or feed-forward makes of the motion.
+    write_no_slower
+        Writes a program that the firmware takes no longer over than over the job as it stands, or
+        refuses to; None where no planner of a firmware runs what is written.
     """
 
     write: Callable[[WrittenPlan, Path], list[Written]]
     takes_shaped: bool = True
+    write_no_slower: Callable[[WrittenPlan, Path], list[Written]] | None = None
 
 
 def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> Written:
     """Write the planned motion as a part program: chords with their times (G93), blended (G64)."""
+    refuse_lost(job, machine, NcStyle.LINUXCNC)
     timed = planned_job(job, trajectory, machine)
     # The plan has already been held to the operator's normal feed; its times are not to be
     # stretched again.
@@ -117,18 +134,29 @@ def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> 
 
 
 def _of_firmware(name: str) -> Target:
+    def write_one(plan: WrittenPlan, path: Path, slower: bool) -> Written:
+        return write_firmware_program(
+            name,
+            plan.job,
+            plan.motion.trajectory,
+            plan.machine,
+            path,
+            programmed=plan.motion.programmed,
+            override=plan.feed_override,
+            slower=slower,
+        )
+
+    def no_slower(plan: WrittenPlan, path: Path) -> list[Written]:
+        # With a share of the limits the planned speeds are what was asked for: they stay.
+        gentle = not plan.limits_in_full
+        file = write_one(plan, path, slower=gentle)
+        refuse_slower(name, plan.job, file.as_run_s)
+        return [file]
+
     return Target(
-        write=lambda plan, path: [
-            write_firmware_program(
-                name,
-                plan.job,
-                plan.motion.trajectory,
-                plan.machine,
-                path,
-                as_programmed=plan.feeds_as_programmed,
-            )
-        ],
+        write=lambda plan, path: [write_one(plan, path, slower=True)],
         takes_shaped=False,
+        write_no_slower=no_slower,
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import FloatArray, read_only
 from threadline.trajectory.extremes import hull_of
 from threadline.trajectory.optimal.along_path import across, true_shares
 from threadline.trajectory.optimal.motion_limits import Limits
@@ -29,9 +29,22 @@ class Retimed(Trajectory):
         shares of what is limited along the path. Those of the axes and of ``centripetal`` are
         proven: no instant has more, because Bernstein's coefficients bound polynomials. The three
         along the path are the largest of thirteen instants of each polynomial in time.
+    start
+        (axes,) the first point, where the motion stands for good if there is no way to go.
     """
 
     shares: Mapping[str, FloatArray] = field(default_factory=dict)
+    start: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "start", read_only(self.start, "start", ndim=1))
+
+    def __call__(self, time_s: FloatArray | float, derivative: int = 0) -> FloatArray:
+        """Return the (m, axes) ``derivative``-th derivative, as ``Trajectory`` does."""
+        found = super().__call__(time_s, derivative)
+        if derivative == 0 and self.duration_s == 0.0:
+            found[:] = self.start
+        return found
 
     @property
     def bound(self) -> float:

@@ -123,7 +123,12 @@ def retime(
     path = path_through(places, width, reversals(places) if kinks else None)
     # It will be read many times: the motion is worked out once and kept.
     motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
-    return Retimed(axes=path.axes, blocks=motion.blocks, shares=limits_used(motion, limits))
+    return Retimed(
+        axes=path.axes,
+        blocks=motion.blocks,
+        shares=limits_used(motion, limits),
+        start=places[0],
+    )
 
 
 def path_through(
@@ -192,7 +197,8 @@ def checked_points(points: ArrayLike) -> FloatArray:
         places: FloatArray = np.asarray(points) if own else real_numbers(points)
     except (TypeError, ValueError) as error:
         raise PlanError(
-            "the points are not an array of numbers", remedy="Give n rows of as many axes."
+            f"the points are not an array of numbers of at most {_LARGEST:g}",
+            remedy="Give n rows of as many axes. Leave out rows with a masked or missing value.",
         ) from error
     if places.ndim != 2 or 0 in places.shape:
         raise PlanError(
@@ -217,7 +223,8 @@ def _checked_limit(name: str, limit: ArrayLike, axes: int, *, infinite: bool = F
         values = np.broadcast_to(real_numbers(limit), (axes,)).copy()
     except (TypeError, ValueError) as error:
         raise PlanError(
-            f"{name} is {_told(limit)}; it must be one number, or one for each of {axes} axes",
+            f"{name} is {_told(limit)}; it must be one number, or one for each of {axes} axes, "
+            f"of at most {_LARGEST:g}",
             remedy="Give as many as the points have axes.",
         ) from error
     for axis, value in _each(values):
@@ -260,14 +267,18 @@ def _one_number(name: str, given: ArrayLike, remedy: str) -> float:
             raise TypeError("several")
     except (TypeError, ValueError) as error:
         raise PlanError(
-            f"{name} is {_told(given)}; it must be one number", remedy=remedy
+            f"{name} is {_told(given)}; it must be one number, of at most {_LARGEST:g}",
+            remedy=remedy,
         ) from error
     return float(value)
 
 
 def _told(given: object) -> str:
     """Return what was given on one line, shortened."""
-    text = " ".join(repr(given).split())
+    try:
+        text = " ".join(repr(given).split())
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return "a whole number of thousands of digits"
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 

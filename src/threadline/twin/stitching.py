@@ -31,6 +31,8 @@ from threadline.twin.stitching_run import Library, Played, play
 from threadline.twin.stitching_shaft import Needles
 
 _REST_S = Fraction(2)
+_AT_ONCE = 1 << 16
+"""Samples of a block of a recording at most: the drives' clock may be a thousand times a turn's."""
 
 
 def simulate_stitching(commands: StepPlay, machine: Machine) -> Recording:
@@ -108,22 +110,26 @@ def _read(commands: StepPlay, machine: Machine, driven: Driven) -> Iterator[Reco
         end = commands.duration_ticks if after is None else int(after.begin[0])
         rest = ceil(_REST_S / machine.tick_clock.period_s) if after is None else 0
         until = -(-end // every) + rest
-        count = until - first
         played.turn[:], played.at[:] = 0, 0
-        states, steps = play(driven, library, played, block, commands, (first, count, every))
-        ticks = every * np.arange(first, until, dtype=np.int64)
-        turn = np.searchsorted(block.begin, ticks, side="right") - 1
-        samples = frame_samples(commands, driven, states, steps)
-        samples["needle"] = needles.down(block, after, ticks)
-        under_way = np.where(turn >= 0, block.operation[np.maximum(turn, 0)], operation)
-        samples["operation"] = under_way.astype(np.float64)
+        events = [*_at_samples(block, commands, every)]
+        while True:
+            count = min(until - first, _AT_ONCE)
+            states, steps = play(driven, library, played, block, commands, (first, count, every))
+            ticks = every * np.arange(first, first + count, dtype=np.int64)
+            turn = np.searchsorted(block.begin, ticks, side="right") - 1
+            samples = frame_samples(commands, driven, states, steps)
+            samples["needle"] = needles.down(block, after, ticks)
+            under_way = np.where(turn >= 0, block.operation[np.maximum(turn, 0)], operation)
+            samples["operation"] = under_way.astype(np.float64)
+            begun, first = first, first + count
+            due = [e for e in events if e.tick < first or first == until]
+            events = [e for e in events if e.tick >= first and first < until]
+            yield RecordingBlock(
+                first_tick={machine.tick_clock.name: begun}, samples=samples, events=tuple(due)
+            )
+            if first == until:
+                break
         operation = int(block.operation[-1])
-        yield RecordingBlock(
-            first_tick={machine.tick_clock.name: first},
-            samples=samples,
-            events=tuple(_at_samples(block, commands, every)),
-        )
-        first = until
 
 
 def frame_samples(

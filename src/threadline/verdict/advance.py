@@ -51,6 +51,7 @@ class _Progress(SweptMeasure):
         # The command's places within the lag, and one before them.
         self._command: FloatArray = np.empty((0, axes))
         self._heading: FloatArray = np.empty((0, axes))
+        self._stood: FloatArray | None = None
         self._value: FloatArray = np.full((self._lag + 2, runs), np.inf)  # m^2
         self._squared: FloatArray = np.full(runs, -np.inf)
         self._at: IntArray = np.zeros(runs, dtype=np.int64)
@@ -62,11 +63,14 @@ class _Progress(SweptMeasure):
 
     def part(self, block: Block) -> ProgressPart:
         """Return what the sweep needs, with the command of the block."""
-        fresh = self._commanded(block) * self._radius_m
+        fresh, steady = (one * self._radius_m for one in self._commanded(block))
         first = len(self._command)
         command = np.concatenate([self._command, fresh])
         way, length = chord_ways(command)
-        heading = np.concatenate([self._heading, _headings(self._heading, way[first:])])
+        stood = steady[:1] if self._stood is None else self._stood
+        self._stood = steady[-1:]
+        departs = np.diff(steady, axis=0, prepend=stood)
+        heading = np.concatenate([self._heading, _headings(self._heading, departs)])
         self._command, self._heading = command, heading
         if np.isfinite(self._ceiling[0]):
             self._ceiling[0] = max(self._ceiling[0], lengths_squared(way).max())
@@ -119,20 +123,25 @@ class _Progress(SweptMeasure):
         setting = self._setting
         path = PathWindow(setting.plan.motion.programmed)
         every = _Progress(setting, every_place=True)
-        for block in judged_blocks(setting.recording, setting.axes, setting.lag_samples, path):
+        axes, lag, resolution = setting.axes, setting.lag_samples, setting.resolution
+        for block in judged_blocks(setting.recording, axes, lag, path, resolution):
             move_on(block.at_tool, NO_BOXES, block.nearest[0], 0, every.part(block))
             every.feed(block)
         return every.finish()
 
-    def _commanded(self, block: Block) -> FloatArray:
-        """Return (n, axes) the command of a block, from the plan where an axis has none."""
+    def _commanded(self, block: Block) -> tuple[FloatArray, FloatArray]:
+        """Return (n, axes) the command of a block, and the same as what looks for rests reads it.
+
+        From the plan where an axis has none.
+        """
         if block.commanded is not None and np.isfinite(block.commanded).all():
-            return block.commanded
+            assert block.rests is not None
+            return block.commanded, block.rests
         if self._planned is None:
             self._planned = TrajectoryReader(self._trajectory)
         found = self._planned.ladder(block.due_s, 1)[:, 0, self._columns]
         self._planned.drop(float(block.due_s[-1]))
-        return np.asarray(found)
+        return found, found
 
 
 def _by_time(finding: Finding) -> Finding:
@@ -141,6 +150,8 @@ def _by_time(finding: Finding) -> Finding:
 
 def _headings(heading: FloatArray, way: FloatArray) -> FloatArray:
     """Return (n, axes) the displacement of the command to each new place, by its ``way`` there.
+
+    The way is that of a command which rests within its resolution.
 
     While the command stands it is the last displacement that was not 0; before the first motion 0.
     """

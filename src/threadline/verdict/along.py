@@ -44,7 +44,8 @@ def contour_along(
     worst = np.full(stretches + 1, -1.0)
     time_s = np.zeros(stretches + 1)
     window = PathWindow(plan.motion.programmed)
-    for block in judged_blocks(recording, axes, setting.lag_samples, window):
+    lag, resolution = setting.lag_samples, setting.resolution
+    for block in judged_blocks(recording, axes, lag, window, resolution):
         squared = block.nearest_on_surface[0][:, 0]
         stretch = np.minimum((block.due_s / width_s).astype(np.int64), stretches)
         # The largest of each stretch comes last, and what is assigned last stays.

@@ -16,7 +16,7 @@ from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.follower import MOST_WAITING, Follower, sample_interval_s
 from threadline.verdict.plan_clock import PlanClock
 from threadline.verdict.progress import chords_under_way
-from threadline.verdict.samples import Block, Setting, samples_of_lag, together
+from threadline.verdict.samples import Block, Setting, Steady, samples_of_lag, together
 from threadline.verdict.window import PathWindow
 
 _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.COMMANDED)
@@ -295,7 +295,11 @@ def _refuse_absurd(block: RecordingBlock) -> None:
 
 
 def judged_blocks(
-    recording: Recording, axes: Sequence[str], lag_samples: int, path: PathWindow | None
+    recording: Recording,
+    axes: Sequence[str],
+    lag_samples: int,
+    path: PathWindow | None,
+    resolution: FloatArray | None = None,
 ) -> Iterator[Block]:
     """Yield every sample once, in order, with the chords within the lag before and after it.
 
@@ -312,16 +316,22 @@ def judged_blocks(
         The lag, in samples.
     path
         Moved along with the blocks; None leaves it out.
+    resolution
+        (axes,) of the commanded positions: see ``Steady``. None takes every change for a motion.
     """
+    held = None if resolution is None else Steady(resolution)
     waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first
     past: dict[str, IntArray] = {}  # chords of the samples before them, as far as the lag reaches
     last: FloatArray | None = None  # the command before the next samples
     first, few = 0, min(_FEW, _OF_RUNS // recording.runs)
     for fresh in _samples(recording, axes):
+        commanded = fresh.columns.get("commanded")
+        if held is not None and commanded is not None:
+            fresh.columns["steady"] = commanded = held.take(commanded)
         if path is not None and "operation" in fresh.whole:
-            fresh.whole |= _chords(fresh, path, last)
-            commanded = fresh.columns.get("commanded")
-            last = None if commanded is None else commanded[-1] * path.radius_m
+            at_tool = None if commanded is None else commanded * path.radius_m
+            fresh.whole |= _chords(fresh, path, at_tool, last)
+            last = None if at_tool is None else at_tool[-1]
         if waiting and len(waiting[-1]) < few and waiting[-1].short_with(fresh):
             fresh = waiting.pop().joined(fresh)  # noqa: PLW2901
         waiting.append(fresh)
@@ -385,15 +395,16 @@ def _block(
         path=path if chord_begin is not None else None,
         plan_s=part.plan_s,
         slow=part.slow,
+        steady=part.columns.get("steady"),
     )
 
 
-def _chords(fresh: _Held, path: PathWindow, before: FloatArray | None) -> dict[str, IntArray]:
+def _chords(
+    fresh: _Held, path: PathWindow, at_tool: FloatArray | None, before: FloatArray | None
+) -> dict[str, IntArray]:
     """Return the chords that the samples are on, and the first that any later one can be on."""
     operation = fresh.whole["operation"]
     path.reach(int(operation[-1]))
-    commanded = fresh.columns.get("commanded")
-    at_tool = None if commanded is None else commanded * path.radius_m
     own = path.chords(operation)
     low, high = chords_under_way(path, own, at_tool, before)
     return {"low": low, "high": high, "safe": own[0] - 1 + path.first}

@@ -162,10 +162,6 @@ def criterion_row(
     values = found.value if unit == "s" else np.where(np.isfinite(found.value), found.value, np.nan)
     if len(values) != runs:
         values = np.broadcast_to(values, (runs,))
-    if limit is None:
-        failed = np.zeros(runs, dtype=np.bool_)
-    else:
-        failed = values > kind.slack * limit + kind.allowance
     return CriterionRow(
         name=criterion.name,
         axis=found.axis,
@@ -175,6 +171,13 @@ def criterion_row(
         required=criterion.required,
         hard=criterion.hard,
         values=values,
-        failed=failed,
+        failed=exceeded(kind, limit, values),
         of_plan=kind.of_plan(plan) is not None,
     )
+
+
+def exceeded(kind: MeasureKind, limit: float | None, values: FloatArray) -> NDArray[np.bool_]:
+    """Return (n,) whether each of (n,) values is beyond a limit; one that is NaN is not."""
+    if limit is None:
+        return np.zeros(len(values), dtype=np.bool_)
+    return np.asarray(values > kind.slack * limit + kind.allowance)

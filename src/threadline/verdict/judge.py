@@ -11,25 +11,26 @@ import numpy as np
 from threadline.errors import RecordingError, SpecError
 from threadline.foreign_messages import nearest
 from threadline.plan import Plan
-from threadline.signals import ChannelKind, Outcome, Recording
+from threadline.signals import ChannelKind, Recording
 from threadline.verdict.by_time import OPERATION_BY_TIME
 from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
-from threadline.verdict.ended import heard, not_beyond, told_end
+from threadline.verdict.ended import Heard, heard, not_beyond, seen_in, told_end
 from threadline.verdict.finding import Finding, Found, joined
 from threadline.verdict.intended_runs import open_run
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run
 from threadline.verdict.needle_use import with_needle
+from threadline.verdict.of_recording import kinds_of, with_recording
 from threadline.verdict.one_pass import Findings, Key, Pass, read_all
 from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES
-from threadline.verdict.types import Criterion, Result, Spec, Verdict
+from threadline.verdict.types import Criterion, Happening, Result, Spec, Verdict
 
 _KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
 
 
 def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
-    """Measure every criterion of ``spec`` and say what came of it: see ``Judge.verdict``."""
-    return Judge(plan, spec).verdict(recordings)
+    """Measure every criterion of ``spec`` on recordings: see ``Judge.verdict``."""
+    return Judge(plan, spec).verdict(recordings, recorded=True)
 
 
 class Judge:
@@ -58,7 +59,13 @@ class Judge:
     def _of_plan(self) -> Findings:
         return _of_plan(self.plan, self._keys)
 
-    def verdict(self, recordings: Sequence[Recording], others: Sequence[Recording] = ()) -> Verdict:
+    def verdict(
+        self,
+        recordings: Sequence[Recording],
+        others: Sequence[Recording] = (),
+        *,
+        recorded: bool = False,
+    ) -> Verdict:
         """Measure every criterion and say what came of it.
 
         Each recording is read once, in bounded memory, all runs that it holds at once; of several,
@@ -73,6 +80,10 @@ class Judge:
         others
             Recordings of other machines within the tolerances. Their worst counts too, except in
             measures of many runs together (repeatability), which compare runs of one machine.
+        recorded
+            Whether recordings are judged, and not runs that were simulated for this verdict. Of a
+            machine, limits of travel and velocity are then measured on them as well: what was
+            simulated played the very commands of the plan.
 
         Raises
         ------
@@ -81,32 +92,49 @@ class Judge:
             lengths of a rotary one, or a trace is damaged.
         """
         plan, spec = self.plan, self.spec
-        findings, runs, outcomes = self._measured(recordings)
+        live = recorded and not all(recording.simulated for recording in recordings)
+        findings, runs, listened = self._measured(recordings, recorded=live)
         for other in others:
-            measured, _, ended = self._measured([other], together=False)
-            outcomes = [*outcomes, *ended]
+            measured, _, ended = self._measured([other], together=False, recorded=live)
+            listened = [*listened, *ended]
             for key, found in measured.items():
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)
+        outcomes = [listener.outcome() for listener in listened]
         why = next(filter(None, map(told_end, outcomes)), "")
+        stops = [
+            listener.stopped_s
+            for listener, outcome in zip(listened, outcomes, strict=True)
+            if outcome.incomplete
+        ]
+        stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
         told = [
-            result
+            with_recording(result, findings, plan, spec, complete=not why, recorded=live)
             if MEASURES[criterion.name].of_plan(plan) is not None
-            else not_beyond(_told(_run_told(result, found, count), runs), why)
+            else not_beyond(
+                _told(_run_told(result, found, count), runs),
+                why,
+                stopped_s,
+                of_worst=kind.of_worst,
+            )
             for criterion in spec.criteria
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
         ]
         simulated = all(recording.simulated for recording in (*recordings, *others))
+        results = tuple(with_passes(tuple(_with_lines(told, plan)), plan.job))
+        happened = [*(one for listener in listened for one in listener.happenings)]
         return Verdict(
-            results=tuple(with_passes(tuple(_with_lines(told, plan)), plan.job)),
+            results=results,
             simulated=simulated,
             limits_alone=simulated and plan.machine.without_dynamics,
             runs=sum(recording.runs for recording in recordings),
             machines=sum(recording.runs for recording in others),
             incomplete=why,
             late_ticks=sum(outcome.late_ticks for outcome in outcomes),
+            recorded=recorded,
+            happenings=tuple(_in_order([*_lined(happened, plan), *seen_in(results, plan.machine)])),
         )
 
     def each(self, recording: Recording) -> EachRun:
@@ -121,8 +149,8 @@ class Judge:
             As ``verdict``.
         """
         plan = self.plan
-        findings, runs, outcomes = self._measured([recording], together=False)
-        why = next(filter(None, map(told_end, outcomes)), "")
+        findings, runs, listened = self._measured([recording], together=False, each=True)
+        why = next(filter(None, (told_end(one.outcome()) for one in listened)), "")
         rows = [
             criterion_row(criterion, kind, plan, found, recording.runs)
             for criterion in self.spec.criteria
@@ -132,20 +160,26 @@ class Judge:
         return EachRun(rows=tuple(rows), runs=recording.runs, incomplete=why)
 
     def _measured(
-        self, recordings: Sequence[Recording], *, together: bool = True
-    ) -> tuple[Findings, list[Run], list[Outcome]]:
+        self,
+        recordings: Sequence[Recording],
+        *,
+        together: bool = True,
+        recorded: bool = False,
+        each: bool = False,
+    ) -> tuple[Findings, list[Run], list[Heard]]:
         plan = self.plan
         if not recordings:
             raise RecordingError("there is no recording to judge", remedy="Give at least one.")
         for recording in recordings:
             _check_same_job(recording, plan)
             _check_units(recording, plan)
-        listened = heard(recordings)
+        listened = heard(recordings, plan.machine)
         opened = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
         kinds = {key: MEASURES[criterion.name] for key, criterion in self._keys.items()}
+        of_recording = {} if each else kinds_of(self.spec, recorded=recorded)
         # Runs side by side in one recording are measured together as they come.
         several = together and len(opened) == 1 and recordings[0].runs > 1
-        passes = [Pass(run, kinds, together=several) for run in opened]
+        passes = [Pass(run, kinds | of_recording, together=several) for run in opened]
         in_step = {
             key: reading.in_step(opened, kind.with_defaults(dict(key[1])))
             for key, kind in kinds.items()
@@ -161,7 +195,7 @@ class Judge:
                 findings[key] = joined(findings.get(key, []), found)
         findings |= _of_runs(in_step, runs, self._keys)
         findings |= self._of_plan
-        return findings, runs, [listener.outcome() for _, listener in listened]
+        return findings, runs, [listener for _, listener in listened]
 
 
 def _check_same_job(recording: Recording, plan: Plan) -> None:
@@ -319,6 +353,21 @@ def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Findin
         position=finding.position,
         note="; ".join(filter(None, (finding.note, criterion.note))),
     )
+
+
+def _lined(happened: Sequence[Happening], plan: Plan) -> list[Happening]:
+    """Fill in the job lines of what happened."""
+    wanted = {one.operation for one in happened if one.operation is not None}
+    lines = plan.intent.lines_of(plan.job, wanted) if wanted else {}
+    return [
+        one if one.operation is None else replace(one, job_line=lines.get(one.operation) or None)
+        for one in happened
+    ]
+
+
+def _in_order(happened: Sequence[Happening]) -> list[Happening]:
+    """Return what happened in the order of time; what has none comes last."""
+    return sorted(happened, key=lambda one: np.inf if one.time_s is None else one.time_s)
 
 
 def _with_lines(results: Sequence[Result], plan: Plan) -> Iterator[Result]:

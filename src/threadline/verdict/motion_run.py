@@ -134,7 +134,7 @@ class MotionRun(Setting):
     def blocks(self) -> Iterator[Block]:
         """Yield what measures are fed with; reads the recording, in bounded memory."""
         path = PathWindow(self.plan.motion.programmed)
-        return judged_blocks(self.recording, self.axes, self.lag_samples, path)
+        return judged_blocks(self.recording, self.axes, self.lag_samples, path, self.resolution)
 
     def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:
         """Return what each measure found, as far as it was seen, after the last block."""

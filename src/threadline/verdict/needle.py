@@ -24,6 +24,7 @@ from threadline.plan import Motion, Plan
 from threadline.signals import KeptStream
 from threadline.trajectory.types import Trajectory, TrajectoryBlock
 from threadline.verdict.passing import Passing
+from threadline.verdict.samples import PLANNED_RESOLUTION
 
 _MOST_MOVES = 1024  # in hand at once
 _ROUNDING = 1e-9  # of the time: pieces that are no farther apart than this meet
@@ -299,7 +300,8 @@ class _Moving:
     def __iter__(self) -> Iterator[TrajectoryBlock]:
         end_s = 0.0
         for block in self._source:
-            moves = (block.coefficients[:, 1:] != 0.0).any(axis=(1, 2))
+            farthest = np.abs(block.coefficients[:, 1:]).sum(axis=1)
+            moves = (farthest >= PLANNED_RESOLUTION).any(axis=1)
             if not moves.any():
                 continue
             start_s, duration_s = block.start_s[moves], block.duration_s[moves]

@@ -19,7 +19,8 @@ class PlanClock:
     """Follows the events ``plan`` of a recording, in bounded memory.
 
     Without any the plan's time is that of the recording. Behind an event it goes on with the
-    clock, or stands where the event before it has the same time. It never goes back.
+    clock, or stands where the event before it has the same time but for ``_ROUNDING`` of a period.
+    It never goes back.
 
     Parameters
     ----------
@@ -63,7 +64,8 @@ class PlanClock:
         times = np.array([self._clock.time_s(event.tick) for event in told])
         self._from_s = np.concatenate([self._from_s, times])
         self._due_s = np.concatenate([self._due_s, due])
-        self._rate = np.concatenate([self._rate, np.where(due == before, 0.0, 1.0)])
+        stands = np.abs(due - before) <= self._slack_s
+        self._rate = np.concatenate([self._rate, np.where(stands, 0.0, 1.0)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, NDArray[np.bool_] | None]:
         """Return what was due at (n,) rising instants, later than those asked for before.

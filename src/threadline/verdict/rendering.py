@@ -12,8 +12,10 @@ from threadline.arrays import finite
 from threadline.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.demands import VELOCITY_STEPS
-from threadline.verdict.types import Level, Result, Status, Verdict
+from threadline.verdict.types import Change, Happening, Level, Result, Status, Verdict
 
+_TOLD_SHARE = 10.0  # of a limit
+HAPPENED = "What changed the motion"
 _IN_SECONDS = 10.0  # milliseconds beyond it would have an exponent
 _SHOWN = {
     "m": (1e3, "mm"),
@@ -49,6 +51,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "tightest": _tightest_json(verdict.tightest),
         "incomplete": verdict.incomplete,
         "late_ticks": verdict.late_ticks,
+        "events": [_happening(one) for one in verdict.happenings],
         "options": dict(plan.options),
         **plan.intent.told(plan.options),
     }
@@ -81,9 +84,47 @@ def _criterion(result: Result) -> dict[str, Any]:
         "operation": result.operation,
         "position": None if result.position is None else list(result.position),
         "run": result.run,
+        "of": result.of,
         "required": result.required,
         "note": result.note,
     }
+
+
+def _happening(one: Happening) -> dict[str, Any]:
+    return {
+        "kind": one.change.value,
+        "text": one.text,
+        "axis": one.axis,
+        "time_s": finite(one.time_s),
+        "job_line": one.job_line,
+        "operation": one.operation,
+        "run": one.run,
+    }
+
+
+def _cuts(verdict: Verdict) -> list[str]:
+    """Return what the first limit switch did that cut a motor; none for most."""
+    cuts = [one.told for one in verdict.happenings if one.change is Change.LIMIT_SWITCH]
+    return cuts[:1]
+
+
+def happened_lines(verdict: Verdict) -> list[str]:
+    """Return a line for each thing that changed the motion of the runs, with time and line."""
+    return [f"{HAPPENED}: {one.told}" for one in verdict.happenings]
+
+
+def happened_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of a table of what changed the motion of the runs."""
+    rows = [
+        [
+            one.text,
+            "-" if one.time_s is None else f"{one.time_s:.3f} s",
+            str(one.job_line or "-"),
+            str(one.run or "-"),
+        ]
+        for one in verdict.happenings
+    ]
+    return [HAPPENED.lower(), "at", "line", "run"], rows
 
 
 def closing(verdict: Verdict) -> str:
@@ -102,6 +143,7 @@ def closing(verdict: Verdict) -> str:
         about += _not_kept(verdict)
         if verdict.tightest is not None:
             about.append(_used(verdict.tightest))
+        about += _cuts(verdict)
         if missing:
             plural = "criterion" if len(missing) == 1 else "criteria"
             about.append(f"{len(missing)} {plural} not measured")
@@ -110,8 +152,11 @@ def closing(verdict: Verdict) -> str:
         return f"{'IN SPEC' if verdict.answers else 'LIMITS KEPT'} ({'; '.join(about)})"
     if any(r.status is Status.FAILED for r in verdict.results):
         worst = verdict.tightest
-        beyond = "" if worst is None or worst.status is not Status.FAILED else f"; {_used(worst)}"
-        return f"OUT OF SPEC ({level}{beyond})"
+        about = [level]
+        if worst is not None and worst.status is Status.FAILED:
+            about.append(_used(worst))
+        about += _cuts(verdict)
+        return f"OUT OF SPEC ({'; '.join(about)})"
     if verdict.incomplete:
         return f"NOT PROVEN ({level}): {verdict.incomplete}"
     lacking = dict.fromkeys(r.name.replace("_", " ") for r in verdict.results if _lacking(r))
@@ -176,13 +221,17 @@ def _used(result: Result) -> str:
 def percent_used(share: float, digits: int = 0) -> str:
     """Return the share of a limit that is used, in per cent, rounded up.
 
-    A result never reads better than it is: 100 % is never more than the limit.
+    A result never reads better than it is: 100 % is never more than the limit. What is more than
+    ten times its limit is only told as that: such a figure says nothing but that something else is
+    wrong.
 
     >>> percent_used(0.9401), percent_used(1.0), percent_used(1.0004), percent_used(0.9401, 1)
     ('95 %', '100 %', '101 %', '94.1 %')
+    >>> percent_used(10.0), percent_used(112137.9)
+    ('1000 %', 'more than 1000 %')
     """
-    if math.isinf(share):
-        return "inf %"
+    if share > _TOLD_SHARE:
+        return f"more than {100.0 * _TOLD_SHARE:.0f} %"
     fine = 10.0**digits
     return f"{math.ceil(100.0 * share * fine - 1e-9) / fine:.{digits}f} %"
 
@@ -228,7 +277,19 @@ def verdict_rows(
         results = [
             row for key in names for row in _worst([r for r in moving if (r.name, r.unit) == key])
         ]
-    return header, [_row(result) for result in results]
+    return header, [_row(_of_what(result, verdict)) for result in results]
+
+
+def _of_what(result: Result, verdict: Verdict) -> Result:
+    """Return a result with a note where its value is of the plan beside values of a recording.
+
+    A limit of the plan that was measured on the recording instead has a note too.
+    """
+    if result.of == "run" or (result.of == "plan" and not verdict.recorded):
+        return result
+    room = result.name == "travel" and result.measured is not None and result.measured < 0.0
+    told = "" if room else result.note
+    return replace(result, note="; ".join(filter(None, (f"of the {result.of}", told))))
 
 
 def of_moving_axes(results: Sequence[Result]) -> list[Result]:
@@ -239,7 +300,7 @@ def of_moving_axes(results: Sequence[Result]) -> list[Result]:
     left out.
     """
     speeds = {r.axis: r.measured for r in results if r.name == "velocity"}
-    still = {axis for axis, speed in speeds.items() if speed == 0.0}
+    still = {axis for axis, v in speeds.items() if v is not None and without_noise(v) == 0.0}
     if len(still) == len(speeds):
         return list(results)
     of_no_interest = (Status.PASSED, Status.REPORTED)
@@ -248,7 +309,7 @@ def of_moving_axes(results: Sequence[Result]) -> list[Result]:
         for r in results
         if r.axis not in still
         or r.status not in of_no_interest
-        or not (r.measured == 0.0 or r.name == "travel")
+        or not (r.name == "travel" or without_noise(r.measured or 0.0, r.limit) == 0.0)
     ]
 
 
@@ -277,7 +338,8 @@ def _row(result: Result) -> list[str]:
         # To people a travel that is kept is told as 0 beyond it, and the room that is left as a
         # note.
         room = shown(without_noise(-measured), result.unit)
-        measured, note = 0.0, f"{room} of room left"
+        of = f"{note}; " if note.startswith("of the ") else ""
+        measured, note = 0.0, f"{of}{room} of room left"
     elif result.name == "travel" and measured == 0.0:
         note = note or "as far as its end, and not beyond"
     return [

@@ -76,9 +76,10 @@ class _Rise:
     def feed(self, block: Block) -> None:
         block = block.every(self._every)
         assert block.actual is not None
-        if block.commanded is None or not self._sews or not len(block):
+        rests = block.rests
+        if rests is None or not self._sews or not len(block):
             return
-        taken = (block.commanded[:, :, None], lanes(block.actual))
+        taken = (rests[:, :, None], lanes(block.actual))
         points = [p[:, self._columns] * self._radius_m for p in taken]
         tails = self._tail or [np.repeat(p[:1], self._span, axis=0) for p in points]
         whole = [np.concatenate([tail, p]) for tail, p in zip(tails, points, strict=True)]

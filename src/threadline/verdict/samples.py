@@ -12,6 +12,7 @@ from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from threadline.arrays import FloatArray, IntArray
+from threadline.compiled import njit
 from threadline.errors import BudgetError
 from threadline.plan import Plan
 from threadline.signals import Recording
@@ -21,6 +22,9 @@ from threadline.verdict.window import PathWindow
 MOST_HELD = 2_000_000  # samples of all runs in the lag: some 600 MB
 _ROUNDING = 1e-9  # of a sample
 PARTS_OF_MEAN = 4096  # samples in the time over which a mean is taken, at most twice as many
+_LESS_THAN_A_COUNT = 1e-6  # of a count: two counts are one count apart but for a rounding
+PLANNED_RESOLUTION = 1e-12
+"""Resolution, m or rad, of commanded positions that are those of the plan, in doubles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,6 +49,23 @@ class Setting:
     radius_m: FloatArray
     interval_s: float
     lag_samples: int
+
+    @property
+    def resolution(self) -> FloatArray:
+        """(axes,) change of a commanded position that is a motion, m or rad: see ``Steady``.
+
+        One count of the axis, as commands are whole counts; where the loads follow the motion and
+        the commanded positions are those of the plan, a rounding of theirs.
+        """
+        intended = self.plan.motion.of_loads
+        planned = () if intended is None else intended.axes
+        counts = [self.plan.machine.axes[axis].counts.si for axis in self.axes]
+        return np.array(
+            [
+                PLANNED_RESOLUTION if axis in planned else (1.0 - _LESS_THAN_A_COUNT) / count
+                for axis, count in zip(self.axes, counts, strict=True)
+            ]
+        )
 
     def lengths(self, away: FloatArray, at: FloatArray) -> FloatArray:
         """Return small differences ``away``, axes last, as lengths at the tool at ``at``."""
@@ -92,6 +113,8 @@ class Block:
     plan_s, slow
         (n,) the plan's time at each sample, and whether less of it went by than time did since the
         sample before; None while it is that of the recording, which was not held yet.
+    steady
+        (n, axes) ``commanded`` as what looks for a rest reads it: see ``Steady``. None as it is.
     """
 
     first: int
@@ -110,9 +133,15 @@ class Block:
     torque_share: FloatArray | None = None
     plan_s: FloatArray | None = None
     slow: NDArray[np.bool_] | None = None
+    steady: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    @property
+    def rests(self) -> FloatArray | None:
+        """(n, axes) ``steady``, or ``commanded`` where nobody gave it; None without a command."""
+        return self.commanded if self.steady is None else self.steady
 
     @property
     def due_s(self) -> FloatArray:
@@ -190,6 +219,7 @@ class Block:
             torque_share=None,
             plan_s=those(self.plan_s),
             slow=None if self.slow is None else _any_since(self.slow, rows),
+            steady=those(self.steady),
         )
 
     def operations_at(self, index: IntArray) -> IntArray | None:
@@ -199,6 +229,46 @@ class Block:
     def positions_at(self, index: IntArray) -> FloatArray | None:
         """Return the commanded positions at some samples; NaN where one is not known."""
         return None if self.commanded is None else self.commanded[index]
+
+
+class Steady:
+    """Commanded positions that stand still where they change by less than their resolution.
+
+    An axis stands at a place until it is as far from it as ``resolution``, and then at the place
+    where it is. Every criterion that looks for the end of the command, for a rest or for the
+    direction of a motion reads these positions: the noise of a recorder below a count, or a
+    rounding, is no motion. Commands in whole counts are left as they are, to the bit.
+
+    Parameters
+    ----------
+    resolution
+        (axes,) m or rad.
+    """
+
+    def __init__(self, resolution: FloatArray) -> None:
+        self._resolution = resolution
+        self._last: FloatArray = np.full(len(resolution), np.nan)
+
+    def take(self, commanded: FloatArray) -> FloatArray:
+        """Return the next (n, axes) positions so; NaN where none is known."""
+        steady = np.array(commanded)
+        _hold_fast(steady, self._resolution, self._last)
+        return steady
+
+
+def _hold(positions: FloatArray, resolution: FloatArray, last: FloatArray) -> None:
+    """Hold (n, axes) positions in place; ``last`` is where each axis stands, and brought up."""
+    for axis in range(positions.shape[1]):
+        stands = last[axis]
+        for i in range(len(positions)):
+            if abs(positions[i, axis] - stands) < resolution[axis]:
+                positions[i, axis] = stands
+            else:  # NaN too
+                stands = positions[i, axis]
+        last[axis] = stands
+
+
+_hold_fast = njit(nogil=True)(_hold)
 
 
 def _any_since(slow: NDArray[np.bool_], rows: slice) -> NDArray[np.bool_]:

@@ -16,7 +16,10 @@ SETTLING_OPTIONS = {"band": Option(unit="m", default=1e-4)}
 
 
 class CommandEnd:
-    """Finds the instant at which the command changes for the last time, block by block."""
+    """Finds the instant at which the command changes for the last time, block by block.
+
+    A change below the resolution of the command is none: see ``Steady``.
+    """
 
     def __init__(self) -> None:
         self._last: FloatArray | None = None
@@ -26,7 +29,7 @@ class CommandEnd:
 
     def begins_at(self, block: Block) -> int | None:
         """Return the sample of the block with which the standstill begins anew, if there is one."""
-        commanded = block.commanded
+        commanded = block.rests
         assert commanded is not None
         index = _last_change(commanded, self._last)
         if index is None and self._last is None:

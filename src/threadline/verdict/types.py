@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import Literal
 
 NO_OPTIONS: Mapping[str, float] = {}
 
@@ -154,6 +155,9 @@ class Result:
         None where there was one run alone, or the value is of the plan or of all runs together.
     step
         The step of a move list that it was measured in; ``""`` for the whole job.
+    of
+        ``"plan"`` where the value is of the plan, and no run was measured; ``"recording"`` where a
+        limit of the plan was measured on the recording instead; ``"run"`` for all else.
 
     Raises
     ------
@@ -177,6 +181,7 @@ class Result:
     passes: tuple[int, ...] = ()
     hard: bool = False
     run: int | None = None
+    of: Literal["plan", "recording", "run"] = "run"
 
     def __post_init__(self) -> None:
         if self.measured is not None and not is_measured(self.measured, self.unit):
@@ -189,6 +194,57 @@ class Result:
         if self.measured is None:
             return rank.index(self.status), 0.0
         return rank.index(self.status), self.measured / self.limit if self.limit else self.measured
+
+
+class Change(StrEnum):
+    """Kinds of what changes the motion of a run."""
+
+    LIMIT_SWITCH = "limit-switch"  # it cut the supply of a motor
+    SATURATION = "saturation"  # the output of a controller was at its clamp
+    LOST_STEPS = "lost-steps"  # a drive was asked for more torque or force than it has
+    HOLD = "hold"  # the rows of the commands stood
+    LATE = "late"  # rows of the commands came late
+    STOPPED = "stopped"  # the run ended early
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Happening:
+    """Something that changed the motion of a run: no part of its plan.
+
+    Parameters
+    ----------
+    change
+        What kind of thing.
+    text
+        What happened, for people, without its place.
+    time_s
+        When it was, or began, from the start of the job.
+    operation, job_line
+        What was under way; None where that is not known.
+    axis
+        Whose motion it changed; ``""`` for all.
+    run
+        Number of the first run in which it happened, from 1; None where there was one alone.
+    """
+
+    change: Change
+    text: str
+    time_s: float | None
+    operation: int | None = None
+    job_line: int | None = None
+    axis: str = ""
+    run: int | None = None
+
+    @property
+    def told(self) -> str:
+        """What happened and where, for people."""
+        where = [
+            "" if self.time_s is None else f"at {self.time_s:.3f} s",
+            "" if not self.job_line else f"line {self.job_line}",
+            "" if self.run is None else f"run {self.run}",
+        ]
+        return f"{self.text} {', '.join(filter(None, where))}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,6 +272,10 @@ class Verdict:
     limits_alone
         Whether only limits and time were judged: the runs are simulated, and the machine file has
         no dynamics.
+    recorded
+        Whether recordings were judged, and not runs that were simulated for the verdict.
+    happenings
+        What changed the motion of the runs, in the order of time.
     """
 
     results: tuple[Result, ...]
@@ -227,6 +287,8 @@ class Verdict:
     incomplete: str = ""
     late_ticks: int = 0
     limits_alone: bool = False
+    recorded: bool = False
+    happenings: tuple[Happening, ...] = ()
 
     @property
     def level(self) -> Level:

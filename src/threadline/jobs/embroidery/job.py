@@ -64,18 +64,18 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
         without jumps is longer than the machine's longest move.
     """
     path = Path(path)
-    if machine.tables is None or machine.axis_names != AXES:
+    if machine.tables is None or set(machine.axis_names) != set(AXES):
         raise JobError(
             f"machine {machine.name!r} does not embroider: it has no step tables for X and Y",
             place=Place(str(path)),
             remedy="Take an embroidery machine, such as schiffli-frame.",
         )
+    axes = machine.axis_names  # columns are in the order of the machine file
     records = read_records(path)
     found = _Merged(str(path), machine.tables.longest.si * (1.0 + _ROUNDING))
-    for number, (x, y, act) in enumerate(
-        zip(*records.position_m.T.tolist(), records.act.tolist(), strict=True), start=1
-    ):
-        found.take(number, (x, y), Act(act))
+    first, second = (records.position_m[:, AXES.index(axis)].tolist() for axis in axes)
+    for number, (*to, act) in enumerate(zip(first, second, records.act.tolist(), strict=True), 1):
+        found.take(number, (to[0], to[1]), Act(act))
     if not found.stitches:
         raise JobError(
             "there is no stitch in the design",
@@ -93,7 +93,7 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
         name=path.stem,
         file=str(path),
         sha256=hashlib.sha256(records.content).hexdigest(),
-        axes=AXES,
+        axes=axes,
         start=(0.0, 0.0),
         operations=OperationStream(Stream.of(tuple(found.operations()))),
         warnings=found.warnings(),
@@ -105,7 +105,7 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
 class _Merged:
     """Moves and events made from the records so far.
 
-    ``targets`` holds X and Y of each move, and ``rows`` its line, stitch and block.
+    ``targets`` holds both axes of each move, and ``rows`` its line, stitch and block.
     """
 
     file: str

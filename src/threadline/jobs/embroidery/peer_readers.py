@@ -11,26 +11,21 @@ from pystitch import EmbPattern
 READERS = {
     ".dst": "DstReader",
     ".exp": "ExpReader",
-    ".pes": "PesReader",
     ".jef": "JefReader",
-    ".vp3": "Vp3Reader",
     ".xxx": "XxxReader",
     ".u01": "U01Reader",
 }
 """Module of pystitch that reads each format, by the ending of the file."""
-_ENDS: dict[str, Callable[[bytes, bool], bool]] = {
-    ".pes": lambda read, _: read[-2:] == b"\xff\x00",
+_ENDS: dict[str, Callable[[bytes], bool]] = {
     # Its reader takes two bytes more, where there are any.
-    ".jef": lambda read, _: b"\x80\x10" in (read[-4:-2], read[-3:-1], read[-2:]),
-    ".vp3": lambda _, short: not short,
-    ".xxx": lambda read, _: read[-4:-2] in (b"\x7f\x7f", b"\x7f\x18"),
-    ".u01": lambda read, _: len(read) > 2 and read[-3] & 0x1F == 0x18,
+    ".jef": lambda read: b"\x80\x10" in (read[-4:-2], read[-3:-1], read[-2:]),
+    ".xxx": lambda read: read[-4:-2] in (b"\x7f\x7f", b"\x7f\x18"),
+    ".u01": lambda read: len(read) > 2 and read[-3] & 0x1F == 0x18,
 }
 """Tests of whether the records of a format are complete.
 
-Arguments are the last bytes that the reader has read and whether it asked for more than there were.
-Four formats have a mark of the end, and VP3 has lengths. EXP has neither; DST is tested by
-``records``.
+The argument is the last bytes that the reader has read. Three formats have a mark of the end; EXP
+has none, and DST is tested by ``records``.
 """
 
 
@@ -66,7 +61,7 @@ class _Watched(EmbPattern):  # type: ignore[misc]
         at = self._stream.tell()
         whole = _ENDS.get(self._suffix)
         last = self._stream.getvalue()[max(0, at - 4) : at]
-        if whole is not None and not whole(last, self._stream.short):
+        if whole is not None and not whole(last):
             raise CutOffError(f"its records are cut off at byte {at}")
         super().end(dx, dy)
 

@@ -12,14 +12,16 @@ import numpy as np
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import JobError, Place
 from threadline.input_files import open_binary
-from threadline.jobs.embroidery import hus, t15
+from threadline.jobs.embroidery import hus, pes, t15, vp3
 
 _OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
     hus.SUFFIX: hus.read_hus,
     t15.SUFFIX: t15.read_t15,
+    **dict.fromkeys(pes.SUFFIXES, pes.read_pes),
+    vp3.SUFFIX: vp3.read_vp3,
 }
 """Readers of our own, by the ending; all others are those of pystitch."""
-_PEERS = (".dst", ".exp", ".pes", ".jef", ".vp3", ".xxx", ".u01")
+_PEERS = (".dst", ".exp", ".jef", ".xxx", ".u01")
 SUFFIXES = (*_PEERS, *_OWN)
 UNIT_M = 1e-4
 """Unit of length of all these formats: 0.1 mm."""

@@ -7,14 +7,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 from threadline.errors import JobError, Place
+from threadline.jobs.gcode.grammar import Grammar
 
 TOLERANCE_MM = 0.002
 MOST_CHORDS = 100_000
 _CLOSE_MM, _OFF_MM, _OFF_SHARE = 0.005, 0.5, 0.001
 
+_NO_SWEEP = 1e-12
+_SHORT_SWEEP = 2e-6
+"""Sweep in rad from which controls may take an arc for a full circle: grbl below 5e-7."""
+_SINGLE = 6e-8
+"""Share of a number to which single precision rounds it."""
+
 Point = tuple[float, float]
+
+
+class Circle(NamedTuple):
+    """Start, end and centre of an arc in mm, and the control that goes along it."""
+
+    start: Point
+    end: Point
+    centre: Point
+    grammar: Grammar
+
+    def noise(self) -> float:
+        """Return by how much in rad the control may round the sweep."""
+        radius = math.dist(self.start, self.centre)
+        if not self.grammar.single or not radius:
+            return 0.0
+        return 8.0 * _SINGLE * max(abs(value) for point in self[:3] for value in point) / radius
 
 
 def centre_by_radius(start: Point, end: Point, radius: float, clockwise: bool, at: Place) -> Point:
@@ -75,18 +99,20 @@ def check_centre(start: Point, end: Point, centre: Point, at: Place) -> None:
 
 
 def arc(
-    start: Point, end: Point, centre: Point, clockwise: bool, turns: int, at: Place
+    circle: Circle, clockwise: bool, turns: int, at: Place
 ) -> Iterator[tuple[float, float, float]]:
     """Yield the end of every chord of an arc but the last: share of the arc, x and y in mm.
 
     An arc that ends where it begins is a full circle. The radius changes evenly from that of the
-    start to that of the end. ``turns`` is the number of turns, the last of which may be a part.
+    start to that of the end, or stays up to the last chord where the control keeps it. ``turns`` is
+    the number of turns, the last of which may be a part.
 
     Raises
     ------
     JobError
-        If it takes more than ``MOST_CHORDS``.
+        If it takes more than ``MOST_CHORDS``, or is so short that the control may go a full circle.
     """
+    start, end, centre, grammar = circle
     first, last = math.dist(start, centre), math.dist(end, centre)
     begin = math.atan2(start[1] - centre[1], start[0] - centre[0])
     sweep = math.atan2(end[1] - centre[1], end[0] - centre[0]) - begin
@@ -94,8 +120,16 @@ def arc(
     if clockwise:
         sweep = -sweep
     sweep = sweep % full
-    if sweep < 1e-12 or start == end:
+    noise = circle.noise()
+    if start == end or (sweep < _NO_SWEEP and not grammar.exact_circles):
         sweep = full
+    elif sweep < max(_SHORT_SWEEP, noise) or full - sweep < noise:
+        raise JobError(
+            f"the arc turns by {sweep:.3g} rad: the control rounds, and may take it for a full "
+            f"circle of radius {first:.6g} mm, or for none",
+            place=at,
+            remedy="Write a short arc as G1, and a full circle with an end that is its start.",
+        )
     sweep += full * (turns - 1)
     radius = max(first, last)
     bend = 2.0 * math.acos(max(0.0, 1.0 - TOLERANCE_MM / radius)) if radius > TOLERANCE_MM else 1.0
@@ -105,7 +139,7 @@ def arc(
     for k in range(1, count):
         share = k / count
         angle = begin + sign * sweep * share
-        r = first + (last - first) * share
+        r = first if grammar.round_arcs else first + (last - first) * share
         yield share, centre[0] + r * math.cos(angle), centre[1] + r * math.sin(angle)
 
 

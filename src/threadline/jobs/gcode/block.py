@@ -5,14 +5,20 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import CANCEL, Reading
+from threadline.jobs.gcode.dialects import CANCEL, SILENT, Reading
+from threadline.jobs.gcode.grammar import (
+    PLAIN,
+    check_first_alone,
+    check_line,
+    check_words,
+    one_command,
+)
 from threadline.jobs.gcode.refusals import refuse_number, refuse_without_point, refuse_word, whole
 from threadline.jobs.gcode.words import (
     MAX_MAGNITUDE,
     ONE,
     RawBlock,
     exact,
-    one_command,
     split_words,
 )
 
@@ -26,8 +32,14 @@ _FIRST_SYSTEM = 540  # without effect where it is the only one
 _OUTPUTS = (62, 63, 64, 65)
 _SPINDLE: dict[str, float] = {"on": 1.0, "off": 0.0}
 _ENDS = frozenset({"stop", "end", "call", "return"})
+_ACTS = frozenset({"stop", "on", "off", "wait", "idle"})
 _CURVE = "IJKRQ"
 _CURVED = (2, 3, 5)
+DWELL, RESET = 40, 921
+CHANGE = 6
+"""Number of the M word that changes the tool."""
+TAKES_AXES = (280, 920)
+"""Actions that take the axis words of their block; beside others these belong to the motion."""
 
 
 class Block(NamedTuple):
@@ -67,6 +79,10 @@ class Block(NamedTuple):
         O number, else -1.
     tags
         Names and numbers of a comment like ``tension=6.5``.
+    acts
+        Words that work the machine beside its axes, as written: ``M3``, ``S300``, ``M280 P0 S90``.
+    power
+        Number of the S among them, 0 without one.
     """
 
     line: int
@@ -86,6 +102,13 @@ class Block(NamedTuple):
     idle: tuple[str, ...]
     label: int
     tags: tuple[tuple[str, float], ...]
+    acts: tuple[str, ...] = ()
+    power: float = 0.0
+
+    @property
+    def goes(self) -> bool:
+        """Whether its axis words are a move."""
+        return bool(self.axes) and self.action != 920
 
 
 def parse_block(text: str, line: int, reading: Reading) -> Block | None:
@@ -96,8 +119,11 @@ def parse_block(text: str, line: int, reading: Reading) -> Block | None:
     JobError
         If a word is unknown, doubled, out of range, or has no use in its block.
     """
-    if reading.dialect.one_command:
-        text = one_command(text)
+    dialect, place = reading.dialect, Place(reading.file, line)
+    if dialect.one_command:
+        text = one_command(text, place)
+    else:
+        check_line(text, dialect.grammar, dialect.name, place)
     raw = split_words(text, reading.file, line)
     return block_of(raw, line, reading) if raw.words else None
 
@@ -114,12 +140,18 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     """
     dialect = reading.dialect
     words, tags = raw
+    if dialect.one_command:
+        check_first_alone(words, dialect.name, Place(reading.file, line))
+    if dialect.grammar is not PLAIN:
+        check_words(words, reading.axes, dialect.grammar, dialect.name, Place(reading.file, line))
     motion = action = program = label = -1
     ends = ""
     settings: tuple[int, ...] = ()
     axes: tuple[tuple[int, int], ...] = ()
     curve: tuple[tuple[str, int], ...] = ()
     idle: tuple[str, ...] = ()
+    acts: tuple[str, ...] = ()
+    power = 0.0
     feed = p = passes = spindle = None
     dwell_s: float | None = None
     p_number = ""
@@ -171,7 +203,13 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
                 waits = waits or effect in {"rest", "wait"}
                 idle = (*idle, f"M{number}") if effect in {"idle", "wait"} else idle
                 output = output or code in _OUTPUTS
+            if effect in _ACTS and code not in SILENT:
+                acts = (*acts, f"M{code}")
             if dialect.one_command:
+                if acts:
+                    own = words[words.index((letter, number)) + 1 :]
+                    acts = (*acts, *map("".join, own))
+                    power = next((float(text) for name, text in own if name == "S"), 0.0)
                 break
             continue
         if letter in seen:
@@ -183,7 +221,16 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         seen += letter
         if action == 40 and letter in dialect.dwell_s:
             p = value if letter == "P" else p
-            dwell_s = value / ONE * dialect.dwell_s[letter]["." in number]
+            if dwell_s is not None and not dialect.one_command:
+                raise JobError(
+                    f"G4 has two times, the second is {letter}{number}",
+                    place=Place(reading.file, line),
+                    remedy="Keep one of them.",
+                )
+            if dialect.one_command and letter == "P":
+                value -= value % ONE  # parts of a millisecond are not read
+            if dwell_s is None or letter != "P":  # S goes over P
+                dwell_s = value / ONE * dialect.dwell_s[letter]["." in number]
             continue
         index = reading.axes.get(letter)
         if index is not None:
@@ -203,7 +250,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         elif letter in _CURVE and 20 in dialect.g:
             curve = (*curve, (letter, value))
         elif letter in dialect.idle_letters:
-            idle = (*idle, letter)
+            idle, acts = (*idle, letter), (*acts, f"{letter}{number}")
+            power = value / ONE if letter == "S" else power
         else:
             refuse_word(letter, number, -1, line, reading)
     if curve and 640 in settings and not axes and motion not in _CURVED:
@@ -233,6 +281,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     return Block(
         line, motion, action, settings, axes, feed, p, 1 if passes is None else passes, curve,
         dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
+        (*acts, f"P{p_number}") if output else acts, power,
     )  # fmt: skip
 
 
@@ -265,7 +314,7 @@ def _check_use(
         )
     if dwell_s is not None and dwell_s < 0:
         raise JobError(f"the dwell of {dwell_s:g} s must not be negative", place=place)
-    if action not in (-1, 40) and motion not in (-1, CANCEL):
+    if action in TAKES_AXES and motion not in (-1, CANCEL):
         raise JobError(
             f"G{action / 10:g} and G{motion} both take the axis words of the block",
             place=place,
@@ -285,7 +334,7 @@ def _check_use(
         raise JobError("L has no use in this block", place=place, remedy="L belongs to M98.")
     if passes == 0:
         raise JobError("L 0 calls the subroutine no times", place=place, remedy="Give L 1 or more.")
-    if action in (920, 281) and not (axes or action == 281):
+    if action == 920 and not axes:
         raise JobError(
             "G92 names no axis", place=place, remedy="Write the axes that get other positions."
         )

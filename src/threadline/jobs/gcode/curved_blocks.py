@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.arcs import arc, centre_by_radius, check_centre, spline
+from threadline.jobs.gcode.arcs import Circle, arc, centre_by_radius, check_centre, spline
 from threadline.jobs.gcode.block import Block
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.words import ONE
@@ -86,6 +86,20 @@ class Curves:
                     place=at,
                     remedy=f"Its centre is {own_u} {own_v}; G17 G18 G19 choose another plane.",
                 )
+            dialect = self._reading.dialect
+            if p is not None and not dialect.grammar.turns:
+                raise JobError(
+                    f"P of an arc is no number of turns for {dialect.name}, which refuses it or "
+                    "passes over it",
+                    place=at,
+                    remedy="Take P out, or write one arc for each turn.",
+                )
+            if dialect.grammar.arc_ends and not {u, v} & {index for index, _ in block.axes}:
+                raise JobError(
+                    f"{dialect.name} takes no arc without an axis word of {first} or {second}",
+                    place=at,
+                    remedy=f"Write its end, too, like {first} and {second}.",
+                )
             turns = 1 if p is None else p // ONE
             if p is not None and (p % ONE or not 1 <= turns <= _MOST_TURNS):
                 raise JobError(
@@ -108,7 +122,7 @@ class Curves:
                     remedy="Give the centre from the start of the arc, or the radius.",
                 )
             check_centre(start, end, centre, at)
-            shares = arc(start, end, centre, motion == 2, turns, at)
+            shares = arc(Circle(start, end, centre, dialect.grammar), motion == 2, turns, at)
         for share, x, y in shares:
             point = [a + round(share * (b - a)) for a, b in zip(before, after, strict=True)]
             point[u], point[v] = round(x * _FINE) * _STEP, round(y * _FINE) * _STEP

@@ -16,7 +16,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from threadline.jobs.gcode import grammar
 from threadline.jobs.gcode.flavour import FLUIDNC, LINUXCNC, Flavour
+from threadline.jobs.gcode.grammar import Grammar
 from threadline.machine import Machine
 from threadline.machine.program_rules import DialectName, FeedRule
 
@@ -46,7 +48,7 @@ _CNC_M: dict[int, MMode] = {
 _MARLIN_IDLE = (
     16, 17, 18, 31, 42, 73, 75, 76, 77, 78, 80, 81, 82, 83, 84, 85, 104, 105, 106, 107, 108, 110,
     111, 113, 114, 115, 117, 118, 119, 120, 121, 140, 141, 150, 154, 155, 250, 256, 280, 300, 301,
-    302, 304, 355, 420, 500, 502, 503, 810, 900,
+    302, 304, 355, 500, 503, 900,
 )  # fmt: skip
 _MARLIN_M: dict[int, MMode] = {
     **dict.fromkeys(_MARLIN_IDLE, "idle"), 0: "stop", 1: "stop", 3: "on", 4: "on", 5: "off",
@@ -92,8 +94,12 @@ class Dialect:
     one_command
         Whether a line has one command: words after an M word belong to it, and a checksum may
         follow.
+    off_behind
+        Whether M5 and M9 beside a move act behind it. RS274/NGC and its like switch before.
     flavour
         How parameters, expressions and O words are taken; None where they are not read.
+    grammar
+        What the control's own parser takes of a block.
     """
 
     name: DialectName
@@ -112,15 +118,46 @@ class Dialect:
     dwell_s: Mapping[str, tuple[float, float]] = field(default_factory=lambda: {"P": (1.0, 1.0)})
     points: bool = False
     one_command: bool = False
+    off_behind: bool = False
     flavour: Flavour | None = None
+    grammar: Grammar = grammar.PLAIN
 
 
+_GRBL_G = {code: group for code, group in {**_CNC, **_SYSTEMS}.items() if code != 640}
 _GRBL = Dialect(
-    name="grbl", feed_rule="grbl", g={**_CNC, **_SYSTEMS}, m=_CNC_M, idle_letters="ST",
-    needs_end=False, streams=True,
+    name="grbl", feed_rule="grbl", g=_GRBL_G,
+    m=_CNC_M, idle_letters="ST",
+    needs_end=False, streams=True, grammar=grammar.GRBL,
 )  # fmt: skip
+SILENT = frozenset(
+    (
+        30,
+        31,
+        73,
+        75,
+        76,
+        77,
+        78,
+        105,
+        110,
+        111,
+        113,
+        114,
+        115,
+        117,
+        118,
+        119,
+        154,
+        155,
+        500,
+        503,
+    )
+)
+"""M words that show, tell or keep something, and work nothing: a program loses nothing with them.
+M30 deletes a file in Marlin, and ends a program elsewhere, which is no word of the tool either."""
 _CYCLE = "a canned cycle, whose moves are not modelled"
 _RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
+_BUILT = "what marlin knows only where it is built with"
 WHY: Mapping[int, str] = {
     410: _RADIUS, 420: _RADIUS, 100: "setting what the control keeps (offsets, tool tables)",
     430: "compensation of the tool's length", 431: "compensation of the tool's length",
@@ -128,9 +165,32 @@ WHY: Mapping[int, str] = {
     **dict.fromkeys((730, *range(810, 900, 10)), _CYCLE),
 }  # fmt: skip
 """What G words are that no dialect here has, by ten times their number."""
+WHY_IN: Mapping[str, Mapping[str, str]] = {
+    "grbl": {
+        "G64": "no word of grbl, which blends by its own settings",
+    },
+    "fluidnc": {"G64": "no word of fluidnc, which blends by its own settings"},
+    "marlin": {
+        "G5": f"{_BUILT} BEZIER_CURVE_SUPPORT, and passes over otherwise",
+        **dict.fromkeys(
+            ("G18", "G19"), f"{_BUILT} CNC_WORKSPACE_PLANES, and passes over otherwise"
+        ),
+        "G20": f"{_BUILT} INCH_MODE_SUPPORT; otherwise all numbers stay millimetres",
+        "G92.1": f"{_BUILT} CNC_COORDINATE_SYSTEMS, and reads as G92 otherwise",
+        "G91.1": "read as G91 by marlin",
+        "M420": "the compensation of the bed by a mesh, which changes the path",
+        "M502": "what sets the steps, limits and jerks of the firmware anew",
+        "M810": "a macro, whose moves only the firmware knows",
+    },
+}
+"""What words are that the control alone makes something else of, by dialect and word."""
 DIALECTS: Mapping[str, Dialect] = {
     "winder": Dialect(
-        name="winder", feed_rule="fastest-axis", g=_WINDER, m={**_PROGRAM, **_CALLS}
+        name="winder",
+        feed_rule="fastest-axis",
+        g=_WINDER,
+        m={**_PROGRAM, **_CALLS},
+        off_behind=True,
     ),
     "linuxcnc": Dialect(
         name="linuxcnc",
@@ -143,18 +203,19 @@ DIALECTS: Mapping[str, Dialect] = {
         idle_letters="ST",
         idle_groups=frozenset({"cutter", "length", "system", "centres", "speed"}),
         flavour=LINUXCNC,
+        grammar=grammar.LINUXCNC,
     ),
     "grbl": _GRBL,
     "fluidnc": Dialect(
-        name="fluidnc", feed_rule="fluidnc", g=_GRBL.g, m={**_CNC_M, **_OUTPUTS}, idle_letters="ST",
-        needs_end=False, flavour=FLUIDNC,
+        name="fluidnc", feed_rule="fluidnc", g=_GRBL_G, m={**_CNC_M, **_OUTPUTS}, idle_letters="ST",
+        needs_end=False, flavour=FLUIDNC, grammar=grammar.FLUIDNC,
     ),
     "marlin": Dialect(
         name="marlin",
         feed_rule="marlin",
         g={
-            **_MOTION, **_ARCS, **_OFFSETS, 200: "units", 210: "units", 900: "distance",
-            910: "distance", 940: "feed", 40: "action", 50: "motion", 280: "action",
+            **_MOTION, 20: "motion", 30: "motion", 170: "plane", 210: "units", 900: "distance",
+            910: "distance", 920: "action", 940: "feed", 40: "action", 280: "action",
             540: "system", 800: "motion",
         },
         m=_MARLIN_M,
@@ -164,6 +225,7 @@ DIALECTS: Mapping[str, Dialect] = {
         homes=True,
         dwell_s={"P": (1e-3, 1e-3), "S": (1.0, 1.0)},
         one_command=True,
+        grammar=grammar.MARLIN,
     ),
     "fanuc": Dialect(
         name="fanuc",
@@ -180,6 +242,7 @@ DIALECTS: Mapping[str, Dialect] = {
         ),
         dwell_s={"P": (1e-3, 1.0), "X": (1.0, 1.0), "U": (1.0, 1.0)},
         points=True,
+        off_behind=True,
     ),
 }  # fmt: skip
 """Dialects by name; X-Winder programs have other words and a reader of their own."""

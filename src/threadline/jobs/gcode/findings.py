@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.block import CHANGE, Block
 from threadline.jobs.gcode.in_force import FeedNotes
 
 MAX_REMEMBERED = 1000
@@ -25,6 +25,8 @@ class Findings:
         The first line of each word without effect on motion.
     waits
         The first line where a program waits for a temperature.
+    changes
+        The first line of M6.
     anew
         Lines of M2 and M30 behind which other lines are run.
     rapid_f
@@ -41,6 +43,7 @@ class Findings:
     blends: list[int] = field(default_factory=list)
     idle: dict[str, int] = field(default_factory=dict)
     waits: int = 0
+    changes: int = 0
     anew: list[int] = field(default_factory=list)
     rapid_f: int = 0
     unset: dict[int, int] = field(default_factory=dict)
@@ -60,5 +63,7 @@ class Findings:
         for word in block.idle:
             if len(self.idle) < MAX_REMEMBERED:
                 self.idle.setdefault(word, block.line)
+        if block.program == CHANGE and not self.changes:
+            self.changes = block.line
         if block.waits and block.idle and not self.waits:
             self.waits = block.line

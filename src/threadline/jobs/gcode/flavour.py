@@ -68,6 +68,11 @@ class Flavour:
     loose_comments
         Whether a semicolon inside parentheses ends the line, a ) without ( is nothing, and a
         comment ends with its line.
+    at_motors
+        Whether the position that a program reads is where the motors are as the line is read, and
+        not where the program will have led them.
+    paths_configure
+        Whether a name that begins with a slash is an item of the control's configuration.
     """
 
     rounded: Callable[[float], float]
@@ -78,13 +83,15 @@ class Flavour:
     labels_once: bool
     breaks_repeats: bool
     loose_comments: bool
+    at_motors: bool
+    paths_configure: bool
 
 
 LINUXCNC = Flavour(
     rounded=double, alike=1e-4, alike_later=1e-6, unset=0.0, subroutines=True, labels_once=True,
-    breaks_repeats=False, loose_comments=False,
+    breaks_repeats=False, loose_comments=False, at_motors=False, paths_configure=False,
 )  # fmt: skip
 FLUIDNC = Flavour(
     rounded=single, alike=1e-5, alike_later=None, unset=None, subroutines=False, labels_once=False,
-    breaks_repeats=True, loose_comments=True,
+    breaks_repeats=True, loose_comments=True, at_motors=True, paths_configure=True,
 )  # fmt: skip

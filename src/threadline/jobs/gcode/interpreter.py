@@ -12,13 +12,23 @@ from threadline.arrays import FloatArray
 from threadline.jobs.gcode import plain_blocks as kernel
 from threadline.jobs.gcode.block import Block
 from threadline.jobs.gcode.frames import Frame, KeptText
+from threadline.jobs.gcode.kept_feeds import travelling
 from threadline.jobs.gcode.modal import MILLIMETRE, RAPID, Modal, ProgramText
 from threadline.jobs.gcode.plain_reader import PlainReader, plain_reader
 from threadline.jobs.gcode.subprograms import Structure
 from threadline.jobs.gcode.textfile import Lines
 from threadline.jobs.gcode.words import ONE
 from threadline.jobs.gcode.work_offsets import FIRST
-from threadline.jobs.operations import FeedMode, Move, MoveRun, Operation, Source, Stop
+from threadline.jobs.operations import (
+    Feed,
+    FeedMode,
+    Move,
+    MoveRun,
+    Operation,
+    Source,
+    Stop,
+    ToolEvent,
+)
 
 _STEADY_PASS = 3
 _FINE = ONE // kernel.STEPS
@@ -97,7 +107,10 @@ class Interpreter(Modal):
             if not lines.more():
                 if frame.program.ends_with is None or self._dialect.needs_end:
                     raise self._error(lines.number, "the program has no end", "Start again.")
-                yield Stop(True, Source(self._path, max(1, lines.number - 1))), 1, 0
+                for operation in self._rest(
+                    Stop(True, Source(self._path, max(1, lines.number - 1)))
+                ):
+                    yield operation, 1, 0
                 return
             if self._plain.worth_trying():
                 run = self._read_plain(lines)
@@ -125,7 +138,7 @@ class Interpreter(Modal):
                 if frame.pass_ < frame.passes:
                     frame.pass_ += 1
                     if self._fold and frame.pass_ == _STEADY_PASS:
-                        frame.fold_rest((*self._exact, *self._zeros.offset))
+                        frame.fold_rest((*self._exact, *self._zeros.offset, *self._zeros.kept))
                     frame.lines = self._text.lines_of(frame.program)
                     self._passes = (*self._passes[:-1], frame.pass_)
                 else:
@@ -143,11 +156,12 @@ class Interpreter(Modal):
 
     def _advance(self, frame: Frame) -> None:
         """Set the position to the one after all passes that were folded into one."""
-        axes, offset = len(self._exact), self._zeros.offset
+        axes = len(self._exact)
         for index, start in enumerate(frame.start[:axes]):
             self._put(index, start + frame.folded * (self._exact[index] - start))
-        for index, start in enumerate(frame.start[axes:]):
-            offset[index] = start + frame.folded * (offset[index] - start)
+        for at, values in ((axes, self._zeros.offset), (2 * axes, self._zeros.kept)):
+            for index, start in enumerate(frame.start[at : at + axes]):
+                values[index] = start + frame.folded * (values[index] - start)
 
     def _read_plain(self, lines: Lines) -> MoveRun | None:
         """Read plain blocks with the compiled reader; return their moves, None without any."""
@@ -167,6 +181,7 @@ class Interpreter(Modal):
         before = tuple(self._position)
         count = plain.read(lines)
         self._motion = int(state[kernel.MOTION])
+        self._cancelled = self._cancelled and self._motion == -1
         self._relative = bool(state[kernel.RELATIVE])
         if count == 0:
             return None
@@ -177,11 +192,19 @@ class Interpreter(Modal):
         values = self._in_degrees(plain, count, before)
         changes = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist()]
         feeds = tuple(
-            (at, RAPID if value < 0 else self._feed_of(value))
+            (at, self._feed_of(value) if value >= 0 else self._feed_of_g0(-value))
             for at, value in zip(changes, values[changes].tolist(), strict=True)
         )
         targets, line = plain.out_position[:count].copy(), plain.out_line[:count].copy()
-        return MoveRun(targets, line, feeds, self._path, self._passes, plain.columns(count))
+        acts: tuple[tuple[int, tuple[ToolEvent, ...]], ...] = ()
+        if self._waiting or not self._moved:
+            own = self._acting(Source(self._path, int(line[0]), self._passes))
+            acts = ((0, own),) if own else ()
+        columns = plain.columns(count)
+        return MoveRun(targets, line, feeds, self._path, self._passes, columns, acts)
+
+    def _feed_of_g0(self, value: float) -> Feed:
+        return travelling(self._feed_of(value)) if self._dialect.rapid_is_feed else RAPID
 
     def _in_degrees(self, plain: PlainReader, count: int, before: tuple[float, ...]) -> FloatArray:
         """Return the (count,) feeds of the moves just read, with inches undone for A B C alone."""
@@ -196,5 +219,6 @@ class Interpreter(Modal):
         if self._inverse_time or not in_turn or (unit == MILLIMETRE).all():
             return values
         way = np.diff(plain.out_position[:count], axis=0, prepend=np.array([before]))
-        turned = ~way[:, self._lengths].any(axis=1) & (values > 0)
+        at_feed = (values > 0) | self._dialect.rapid_is_feed
+        turned = ~way[:, self._lengths].any(axis=1) & at_feed
         return np.where(turned, values * MILLIMETRE / unit, values)

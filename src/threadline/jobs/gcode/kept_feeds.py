@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
+
 from threadline.jobs.gcode.f_words import FRule
 from threadline.jobs.gcode.words import ONE
 from threadline.jobs.operations import Feed, FeedMode
@@ -34,6 +37,12 @@ class KeptFeeds:
             feed = Feed(mode, value, rule.base_axes if mode is FeedMode.BASE_AXES else ())
             self._kept[mode, value] = feed
         return feed
+
+
+@lru_cache(maxsize=_MOST)
+def travelling(feed: Feed) -> Feed:
+    """Return the feed of a G0 that goes at ``feed``."""
+    return feed if feed.travels else replace(feed, travel=True)
 
 
 def value_of(word: int, tenth_mm: int, *, inverse_time: bool) -> float:

@@ -7,15 +7,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from threadline.errors import JobError
-from threadline.jobs.gcode.block import Block
+from threadline.jobs.gcode.block import DWELL, RESET, TAKES_AXES, Block
 from threadline.jobs.gcode.curved_blocks import CURVED, Curves
 from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.f_words import FRule
-from threadline.jobs.gcode.kept_feeds import KeptFeeds, value_of
+from threadline.jobs.gcode.kept_feeds import KeptFeeds, travelling, value_of
 from threadline.jobs.gcode.program_zero import Zeros
 from threadline.jobs.gcode.textfile import SourceFile
 from threadline.jobs.gcode.words import ONE
-from threadline.jobs.gcode.work_offsets import MACHINE, SYSTEMS
+from threadline.jobs.gcode.work_offsets import FIRST, MACHINE, SYSTEMS
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -32,6 +32,10 @@ from threadline.jobs.operations import (
 RAPID = Feed(FeedMode.RAPID, 0.0)
 MILLIMETRE = 10  # tenths of a millimetre
 _MM_PER_M = 1000 * ONE
+_SHIFT, _CHANGE = 920, 6  # G92, M6
+_SPINDLE = frozenset({"M3", "M4", "M5"})
+_OFF = ("M5", "M9")
+_ALL_OFF = "M5 M9"
 _LENGTHS = "XYZUVW"
 
 
@@ -76,6 +80,7 @@ class Modal:
         self._curves = Curves(program.reading, program.linear)
         self._position = [0.0] * len(program.linear)
         self._motion = -1
+        self._cancelled = False  # by G80
         self._relative = False
         self._tenth_mm = MILLIMETRE  # in the unit of length
         self._feed_tenth_mm = MILLIMETRE  # and in that in which the feed was given
@@ -85,6 +90,12 @@ class Modal:
         self._feed: Feed | None = None
         self._passes: tuple[int, ...] = ()
         self._feeds = KeptFeeds(program.rule)
+        self._letters = tuple(program.reading.axes)
+        self._waiting: list[ToolEvent] = []  # for the next move
+        self._moved = self._acted = False
+        self._one_system = not program.systems
+        zeros = (c for c, zero in program.systems.items() if c != MACHINE and not any(zero))
+        self._first_system = next(zeros, FIRST)
 
     def _ends(self, block: Block) -> bool:
         """Say whether nothing is run behind a block that ends a program."""
@@ -106,23 +117,136 @@ class Modal:
             self._feed_tenth_mm = self._tenth_mm
         if block.motion >= 0:
             self._motion = -1 if block.motion == CANCEL else block.motion
-        if block.action == 40:
-            yield Dwell(block.dwell_s, self._source(block))
+            self._cancelled = block.motion == CANCEL
+        self._check_modes(block)
+        first, then = self._split(block) if block.acts else ((), ())
+        yield from self._worked(block, first)
+        if block.action == DWELL:
+            yield from self._rest(Dwell(block.dwell_s, self._source(block)))
         elif block.action == 280:
             yield from self._return_to_start(block)
-        elif block.action != -1:
-            given = {index: self._scaled(index, value) for index, value in block.axes}
-            self._zeros.take(block.action, self._exact, given)
-        elif block.axes or (block.curve and self._motion in CURVED):
-            yield from self._move(block)
-        if block.spindle is not None:
-            yield ToolEvent("spindle", block.spindle, self._source(block))
-        if block.waits:
-            yield Dwell(0.0, self._source(block))
-        if block.ends == "stop" or self._ends(block):
-            yield Stop(block.ends == "end", self._source(block))
+        else:
+            later = block.action == RESET and self._dialect.grammar.reset_last
+            if block.action != -1 and not later:
+                given = {index: self._scaled(index, value) for index, value in block.axes}
+                if block.action == _SHIFT and not self._moved:
+                    # The plan begins at 0, wherever the control thinks that it is.
+                    named = " ".join(f"{self._letters[index]}0" for index in given)
+                    shift = ToolEvent("G92", 0.0, self._source(block), f"G92 {named}")
+                    self._waiting.append(shift)
+                self._zeros.take(block.action, self._exact, given)
+            if block.action not in TAKES_AXES and (
+                block.axes or (block.curve and self._motion in CURVED)
+            ):
+                yield from self._move(block)
+            if later:
+                self._zeros.take(block.action, self._exact, {})
+        yield from self._worked(block, then)
+        if block.waits and not block.acts:
+            yield from self._rest(Dwell(0.0, self._source(block)))
+        if self._ends(block):
+            yield from self._rest(Stop(True, self._source(block)))
+        elif block.ends == "end" and self._acted:
+            # What begins anew behind an end begins with spindle and coolant off.
+            yield from self._rest(ToolEvent(_ALL_OFF, 0.0, self._source(block), _ALL_OFF))
         elif block.ends == "end":
-            yield Dwell(0.0, self._source(block))
+            yield from self._rest(Dwell(0.0, self._source(block)))
+
+    def _split(self, block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return the acting words of a block before its motion, and those behind it."""
+        behind: tuple[str, ...] = ()
+        if block.ends == "stop" and block.program != _CHANGE:
+            behind = block.acts if self._dialect.one_command else (f"M{block.program}",)
+        elif self._dialect.off_behind and block.axes:
+            behind = _OFF
+        first = tuple(word for word in block.acts if word not in behind)
+        return first, tuple(word for word in block.acts if word in behind)
+
+    def _worked(self, block: Block, words: tuple[str, ...]) -> Iterator[Operation]:
+        """Return what acting words of a block are; what needs no rest goes with the next move."""
+        if not words:
+            return
+        self._acted = True
+        text, source = " ".join(words), self._source(block)
+        if block.ends == "stop" and f"M{block.program}" in words:
+            yield from self._rest(Stop(False, source, text))
+        elif block.waits or not _SPINDLE.isdisjoint(words):
+            yield from self._rest(ToolEvent(text, block.power, source, text))
+        else:
+            beside = bool(block.axes) and block.action not in (*TAKES_AXES, DWELL)
+            self._waiting.append(ToolEvent(text, block.power, source, text, beside))
+
+    def _rest(self, item: Operation) -> Iterator[Operation]:
+        """Yield what waits for the next move before an operation that the motion rests for."""
+        yield from self._waiting
+        self._waiting = []
+        yield item
+
+    def _acting(self, source: Source) -> tuple[ToolEvent, ...]:
+        """Return what happens as the next move begins, which comes from ``source``."""
+        if not self._moved and self._first_system != FIRST:
+            word = f"G{self._first_system // 10}"
+            self._waiting.append(ToolEvent(word, 0.0, source, word))
+        self._moved = True
+        acts, self._waiting = tuple(self._waiting), []
+        return acts
+
+    def _to(self, feed: Feed, source: Source, tags: Tags = NO_TAGS) -> Move:
+        """Return the move to the present position."""
+        acts = self._acting(source) if self._waiting or not self._moved else ()
+        return Move(tuple(self._position), feed, source, tags, acts)
+
+    def _check_modes(self, block: Block) -> None:
+        """Refuse words that the modes in force leave without use, or forbid."""
+        grammar = self._dialect.grammar
+        if block.curve and not (
+            self._motion in CURVED and block.action not in (*TAKES_AXES, DWELL)
+        ):
+            raise self._error(
+                block.line,
+                f"{block.curve[0][0]} has no use in this block",
+                "I J K R Q belong to G2, G3 and G5.",
+            )
+        if block.axes and self._cancelled and grammar.cancelled:
+            raise self._error(
+                block.line,
+                f"axis words while G80 is in force, which {self._dialect.name} refuses",
+                "Write G0 or G1 before them.",
+            )
+        if MACHINE in block.settings and not (block.axes and self._motion in (0, 1)):
+            raise self._error(
+                block.line,
+                "G53 needs axis words, and G0 or G1",
+                "Write them in its block.",
+            )
+        if grammar.feed_first and block.motion in (1, 2, 3):
+            self._check_feed(block)
+        if block.motion in (2, 3) and not (
+            block.axes or (block.curve and not grammar.arc_ends) or self._dialect.one_command
+        ):
+            raise self._error(
+                block.line,
+                f"{self._dialect.name} takes no G{block.motion} without axis words",
+                "Write the end of the arc, that of a full circle, too.",
+            )
+
+    def _check_feed(self, block: Block) -> None:
+        """Refuse a word of motion at a feed, whether it moves or not, before there is one."""
+        if self._inverse_time and block.feed is None:
+            raise self._error(
+                block.line,
+                f"in G93 every G{block.motion} block needs its own F",
+                "Give F as 1 / minutes of the move.",
+            )
+        if self._feed is None:
+            raise self._error(
+                block.line,
+                f"G{block.motion} moves before any feed F"
+                if block.axes
+                else f"G{block.motion} before any feed F, which {self._dialect.name} refuses in a "
+                "block without axis words, too",
+                "Give F, in mm/min.",
+            )
 
     def _source(self, block: Block) -> Source:
         return Source(self._path, block.line, self._passes)
@@ -133,7 +257,9 @@ class Modal:
                 self._relative = code == 910
             elif code in (200, 210):
                 self._tenth_mm = 254 if code == 200 else 10
-            elif code in (930, 940) and self._inverse_time != (code == 930):
+            elif code in (930, 940) and (
+                self._inverse_time != (code == 930) or self._dialect.grammar.forgets_feed
+            ):
                 # A number that was a speed is no inverse of a time.
                 self._inverse_time = code == 930
                 self._feed = None
@@ -141,6 +267,8 @@ class Modal:
                 self._curves.plane = code
             elif code in SYSTEMS:
                 self._zeros.choose(code)
+                if self._one_system:
+                    self._first_system = code if not self._moved else self._first_system
 
     def _feed_of(self, value: float) -> Feed:
         """Return the feed with ``value`` in the present mode."""
@@ -171,6 +299,8 @@ class Modal:
                 else f"axis words without a G word, which {self._dialect.name} does not take",
                 "Write G1 and a feed first.",
             )
+        if self._motion == 0 and not rapid and feed is not None:
+            feed = travelling(feed)
         if feed is None:
             raise self._error(
                 block.line, f"G{self._motion} moves before any feed F", "Give F, in mm/min."
@@ -188,19 +318,13 @@ class Modal:
         if self._motion in CURVED:
             yield from self._along(block, before, feed, source, tags)
             return
-        if block.curve:
-            raise self._error(
-                block.line,
-                f"{block.curve[0][0]} has no use in a block of G{self._motion}",
-                "I J K R Q belong to G2, G3 and G5.",
-            )
         if (
             self._feed_tenth_mm != MILLIMETRE
             and feed.mode is FeedMode.IN_TURN
             and all(self._exact[index] == before[index] for index in self._lengths)
         ):
             feed = self._feed_of(feed.value * MILLIMETRE / self._feed_tenth_mm)
-        yield Move(tuple(self._position), feed, source, tags)
+        yield self._to(feed, source, tags)
 
     def _stays(self, block: Block) -> bool:
         """Return whether the axis words of a block are the present position."""
@@ -219,10 +343,10 @@ class Modal:
         for point in points:
             for index, exact in enumerate(point):
                 self._put(index, exact)
-            yield Move(tuple(self._position), feed, source, tags)
+            yield self._to(feed, source, tags)
         for index, exact in enumerate(after):
             self._put(index, exact)
-        yield Move(tuple(self._position), feed, source, tags)
+        yield self._to(feed, source, tags)
 
     def _return_to_start(self, block: Block) -> Iterator[Operation]:
         """Return the moves of G28: by way of the words of the block, then home.
@@ -232,12 +356,15 @@ class Modal:
         source = self._source(block)
         if block.axes and not self._dialect.homes:
             self._go(block)
-            yield Move(tuple(self._position), RAPID, source)
+            yield self._to(RAPID, source)
         for index in [i for i, _ in block.axes] or range(len(self._exact)):
             self._put(index, self._zeros.home[index])
             if self._dialect.homes:
                 self._zeros.offset[index] = 0
-        yield Move(tuple(self._position), RAPID, source)
+        yield self._to(RAPID, source)
+        if self._dialect.homes:
+            text = " ".join(["G28", *(self._letters[index] for index, _ in block.axes)])
+            yield ToolEvent(text, 0.0, source, text)
 
     def _error(self, line: int, message: str, remedy: str) -> JobError:
         return JobError(message, place=self._file.place(line), remedy=remedy)

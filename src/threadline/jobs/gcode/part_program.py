@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from threadline.errors import BudgetError, JobError, MachineError, OptionError, Place
+from threadline.jobs.gcode.block import CHANGE
 from threadline.jobs.gcode.dialects import DIALECTS, Dialect, Reading, dialect_of
 from threadline.jobs.gcode.f_words import f_rule, normal_feed_m_s
 from threadline.jobs.gcode.findings import Findings
@@ -104,9 +105,10 @@ def read_part_program(
         axes=machine.axis_names,
         start=(0.0,) * len(machine.axis_names),
         operations=OperationStream(Stream(_runs, program), Stream(_folded, program)),
-        warnings=_warnings(findings, file, spoken.rapid_is_feed),
+        warnings=_warnings(findings, file, spoken),
         capped=_capped(findings, moved, label, machine, file),
         feed_rule=rule.text,
+        dialect=spoken.name,
     )
 
 
@@ -175,7 +177,7 @@ def _capped(
     )
 
 
-def _warnings(findings: Findings, file: SourceFile, rapid_is_feed: bool) -> tuple[str, ...]:
+def _warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[str, ...]:
     warnings = [
         f"{file.place(line)}: P of G4 is in seconds; a thousand or more looks like milliseconds."
         for line in findings.long_dwells
@@ -185,10 +187,15 @@ def _warnings(findings: Findings, file: SourceFile, rapid_is_feed: bool) -> tupl
         "corners are rounded."
         for line in findings.blends
     ]
-    if findings.rapid_f and not rapid_is_feed:
+    if findings.rapid_f and not dialect.rapid_is_feed:
         warnings.append(
             f"{file.place(findings.rapid_f)}: F of a G0 sets the feed of later moves; the G0 "
             "itself goes as fast as the limits allow."
+        )
+    if findings.changes and CHANGE in dialect.grammar.of_sender:
+        warnings.append(
+            f"{file.place(findings.changes)}: {dialect.name} itself refuses M6; what sends the "
+            "program must take it out and stop there, as it is read here."
         )
     if findings.anew:
         lines = ", ".join(map(str, findings.anew[:_MAX_WARNINGS]))

@@ -52,10 +52,10 @@ EXACT_LIMIT = 2**53
 
 # Entries of the state vector.
 MOTION, RELATIVE, TENTH_MM, INVERSE, LINE, AT, FOLLOW, RAPID_FEED, EACH_G, RAPID_F = range(10)
-STATE_SIZE = 10
+LONGEST, FEED_FIRST, SPLIT_COMMENTS, ONE_COMMAND = range(10, 14)
+STATE_SIZE = 14
 
 _F, _G, _N = ord("F"), ord("G"), ord("N")
-_MAX_LINE = 4096
 _RAD = math.pi / 180.0
 
 
@@ -91,7 +91,10 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         (STATE_SIZE,) modes, line and place in ``data``; updated. With FOLLOW 0 the words are
         checked and noted and no position is computed; with RAPID_FEED not 0 a G0 goes at the feed;
         with EACH_G not 0 axis words need a G word in their block. RAPID_F becomes the line of the
-        first G0 with an F.
+        first G0 with an F. Lines of more bytes than LONGEST are left out, with FEED_FIRST not 0
+        those with G1 and no axis words, with SPLIT_COMMENTS not 0 those with a semicolon in
+        parentheses, and with ONE_COMMAND not 0 all but those that begin with their one G word in
+        capital letters, without a comment in parentheses.
     offset
         (axes,) position of the programmed zero, in 1e-7 mm or degrees.
     exact, position
@@ -99,7 +102,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     feed
         (1,) F in m/s, or 1/s in G93; nan before the first F; updated.
     out_position, out_feed, out_line
-        (room, axes), (room,), (room,): the moves; the feed of a G0 is -1.
+        (room, axes), (room,), (room,): the moves; the feed of a G0 is -1, or with its sign turned
+        where it goes at the feed.
     out_word
         (room,) F of the block times 1e7, -1 where it has none.
     used
@@ -111,7 +115,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         moves up to the last that has each, 0 where none has; updated with FOLLOW not 0. Nothing is
         written behind that move.
     """
-    # ruff: noqa: PLR1714, SIM109 - the compiler makes two comparisons of these, not a search
+    # ruff: noqa: PLR1714 - the compiler makes two comparisons of these, not a search
     n_axes = exact.shape[0]
     room = out_line.shape[0]
     end = data.shape[0]
@@ -137,7 +141,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             if at >= end:
                 break
             c = data[at]
-            if c == BLANK or c == TAB:
+            if c == BLANK or (c == TAB and state[ONE_COMMAND] == 0):
                 at += 1
                 continue
             if c == LF:
@@ -153,8 +157,10 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 while at < end and data[at] != CLOSE:
                     if data[at] == OPEN or data[at] < BLANK or data[at] > LAST_ASCII:
                         break
+                    if data[at] == SEMICOLON and state[SPLIT_COMMENTS] != 0:
+                        break
                     at += 1
-                if at >= end or data[at] != CLOSE:
+                if at >= end or data[at] != CLOSE or state[ONE_COMMAND] != 0:
                     plain = False
                     break
                 at += 1
@@ -166,16 +172,24 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                     at += 1
                 break
             # A word: letter, blanks, number.
-            if LOWER_A <= c <= LOWER_Z:
+            if LOWER_A <= c <= LOWER_Z and state[ONE_COMMAND] == 0:
                 c -= 32
             if c < UPPER_A or c > UPPER_Z:
                 plain = False
                 break
             letter = c
+            if state[ONE_COMMAND] != 0 and (letter == _G) == code_seen:
+                plain = False
+                break
             code_seen = True
             at += 1
             while at < end and (data[at] == BLANK or data[at] == TAB):
                 at += 1
+            if state[ONE_COMMAND] != 0 and (
+                data[at - 1] == TAB or (letter == _G and at < end and data[at] < ZERO)
+            ):
+                plain = False
+                break
             sign = 1
             if at < end and (data[at] == MINUS or data[at] == PLUS):
                 if data[at] == MINUS:
@@ -206,7 +220,10 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 break
             value *= sign
             if letter == _N:
-                if seen_n or dotted or sign < 0 or digits > 12:
+                if seen_g_motion or seen_g_distance or has_axes or f_word != -1:
+                    plain = False
+                    break
+                if seen_n or dotted or sign < 0 or digits > 7:
                     plain = False
                     break
                 seen_n = True
@@ -244,7 +261,9 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             given[axis] = True
             has_axes = True
             target[axis] = value
-        if not plain or at - start > _MAX_LINE:
+        if not plain or at - start > state[LONGEST]:
+            break
+        if state[FEED_FIRST] != 0 and seen_g_motion and motion == 1 and not has_axes:
             break
         if f_word != -1 and not has_axes:
             break  # no move to hang it on: the interpreter takes it
@@ -297,7 +316,10 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 position[k] = new[k]
                 out_position[moves, k] = new[k]
             feed[0] = value_f
-            out_feed[moves] = value_f if at_feed else -1.0
+            if motion == 1:
+                out_feed[moves] = value_f
+            else:
+                out_feed[moves] = -value_f if at_feed else -1.0
             for k in range(book[IN_BLOCK]):
                 which, decimals = book[WHICH + k], book[DECIMALS + k]
                 number = float(book[DIGITS + k])

@@ -11,13 +11,17 @@ from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.plain_blocks import (
     AT,
     EACH_G,
+    FEED_FIRST,
     FOLLOW,
     LINE,
+    LONGEST,
+    ONE_COMMAND,
     RAPID_FEED,
+    SPLIT_COMMENTS,
     STATE_SIZE,
     follow_plain,
 )
-from threadline.jobs.gcode.textfile import Lines
+from threadline.jobs.gcode.textfile import MAX_LINE_BYTES, Lines
 from threadline.jobs.operations import NO_COLUMNS, Column
 
 _ROOM = 4096
@@ -45,6 +49,7 @@ class PlainReader:
         axes = len(linear)
         self.state = np.zeros(STATE_SIZE, np.int64)
         self.state[FOLLOW] = follow
+        self.state[LONGEST] = MAX_LINE_BYTES
         self.exact = np.zeros(axes, np.int64)
         self.offset = np.zeros(axes, np.int64)
         self.position = np.zeros(axes)
@@ -104,5 +109,10 @@ def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> Pl
     plain = PlainReader(reading.axes, linear, follow)
     plain.state[RAPID_FEED] = dialect.rapid_is_feed
     plain.state[EACH_G] = dialect.each_g
+    grammar = dialect.grammar
+    plain.state[LONGEST] = grammar.longest or MAX_LINE_BYTES
+    plain.state[FEED_FIRST] = grammar.feed_first
+    plain.state[SPLIT_COMMENTS] = grammar.split_comments
+    plain.state[ONE_COMMAND] = dialect.one_command
     plain.usable = not dialect.points  # it does not look for them
     return plain

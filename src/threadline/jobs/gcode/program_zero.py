@@ -20,6 +20,8 @@ class Zeros:
         Position to which G28 moves.
     machine
         Zero of the machine's own system.
+    kept
+        What G92 has shifted, for G92.3, while G92.2 has set it aside, too.
 
     Parameters
     ----------
@@ -34,7 +36,7 @@ class Zeros:
         self._systems = systems
         self._system = (0,) * axes
         self.home = [0] * axes
-        self._kept = [0] * axes  # while G92.2 has set the offset aside
+        self.kept = [0] * axes
 
     def take(self, code: int, at: Sequence[int], given: Mapping[int, int]) -> None:
         """Apply a G word, given as ten times its number, at the position ``at``.
@@ -51,11 +53,12 @@ class Zeros:
                 at[index] - given[index] if index in given else offset
                 for index, offset in enumerate(self.offset)
             ]
+            self.kept = _moved(self.offset, self._system, -1)
         elif code == _RESTORE:
-            self.offset = _moved(self._kept, self._system, 1)
+            self.offset = _moved(self.kept, self._system, 1)
         else:
-            shift = _moved(self.offset, self._system, -1)
-            self._kept = shift if code == _SUSPEND else [0] * len(self.offset)
+            if code != _SUSPEND:
+                self.kept = [0] * len(self.offset)
             self.offset = list(self._system)
 
     def choose(self, code: int) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NoReturn
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import WHY, Reading, knowing
+from threadline.jobs.gcode.dialects import WHY, WHY_IN, Reading, knowing
 from threadline.jobs.gcode.words import ONE
 
 AXIS_LETTERS = "ABCXYZ"
@@ -64,6 +64,13 @@ def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading
     if letter == "G" and code in WHY:
         raise JobError(
             f"G{_short(number)} is {WHY[code]}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    why = WHY_IN.get(dialect.name, {}).get(f"{letter}{code / 10 if letter == 'G' else code:g}")
+    if why is not None:
+        raise JobError(
+            f"{letter}{_short(number)} is {why}",
             place=place,
             remedy="Have the program written without it, or take it out if it changes nothing.",
         )

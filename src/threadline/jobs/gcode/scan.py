@@ -8,6 +8,7 @@ from threadline.errors import JobError
 from threadline.jobs.gcode.block import Block, parse_block
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.findings import MAX_REMEMBERED, Findings
+from threadline.jobs.gcode.grammar import number_of_line
 from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS
 from threadline.jobs.gcode.plain_reader import plain_reader
 from threadline.jobs.gcode.subprograms import Call, Collector, Program, Structure
@@ -30,6 +31,7 @@ class Scanner:
         self._ended: tuple[Block, int] | None = None  # and the byte behind it
         self._tapes = Tapes(file)
         self._begun = False
+        self._numbered: int | None = 0  # of the last numbered line
 
     def run(self) -> Structure:
         """Read the file once and return its programs.
@@ -55,6 +57,7 @@ class Scanner:
             if text.strip() == TAPE:
                 self._tapes.take(number, self._begun)
                 continue
+            self._check_number(text, number)
             block = parse_block(text, number, self._reading)
             if block is not None:
                 self._take(block, offset, lines.offset)
@@ -71,6 +74,26 @@ class Scanner:
         self._tapes.finish(number)
         self.findings.rapid_f = int(self._plain.state[RAPID_F])
         return self._programs.finish(number)
+
+    def _check_number(self, text: str, line: int) -> None:
+        """Refuse a numbered line that a firmware would ask for again, because one is missing."""
+        if not self._reading.dialect.one_command:
+            return
+        number = number_of_line(text)
+        if "M110" in text:  # it sets the number
+            self._numbered = None
+            return
+        if number is None:
+            return
+        if self._numbered is not None and number != self._numbered + 1:
+            raise JobError(
+                f"N{number} where {self._reading.dialect.name} waits for N{self._numbered + 1}: it "
+                "does not run the line",
+                place=self._file.place(line),
+                remedy="Take the N words and the checksums out: the program that sends the file "
+                "writes its own.",
+            )
+        self._numbered = number
 
     def _take(self, block: Block, offset: int, behind: int) -> None:
         self._tapes.check(block.line)
@@ -97,14 +120,14 @@ class Scanner:
             if _only_ends(block):
                 return
             self._go_on(program)
-        moves = bool(block.axes) and block.action in (-1, 280)
+        moves = block.goes
         self.systems.take(block.settings, block.line, moves=moves)
         if block.action == 280:
             program.moves += 2
-        elif block.axes and block.action == -1:
+        elif moves:
             program.moves += 1
-        program.stops += (block.action == 40) + (block.spindle is not None) + block.waits
-        program.stops += block.ends in {"stop", "end"}
+        program.stops += (block.action == 40) + (bool(block.acts) or block.waits)
+        program.stops += block.ends == "end"
         self._note(program.label, block)
         if block.program == 98:
             assert block.p is not None

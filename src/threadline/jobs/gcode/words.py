@@ -22,10 +22,6 @@ _MAX_SHOWN = 40
 _NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)"
 _WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
 _BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*[ \t]*+")
-_CHECKSUM = re.compile(r"\*[ \t]*[0-9]{1,3}[ \t]*$")
-_TEXT = re.compile(r"[ \t]*(?:[Nn][ \t]*[0-9]+[ \t]*)?[Mm]11[78](?![0-9.])")
-_HOMING = re.compile(r"[ \t]*(?:[Nn][ \t]*[0-9]+[ \t]*)?[Gg]28(?![0-9.])")
-_ALONE = re.compile(r"([A-Za-z])(?![ \t]*[-+.0-9])")
 _PARENTHESES = re.compile(r"\([^()]*\)")
 _TAG = re.compile(rf"([A-Za-z_][A-Za-z0-9_-]*)=({_NUMBER})")
 _NAMED = re.compile(r"\s*+(?:[A-Za-z_][A-Za-z0-9_-]*+=[^\s,=]*+(?:[\s,]++|$))+")
@@ -55,25 +51,6 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
     if _BLOCK.fullmatch(text) is None:
         _diagnose(text, file, line)
     return RawBlock([(letter.upper(), number) for letter, number in _WORD.findall(text)], tags)
-
-
-def one_command(text: str) -> str:
-    """Return a line of a firmware with one command a line, as words with numbers.
-
-    The text after M117 and M118 and a checksum are removed; letters without number, which name the
-    axes of G28, get the number 0.
-
-    >>> one_command("N3 G28 X Y*54"), one_command("M117 hello X1"), one_command("G1 X5 ; a*b")
-    ('N3 G28 X0 Y0', 'M117', 'G1 X5 ; a*b')
-    """
-    code, mark, comment = text.partition(";")
-    code = _CHECKSUM.sub("", code)
-    said = _TEXT.match(code)
-    if said is not None:
-        return said[0]
-    if _HOMING.match(code):
-        code = _ALONE.sub(r"\g<1>0", code)
-    return f"{code}{mark}{comment}"
 
 
 def exact(number: str) -> int | None:

@@ -1,15 +1,34 @@
-"""Machine files from the settings of firmwares (grbl, FluidNC, Marlin, Klipper, RepRapFirmware)."""
+"""Machine files from the settings of controllers: grbl, FluidNC, Marlin, Klipper, RRF, LinuxCNC."""
 
-from threadline.machine.firmware.axis_settings import AxisSettings, Settings
-from threadline.machine.firmware.machine_text import machine_text
+from threadline.machine.firmware.axis_settings import (
+    AxisSettings,
+    Said,
+    Settings,
+    number_or_nan,
+)
+from threadline.machine.firmware.machine_text import (
+    DEFAULTS,
+    Missing,
+    check_answers,
+    machine_text,
+    missing_answers,
+    turning_axes,
+)
 from threadline.machine.firmware.owner_answers import Answers, parse_answers
 from threadline.machine.firmware.read import read_settings
 
 __all__ = [
+    "DEFAULTS",
     "Answers",
     "AxisSettings",
+    "Missing",
+    "Said",
     "Settings",
+    "check_answers",
     "machine_text",
+    "missing_answers",
+    "number_or_nan",
     "parse_answers",
     "read_settings",
+    "turning_axes",
 ]

@@ -1,137 +1,198 @@
 """Settings in a ``config.g`` of RepRapFirmware: what its M codes say of axes and planner.
 
-Source: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M208, M350 and M566.
+Sources: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M205, M208, M350, M425, M556,
+M566, M579, M584, M593, M595; RepRapFirmware, ``GCodes2.cpp``: M350 keeps the way of a full step,
+and ``DDARing.cpp``: M595 makes the ring of moves larger and never smaller.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 from threadline.errors import MachineError, Place
-from threadline.machine.firmware.axis_settings import Settings
+from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times
 
-LINE = re.compile(r"\s*M(?:566|584)\s")
-"""Of RepRapFirmware alone: an axis' jump of speed, and which drivers it has."""
+_OWN = re.compile(
+    r"\s*M(?:(?:550|552|563|566|574|584|595|669|950)\s|350\s.*\sI[01]\b)", re.IGNORECASE
+)
 _LETTERS = "XYZABCUVW"
-_READ = {92: "steps", 203: "rate", 201: "acceleration", 350: "microsteps"}
-_OTHERS = (204, 208, 566)
-_CODE = re.compile(r"\s*M(\d{1,4})(?![\d.])(.*)$")
-_COUNTS = re.compile(r"(?<![A-Z\d.])(?:G20|M(?:92|98|20[1348]|350|501|566|593|66[579]))(?![\d.])")
+_READ = {203: "rate", 201: "acceleration"}
+_OTHERS = (92, 204, 205, 208, 350, 566, 595)
+Steps = tuple[float, str, Place]
+_MICROSTEPS = 16.0  # of a driver that M350 has not set
+_RING = 60  # what M595 P may enlarge
+_CODE = re.compile(r"M(\d{1,4})(?![\d.])(.*)$")
+_COMMANDS = re.compile(r"(?<=\s)(?=[GM]\d)")  # the firmware obeys each command of a line
+_CONDITION = re.compile(r"\s*(?:if|elif|else|while)\b", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*(-?[0-9.]+(?::-?[0-9.]+)*)(?=\s|[A-Z]|$)")
 
 
-def read_config_g(lines: list[str], file: str) -> Settings:
+@dataclass(slots=True)
+class _Read:
+    """What the commands read so far have set.
+
+    Attributes
+    ----------
+    steps
+        Steps of each axis in a mm or degree, and the line that set them last.
+    micro
+        Microsteps of each axis, and the line of M350; ``_MICROSTEPS`` where none was.
+    ends
+        Lowest and highest place of each axis, with their lines.
+    """
+
+    settings: Settings
+    steps: dict[str, Steps] = field(default_factory=dict)
+    micro: dict[str, tuple[float, str, Place]] = field(default_factory=dict)
+    ends: dict[str, dict[str, tuple[float, Place]]] = field(default_factory=dict)
+
+
+def is_config_g(lines: Sequence[str]) -> bool:
+    """Return whether lines hold commands that RepRapFirmware alone has."""
+    return any(_OWN.match(line) for line in lines)
+
+
+def read_config_g(lines: Sequence[str], file: str) -> Settings:
     """Return the settings of axes and planner in the lines of a ``config.g``.
 
     Raises
     ------
     MachineError
-        If a line of those that count cannot be read, stands under a condition, holds another
-        command as well, or comes before the microsteps that its numbers are counted in.
+        If a line of those that count cannot be read, or stands under a condition.
     """
     settings = Settings("reprapfirmware", file)
-    ends: dict[str, dict[str, tuple[float, int]]] = {}
+    read = _Read(settings)
+    under = -1  # indentation of the condition that the lines stand under
     for number, line in enumerate(lines, start=1):
-        plain = _plain(line)
-        _alone(plain, Place(file, number))
-        _heed(settings, plain, line, number)
-        match = _CODE.match(plain)
-        code = int(match[1]) if match else 0
-        if match is None or (code not in _READ and code not in _OTHERS):
-            continue
         place = Place(file, number)
-        if line[:1] in " \t":
-            raise MachineError(
-                f"M{code} stands under a condition, which is not known here",
-                place=place,
-                remedy="Give the lines that hold, without indentation.",
-            )
-        words = dict(_WORD.findall(match[2]))
-        if _WORD.sub("", match[2]).strip():
-            raise MachineError(
-                f"{line.strip()[:60]!r} is no line of these settings",
-                place=place,
-                remedy=f"Lines are like M{code} X80 Y80, with numbers alone.",
-            )
-        if code == 92 and "S" in words:
-            raise MachineError(
-                f"M92 S{words['S']} counts its steps in other microsteps than are set",
-                place=place,
-                remedy="Write the steps of the microsteps that M350 sets, without S.",
-            )
-        for letter, text in words.items():
-            name = f"M{code} {letter}"
-            if code == 566 and letter == "P":
-                settings.say_of_planner("policy", text, number, name)
-            elif code == 204 and letter == "T":
-                settings.say_of_planner("acceleration", text, number, name)
-            elif letter not in _LETTERS:
+        plain = _plain(line)
+        if not plain.strip():
+            continue
+        indent = len(plain) - len(plain.lstrip())
+        under = under if indent > under else -1
+        if _CONDITION.match(plain):
+            under = indent if under < 0 else under
+            continue
+        obeyed = plain.strip() if "{" in plain else plain.strip().upper()
+        for command in _COMMANDS.split(obeyed):
+            match = _CODE.match(command)
+            code = int(match[1]) if match is not None else 0
+            if match is None or (code not in _READ and code not in _OTHERS):
+                _heed(settings, command, line, place)
                 continue
-            elif code == 566:
-                settings.say_of_planner(f"jump.{letter}", _scaled(text), number, name)
-            elif code == 208:
-                _end(ends, letter, text, words, place)
-            elif code in _READ:
-                if code == 350 and letter in settings.axes and settings.axes[letter].steps:
-                    raise MachineError(
-                        f"{name} comes after the steps of {letter}, and changes them",
-                        place=place,
-                        remedy="Put M350 before M92.",
-                    )
-                settings.say(letter, _READ[code], text, number, name)
-    for letter, found in ends.items():
-        if letter in settings.axes and len(found) == 2:
-            (low, _), (high, line_of_high) = found["low"], found["high"]
-            settings.say(letter, "travel", repr(high - low), line_of_high, f"M208 {letter}")
+            if under >= 0:
+                raise MachineError(
+                    f"M{code} stands under a condition, which is not known here",
+                    place=place,
+                    remedy="Give the lines that hold, without the condition.",
+                )
+            words = dict(_WORD.findall(match[2]))
+            if _WORD.sub("", match[2]).strip():
+                raise MachineError(
+                    f"{command.strip()[:60]!r} is no line of these settings",
+                    place=place,
+                    remedy=f"Lines are like M{code} X80 Y80, with numbers alone.",
+                )
+            _take(read, code, words, place)
+    for letter, found in read.ends.items():
+        if letter in read.steps and len(found) == 2:
+            (low, _), (high, at) = found["low"], found["high"]
+            settings.say(letter, "travel", repr(high - low), at, f"M208 {letter}")
+    for letter, (value, typed, at) in read.steps.items():
+        settings.say(letter, "steps", repr(value), at, f"M92 {letter}", typed)
+    for letter, (_, typed, at) in read.micro.items():
+        if letter in read.steps:
+            settings.say(letter, "microsteps", typed, at, f"M350 {letter}")
     return settings
 
 
-def _alone(plain: str, place: Place) -> None:
-    """Refuse a line with a command that counts behind something else: the firmware obeys both."""
-    for found in _COUNTS.finditer(plain):
-        if plain[: found.start()].strip():
-            raise MachineError(
-                f"{found[0]} is not alone on its line",
-                place=place,
-                remedy="Give every command a line of its own, without a number before it.",
-            )
+def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
+    """Take in a command with the words of its axes."""
+    settings = read.settings
+    for letter, text in words.items():
+        name = f"M{code} {letter}"
+        if code == 595 and letter == "P":
+            settings.say_of_planner("blocks", text, place, name, zero=False)
+            if settings.planner["blocks"].value < _RING:  # the ring is never made smaller
+                del settings.planner["blocks"]
+        elif code == 566 and letter == "P":
+            settings.say_of_planner("policy", text, place, name)
+        elif code == 204 and letter == "T":
+            settings.say_of_planner("acceleration", text, place, name, zero=False)
+        elif letter not in _LETTERS:
+            continue
+        elif code in (205, 566):  # mm/s, mm/min
+            jump = times(text, 1.0 if code == 205 else 1.0 / 60.0)
+            settings.say_of_planner(f"jump.{letter}", jump, place, name, typed=text)
+        elif code == 208:
+            _end(read.ends, letter, text, words, place)
+        elif code == 92:
+            value = settings.number(text, place, name)
+            if "S" in words:  # counted in these microsteps
+                value *= _micro(read, letter) / settings.number(words["S"], place, "M92 S")
+            read.steps[letter] = value, text, place
+        elif code == 350:
+            value, before = settings.number(text, place, name), _micro(read, letter)
+            if letter in read.steps:  # the firmware keeps the way of a full step
+                steps, typed, at = read.steps[letter]
+                read.steps[letter] = steps * value / before, typed, at
+            read.micro[letter] = value, text, place
+        elif code in _READ:
+            settings.say(letter, _READ[code], text, place, name)
 
 
-def _heed(settings: Settings, plain: str, line: str, number: int) -> None:
+def _micro(read: _Read, letter: str) -> float:
+    return read.micro[letter][0] if letter in read.micro else _MICROSTEPS
+
+
+def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
     """Refuse what makes the numbers others, and record what else changes the motion."""
-    if re.match(r"\s*G20\b", plain):
-        settings.refuse_inches(number)
-    kinematics = re.match(r"\s*M669\b.*?\bK\s*(\d+)", plain)
+    if re.match(r"G20\b", plain):
+        settings.refuse_inches(place)
+    kinematics = re.match(r"M669\b.*?\bK\s*(\d+)", plain)
     if kinematics is not None and int(kinematics[1]) != 0:
-        settings.refuse_kinematics(f"M669 K{kinematics[1]}", number)
-    other = re.match(r"\s*(?:M665\b|M667\b.*?\bS\s*0*[1-9])", plain)  # a delta, a core XY
+        settings.refuse_kinematics(f"M669 K{kinematics[1]}", place)
+    other = re.match(r"(?:M665\b|M667\b.*?\bS\s*0*[1-9])", plain)  # a delta, a core XY
     if other is not None:
-        settings.refuse_kinematics(other[0].strip(), number)
-    if re.match(r"\s*M593\b", plain) and not re.search(r'P"none"', line, re.IGNORECASE):
-        settings.shapes("M593", number)
-    runs = re.match(r"\s*(M98|M501)\b", plain)
+        settings.refuse_kinematics(other[0].strip(), place)
+    if re.match(r"M593\b", plain) and not re.search(r'P"none"', line, re.IGNORECASE):
+        settings.shapes("M593", place)
+    runs = re.match(r"(M98|M501)\b", plain)
     if runs is not None:
         settings.unheeded.append(
-            f"{Place(settings.file, number)}: the file that {runs[1]} runs is not read; put what "
-            "it sets of the axes in its place"
+            f"{place}: the file that {runs[1]} runs is not read; put what it sets of the axes in "
+            "its place"
         )
+    words = {letter: number_or_nan(text) for letter, text in _WORD.findall(plain[4:])}
+    of_axes = {letter: number for letter, number in words.items() if letter in _LETTERS}
+    told = plain.strip()
+    if re.match(r"M579\b", plain) and any(number != 1.0 for number in of_axes.values()):
+        raise MachineError(
+            f"{told} scales the places of an axis, so that no length is what it says",
+            place=place,
+            remedy="Put the scale into the steps of M92 and take M579 out, on the machine too.",
+        )
+    if re.match(r"M556\b", plain) and any(of_axes.values()):
+        settings.leave_out(told, "moves an axis by a share of another's way (skew)", place)
+    if re.match(r"M425\b", plain) and any(of_axes.values()):
+        settings.leave_out(told, "adds a motion of the motor at reversals (backlash)", place)
+    if re.match(r"(?:M375\b|G29\b.*\bS\s*1\b|M376\b.*\bH\s*0*[1-9])", plain):
+        settings.leave_out(told, "moves Z by the mesh of the bed", place)
+    drivers = re.match(r"M584\b.*\bR\s*([01])\b", plain)
+    if drivers is not None:
+        for letter in of_axes:
+            settings.turning[letter] = drivers[1] == "1"
 
 
 def _plain(line: str) -> str:
     """Return a line without its comments and quoted texts."""
-    return re.sub(r'"[^"]*"|\([^)]*\)', " ", line.split(";", 1)[0])
-
-
-def _scaled(text: str) -> str:
-    """Return a speed in mm/s, which is written in mm/min."""
-    try:
-        return repr(float(text) / 60.0)
-    except ValueError:
-        return text
+    return re.sub(r'"[^"]*"|\([^)]*\)', " ", line.split(";", 1)[0]).rstrip()
 
 
 def _end(
-    ends: dict[str, dict[str, tuple[float, int]]],
+    ends: dict[str, dict[str, tuple[float, Place]]],
     letter: str,
     text: str,
     words: dict[str, str],
@@ -153,4 +214,4 @@ def _end(
             remedy="Write it like M208 X0:600.",
         )
     for end, value in said.items():
-        ends.setdefault(letter, {})[end] = (value, place.line)
+        ends.setdefault(letter, {})[end] = (value, place)

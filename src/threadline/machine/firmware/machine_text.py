@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from threadline.errors import MachineError, OptionError, Place, UnitError
+from threadline.escaping import plain
 from threadline.machine.firmware.axis_settings import AxisSettings, Said, Settings
 from threadline.machine.firmware.owner_answers import ASKED, OPTIONAL, Answers
 from threadline.units import parse_quantity
@@ -14,42 +16,78 @@ _FULL_STEPS = 200
 _DIALECTS = {"klipper": "marlin", "reprapfirmware": "marlin"}
 _PLANNERS = {
     "grbl": "grbl", "fluidnc": "grbl", "marlin": "marlin", "klipper": "klipper",
-    "reprapfirmware": "reprapfirmware",
+    "reprapfirmware": "reprapfirmware", "linuxcnc": "linuxcnc",
 }  # fmt: skip
 _BY_JUMPS = ("marlin", "klipper", "reprapfirmware")
 _PLANNER_KEYS = {
-    "grbl": {"junction_deviation": ("mm", "0.01 mm")},
-    "marlin": {"junction_deviation": ("mm", "0.013 mm"), "acceleration": ("mm/s^2", "")},
-    "klipper": {
-        "velocity": ("mm/s", ""),
-        "acceleration": ("mm/s^2", ""),
-        "square_corner_velocity": ("mm/s", "5 mm/s"),
-        "minimum_cruise_ratio": ("", "0.5"),
+    "grbl": {"junction_deviation": "mm"},
+    "marlin": {
+        "junction_deviation": "mm", "acceleration": "mm/s^2", "least_speed": "mm/s",
+        "short_time": "ms",
     },
-    "reprapfirmware": {"policy": ("", "0"), "acceleration": ("mm/s^2", "")},
-}
-"""Unit and default of each key of [planner]; an empty default stands for none."""
+    "klipper": {
+        "velocity": "mm/s", "acceleration": "mm/s^2", "square_corner_velocity": "mm/s",
+        "minimum_cruise_ratio": "",
+    },
+    "reprapfirmware": {"policy": "", "acceleration": "mm/s^2", "blocks": ""},
+    "linuxcnc": {"tolerance": "mm", "cam_tolerance": "mm"},
+}  # fmt: skip
+"""Unit of each key of [planner]."""
 _KLIPPER_WORDS = {"velocity": "max_velocity", "acceleration": "max_accel"}
-_DEFAULTS = {"rotor": "3.2e-5 kg m^2", "friction": "0.03 N m"}
+DEFAULTS = {"rotor": "3.2e-5 kg m^2", "friction": "0.03 N m"}
 _UNITS = {
     "torque": "N*m", "current": "A", "resistance": "ohm", "inductance": "H", "supply": "V",
     "mass": "kg", "inertia": "kg*m^2", "radius": "m", "rotor": "kg*m^2", "friction": "N*m",
     "microsteps": "",
 }  # fmt: skip
+_MAY_TURN = "ABC"
 _TURNS = {
+    "steps": ("per degree, where the settings have none", "26.667 count/deg"),
     "rate": ("greatest speed a minute, where the settings have none", "36000 deg/min"),
     "acceleration": ("where the settings have none", "2000 deg/s^2"),
 }
 _OF_DYNAMICS = ("torque", "current", "resistance", "inductance", "supply", "mass", "inertia",
                 "rotor", "friction", "microsteps")  # fmt: skip
-_STRAIGHT = {"travel": "m", "rate": "m/s", "acceleration": "m/s^2"}
-_TURNING = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2"}
+_STRAIGHT = {"travel": "m", "rate": "m/s", "acceleration": "m/s^2", "steps": "count/m"}
+_TURNING = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2", "steps": "count/rad"}
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """A number that the settings lack and the owner has not said.
+
+    Parameters
+    ----------
+    key
+        What ``--set`` calls it: ``mass``, ``travel.X``.
+    what
+        What it is, in words.
+    example
+        A value that would do.
+    """
+
+    key: str
+    what: str
+    example: str
+
+
+def missing_answers(settings: Settings, answers: Answers, *, limits_only: bool) -> list[Missing]:
+    """Return what the owner is still to say, each once, in the order in which it is asked."""
+    found = dict.fromkeys(_missing(settings, answers, limits_only))
+    return [Missing(key, what, example) for key, (what, example) in found]
+
+
+def turning_axes(settings: Settings, answers: Answers) -> str:
+    """Return the letters of the axes that turn: by the settings, else by their owner."""
+    if "rotary" in answers.given:
+        return answers.rotary
+    return "".join(axis for axis in settings.axes if settings.turning.get(axis, False))
 
 
 def machine_text(
     settings: Settings, answers: Answers, name: str, *, limits_only: bool = False
 ) -> str:
-    """Return the machine file of a winder with steppers, from its firmware's settings and answers.
+    """Return the machine file of axes with steppers, from firmware settings and answers.
 
     Every axis is rigid: its load is added to the inertia of its motor. Limits of speed and
     acceleration are those of the firmware.
@@ -63,30 +101,36 @@ def machine_text(
     ------
     OptionError
         If numbers are missing (all of them are named, each with an example), or an answer is of an
-        axis that does not exist, in a wrong unit, or of dynamics that are left out.
+        axis that does not exist, in a wrong unit, or of dynamics that are left out; or if motors
+        are asked for that do not move an axis each.
     MachineError
-        If the settings lack the steps of an axis, or limits that Klipper requires.
+        If the settings lack limits that Klipper requires.
     """
-    _check_axes(settings, answers)
+    turning = turning_axes(settings, answers)
+    check_answers(settings, answers)
     if limits_only:
         _refuse_dynamics(answers)
-    missing = list(_missing(settings, answers, limits_only))
-    if missing:
-        asked = "; ".join(
-            f'--set "{key}={example}" ({what})' for key, (what, example) in dict.fromkeys(missing)
+    elif settings.coupled:
+        raise OptionError(
+            f"{Place(settings.file)}: {settings.coupled}: a motor moves more than one axis, so "
+            "motors and masses cannot be described axis by axis",
+            remedy="Add --limits-only: the limits are those of the axes.",
         )
+    missing = missing_answers(settings, answers, limits_only=limits_only)
+    if missing:
+        asked = "; ".join(f'--set "{one.key}={one.example}" ({one.what})' for one in missing)
         raise OptionError(
             f"{Place(settings.file)} does not say all that a machine is, the rest is yours to say",
             remedy=f"Add: {asked}.",
         )
     dialect = _DIALECTS.get(settings.firmware, settings.firmware)
-    turning = [axis for axis in settings.axes if axis in answers.rotary]
-    driven = "with limits alone" if limits_only else "by steppers"
+    driven = "with limits alone" if limits_only else "with steppers"
     parts = [
         f'name = "{name}"',
-        f'title = "winder of {len(settings.axes)} axes {driven}, made from the settings of '
+        f'title = "machine of {len(settings.axes)} axes {driven}, made from the settings of '
         f'{settings.firmware}"',
-        f'sources = ["settings of {settings.firmware}; what they do not say, its owner"]',
+        f'sources = ["settings of {settings.form or settings.firmware}; what they do not say, its '
+        'owner"]',
         'tick_budget = "1e9 tick exact, assumed: 11 days at 1 ms"',
         "",
         "[clocks]",
@@ -99,13 +143,21 @@ def machine_text(
     if turning:
         parts += ["", "[tool]", f'radius = "{answers.of("radius", "")} exact, assumed: the owner"']
     for axis, said in settings.axes.items():
-        turns = axis in answers.rotary
+        turns = axis in turning
         drive = _kinematic(axis) if limits_only else _stepper(axis, said, answers, turns)
-        parts += ["", *drive, "", *_limits_of(axis, said, settings, answers)]
+        parts += ["", *drive, "", *_limits_of(axis, said, settings, answers, turns)]
     return "\n".join(parts) + "\n"
 
 
-def _check_axes(settings: Settings, answers: Answers) -> None:
+def check_answers(settings: Settings, answers: Answers) -> None:
+    """Refuse an answer of an axis that is not there, or in a wrong unit.
+
+    Raises
+    ------
+    OptionError
+        If there is one.
+    """
+    turning = turning_axes(settings, answers)
     named = [key.partition(".")[2] for key in answers.given if "." in key]
     wrong = [axis for axis in [*answers.rotary, *named] if axis not in settings.axes]
     if wrong:
@@ -113,11 +165,18 @@ def _check_axes(settings: Settings, answers: Answers) -> None:
             f"the settings have no axis {wrong[0][:20]}",
             remedy=f"They have {', '.join(settings.axes)}.",
         )
+    for axis, turns in settings.turning.items():
+        if "rotary" in answers.given and turns != (axis in answers.rotary):
+            raise OptionError(
+                f"the settings say that {axis} {'turns' if turns else 'moves along a line'}, and "
+                f"rotary={answers.given['rotary'][:20]} says otherwise",
+                remedy="Leave rotary out.",
+            )
     for key, text in answers.given.items():
         base, _, axis = key.partition(".")
         if base == "rotary":
             continue
-        turns = bool(axis) and axis in answers.rotary  # without an axis: of those along a line
+        turns = bool(axis) and axis in turning  # without an axis: of those along a line
         unit = _UNITS[base] if base in _UNITS else (_TURNING if turns else _STRAIGHT)[base]
         try:
             positive = parse_quantity(text, unit) > 0
@@ -142,25 +201,25 @@ def _refuse_dynamics(answers: Answers) -> None:
 def _missing(
     settings: Settings, answers: Answers, limits_only: bool
 ) -> Iterator[tuple[str, tuple[str, str]]]:
-    if "rotary" not in answers.given:
-        yield "rotary", ASKED["rotary"]
+    may_turn = [
+        axis for axis in settings.axes if axis in _MAY_TURN and axis not in settings.turning
+    ]
+    turning = turning_axes(settings, answers)
+    if may_turn and "rotary" not in answers.given:
+        what, _ = ASKED["rotary"]
+        turning += "".join(may_turn)  # so that all the examples together would do
+        yield "rotary", (what, turning)
     for axis, said in settings.axes.items():
-        turns = axis in answers.rotary
-        if said.steps is None:
-            raise MachineError(
-                f"the settings do not say the steps of axis {axis}",
-                place=Place(settings.file),
-                remedy="Dump them whole: $100 and on, M92, steps_per_mm or rotation_distance.",
-            )
+        turns = axis in turning
         if not limits_only:
             yield from _missing_of_motor(axis, said, answers, turns)
-        for what in ("rate", "acceleration"):
+        for what in ("steps", "rate", "acceleration"):
             own = answers.given.get(f"{what}.{axis}") if turns else answers.of(what, axis)
             if getattr(said, what) is None and own is None:
                 yield f"{what}.{axis}", _TURNS[what] if turns else OPTIONAL[what]
         if not turns and said.travel is None and answers.of("travel", axis) is None:
             yield f"travel.{axis}", OPTIONAL["travel"]
-    if answers.rotary and "radius" not in answers.given:
+    if turning and "radius" not in answers.given:
         yield "radius", ASKED["radius"]
 
 
@@ -177,7 +236,7 @@ def _missing_of_motor(
         yield load, ASKED[load]
 
 
-def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
+def _planner(settings: Settings, turning: str) -> Iterator[str]:
     """Yield the lines of [planner]."""
     said = settings.planner
     firmware = settings.firmware
@@ -195,6 +254,11 @@ def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
             if key.removeprefix("jump.") in settings.axes
         )
         yield f"jump = {{ {', '.join(texts)} }}"
+    if "exact_stop" in said:
+        yield "exact_stop = true"
+    if settings.unheeded:
+        texts = (f'"{_printable(text)}"' for text in settings.unheeded)
+        yield f"left_out = [{', '.join(texts)}]"
     alone = {key[-1]: value for key, value in said.items() if key.startswith("alone.")}
     if alone:
         texts = (
@@ -202,13 +266,9 @@ def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
             for axis, value in alone.items()
         )
         yield f"alone = {{ {', '.join(texts)} }}"
-    for key, (unit, default) in _PLANNER_KEYS[_PLANNERS[firmware]].items():
-        if key == "junction_deviation" and jumps and key not in said:
-            continue
+    for key, unit in _PLANNER_KEYS[_PLANNERS[firmware]].items():
         if key in said:
             yield f'{key} = "{_of_planner(said[key], unit, firmware)}"'
-        elif default:
-            yield f'{key} = "{default} exact, assumed: the default of {firmware}"'
         elif firmware == "klipper":
             raise MachineError(
                 f"[printer] does not say {_KLIPPER_WORDS[key]}",
@@ -217,7 +277,12 @@ def _planner(settings: Settings, turning: list[str]) -> Iterator[str]:
             )
 
 
-def _unit(axis: str, turning: list[str]) -> str:
+def _printable(text: str) -> str:
+    """Return a sentence as it may stand between the quotes of a machine file."""
+    return plain(text).replace("\\", "/").replace('"', "'")
+
+
+def _unit(axis: str, turning: str) -> str:
     return "deg" if axis in turning else "mm"
 
 
@@ -232,7 +297,13 @@ def _check_jumps(settings: Settings) -> None:
 
 
 def _of_planner(said: Said, unit: str, firmware: str) -> str:
-    return f"{said.value!r} {unit}".rstrip() + f" exact, checked: {firmware}, line {said.line}"
+    return f"{said.value!r} {unit}".rstrip() + f" exact, {_source(said, firmware)}"
+
+
+def _source(said: Said, firmware: str) -> str:
+    if not said.place.line:
+        return f"assumed: the {said.name}"
+    return f"checked: {firmware}, {said.name} in {said.source}"
 
 
 def _kinematic(axis: str) -> Iterator[str]:
@@ -243,16 +314,15 @@ def _kinematic(axis: str) -> Iterator[str]:
 
 def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> Iterator[str]:
     unit = "deg" if turns else "mm"
-    assert said.steps is not None
-    steps = said.steps.value
+    steps = _steps(axis, said, answers, turns)
     micro = said.microsteps.value if said.microsteps else _number(answers, "microsteps", axis)
     # A turn of the motor moves the axis by full steps x microsteps / steps, in mm or degrees.
     per_turn = _FULL_STEPS * micro / steps
     lever = (math.radians(per_turn) if turns else per_turn / 1e3) / (2.0 * math.pi)
     moved = _number(answers, "inertia" if turns else "mass", axis)
-    rotor_text = answers.of("rotor", axis) or _DEFAULTS["rotor"]
+    rotor_text = answers.of("rotor", axis) or DEFAULTS["rotor"]
     inertia = parse_quantity(rotor_text, "kg*m^2") + moved * lever**2
-    friction = answers.of("friction", axis) or _DEFAULTS["friction"]
+    friction = answers.of("friction", axis) or DEFAULTS["friction"]
     low = axis.lower()
     load = answers.of("inertia" if turns else "mass", axis)
     yield f"[bodies.{low}]"
@@ -279,17 +349,26 @@ def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> It
     ) + " }"  # fmt: skip
 
 
+def _steps(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> float:
+    """Return the steps of an axis in a mm or degree."""
+    if said.steps is not None:
+        return said.steps.value
+    own = answers.given.get(f"steps.{axis}") if turns else answers.of("steps", axis)
+    if turns:
+        return parse_quantity(own or "", "count/rad") * math.radians(1.0)
+    return parse_quantity(own or "", "count/m") / 1e3
+
+
 def _limits_of(
-    axis: str, said: AxisSettings, settings: Settings, answers: Answers
+    axis: str, said: AxisSettings, settings: Settings, answers: Answers, turns: bool
 ) -> Iterator[str]:
-    turns = axis in answers.rotary
     unit = "deg" if turns else "mm"
-    assert said.steps is not None
-    of, steps = settings.firmware, said.steps
+    of = settings.firmware
+    steps = _limit(said.steps, answers, "steps", axis, f"count/{unit}", of)
     yield f"[axes.{axis}]"
     yield f'kind = "{"rotary" if turns else "linear"}"'
     yield f'drive = "{axis.lower()}"'
-    yield f'counts = "{steps.value!r} count/{unit} exact, checked: {of}, line {steps.line}"'
+    yield f'counts = "{steps}"'
     yield f'velocity = "{_limit(said.rate, answers, "rate", axis, f"{unit}/min", of)}"'
     yield (
         f'acceleration = "'
@@ -313,7 +392,7 @@ def _limit(
     said: Said | None, answers: Answers, name: str, axis: str, unit: str, firmware: str
 ) -> str:
     if said is not None:
-        return f"{said.value!r} {unit} exact, checked: {firmware}, line {said.line}"
+        return f"{said.value!r} {unit} exact, {_source(said, firmware)}"
     return f"{answers.of(name, axis)} exact, assumed: the owner"
 
 

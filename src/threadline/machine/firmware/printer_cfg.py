@@ -1,16 +1,22 @@
 """Settings in Klipper's ``printer.cfg``: its sections, and the steppers of axes beside X, Y and Z.
 
-Sources: Klipper, docs/Config_Reference.md, [stepper], [manual_stepper], [printer] and
-[input_shaper]; docs/G-Codes.md, MANUAL_STEPPER; klippy/extras/manual_stepper.py for its defaults.
+Sources: Klipper, docs/Config_Reference.md, [include], [stepper], [manual_stepper], [printer],
+[input_shaper], [bed_mesh], [skew_correction]; docs/Config_Changes.md, 20240313 (what
+max_accel_to_decel was); docs/G-Codes.md, MANUAL_STEPPER; klippy/extras/manual_stepper.py for its
+defaults; klippy/kinematics/corexy.py and its likes, whose limits are of X, Y and Z.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from threadline.errors import MachineError, Place
+from threadline.input_files import read_text
 from threadline.machine.firmware.axis_settings import Settings, times, unknown
+from threadline.machine.firmware.dump_lines import files_beside
 
 _LETTERS = "XYZABCUVW"
 _OF_KINEMATICS = "XYZ"
@@ -27,9 +33,23 @@ _OF_AXIS = {
     "LIMIT_VELOCITY": ("rate", 60.0), "LIMIT_ACCEL": ("acceleration", 1.0),
 }  # fmt: skip
 
+_MOST_BYTES = 1_000_000
+_COUPLED = ("corexy", "hybrid_corexy", "corexz", "hybrid_corexz")
+_CHANGES_MOTION = {
+    "input_shaper": "shapes the motion",
+    "bed_mesh": "moves Z by the mesh of the bed, once a mesh is loaded",
+    "bed_tilt": "moves Z by the tilt of the bed",
+    "z_thermal_adjust": "moves Z by the temperature of the frame",
+    "axis_twist_compensation": "moves Z along X",
+    "skew_correction": "moves an axis by a share of another's way, once a profile is loaded",
+    "dual_carriage": "gives an axis a second carriage",
+}
+_OWN = re.compile(r"\[(?:stepper_[a-z]\d*|manual_stepper \w+|printer)\]")
+_LOG = re.compile(r"={3,} Config file ={3,}")
+
 _LEAST_STEPS, _MOST_STEPS = 1e-3, 1e7
 
-Keys = dict[str, tuple[str, int]]
+Keys = dict[str, tuple[str, Place]]
 
 
 @dataclass(slots=True)
@@ -37,33 +57,48 @@ class _File:
     """Sections of the file, by name, and its commands that make a stepper an axis of programs."""
 
     sections: dict[str, Keys] = field(default_factory=dict)
-    axes: dict[str, list[tuple[dict[str, str], int]]] = field(default_factory=dict)
-    taken: dict[str, tuple[str, int]] = field(default_factory=dict)
+    axes: dict[str, list[tuple[dict[str, str], Place]]] = field(default_factory=dict)
+    taken: dict[str, tuple[str, Place]] = field(default_factory=dict)
 
 
-def read_printer_cfg(lines: list[str], file: str) -> Settings:
+def is_printer_cfg(lines: Sequence[str]) -> bool:
+    """Return whether lines hold a section of Klipper's configuration with motors or kinematics."""
+    return any(_OWN.match(line) for line in lines)
+
+
+def read_printer_cfg(lines: Sequence[str], file: str) -> Settings:
     """Return the settings of axes and motion planner in the lines of a ``printer.cfg``.
 
     Raises
     ------
     MachineError
-        If a line that counts cannot be read, another file is included, or the machine's kinematics
-        are others than a motor for each axis.
+        If a line that counts cannot be read, or the machine's kinematics are others than a motor
+        for each axis and those of which the limits are the axes'.
     """
     settings = Settings("klipper", file)
-    read = _sections(lines, file, settings)
+    read = _sections(_logged(lines), file, settings)
     sections = read.sections
+    whole = Place(file)
     printer = sections.get("printer", {})
-    kinematics, at = printer.get("kinematics", ("cartesian", 0))
-    if kinematics not in ("cartesian", "none"):
+    kinematics, at = printer.get("kinematics", ("cartesian", whole))
+    if kinematics in _COUPLED:
+        settings.coupled = f"kinematics: {kinematics}"
+        settings.notes.append(f"{at}: {settings.coupled}: its limits are those of X, Y and Z")
+    elif kinematics not in ("cartesian", "none"):
         settings.refuse_kinematics(f"kinematics: {kinematics}", at)
-    if "input_shaper" in sections:
-        first = min((line for _, line in sections["input_shaper"].values()), default=0)
-        settings.shapes("[input_shaper]", first)
+    told: set[str] = set()
+    for name, keys in sections.items():
+        kind = name.split()[0]
+        does = None if kind in told else _CHANGES_MOTION.get(kind)
+        if does is not None and (kind != "input_shaper" or _shapes(keys)):
+            told.add(kind)
+            first = min((place for _, place in keys.values()), key=lambda p: p.line, default=whole)
+            settings.leave_out(f"[{name}]", does, first)
     for key, ours in _PRINTER.items():
         if key in printer:
-            text, number = printer[key]
-            settings.say_of_planner(ours, text, number, f"[printer] {key}")
+            text, place = printer[key]
+            settings.say_of_planner(ours, text, place, f"[printer] {key}")
+    _braking(settings, printer)
     for name, keys in sections.items():
         found = re.match(r"stepper_([a-z])$", name)
         if found is not None and found[1].upper() in _LETTERS:
@@ -73,10 +108,54 @@ def read_printer_cfg(lines: list[str], file: str) -> Settings:
     return settings
 
 
-def _sections(lines: list[str], file: str, settings: Settings) -> _File:
+def _shapes(keys: Keys) -> bool:
+    """Return whether an axis has the frequency of a shaper; 0 turns it off."""
+    return any(
+        key.startswith("shaper_freq") and text.strip("0. ") for key, (text, _) in keys.items()
+    )
+
+
+def _braking(settings: Settings, printer: Keys) -> None:
+    """Say the least cruise that ``max_accel_to_decel`` stood for until 2024."""
+    if "max_accel_to_decel" not in printer or "minimum_cruise_ratio" in printer:
+        return
+    text, place = printer["max_accel_to_decel"]
+    name = "[printer] max_accel_to_decel"
+    slow = settings.number(text, place, name)
+    most = settings.planner.get("acceleration")
+    if most is None:
+        return  # without max_accel the file is not whole
+    ratio = 1.0 - min(1.0, slow / most.value)
+    settings.say_of_planner("minimum_cruise_ratio", repr(ratio), place, name, typed=text)
+    settings.notes.append(
+        f"{place}: max_accel_to_decel is deprecated: it is minimum_cruise_ratio = 1 - "
+        f"max_accel_to_decel / max_accel = {ratio:g}"
+    )
+
+
+def _logged(lines: Sequence[str]) -> Sequence[str]:
+    """Return the lines of the last configuration in a ``klippy.log``; all where it is none."""
+    begins = [at for at, line in enumerate(lines) if _LOG.match(line)]
+    if not begins:
+        return lines
+    shown = list(lines)
+    end = next((at for at in range(begins[-1] + 1, len(lines)) if re.match(r"={10}", lines[at])), 0)
+    shown[: begins[-1] + 1] = [""] * (begins[-1] + 1)  # lines keep their numbers
+    return shown[:end] if end else shown
+
+
+def _sections(lines: Sequence[str], file: str, settings: Settings) -> _File:
     read = _File()
+    _take_lines(lines, file, settings, read, (Path(file).resolve(),))
+    return read
+
+
+def _take_lines(
+    lines: Sequence[str], file: str, settings: Settings, read: _File, within: tuple[Path, ...]
+) -> None:
     section: Keys | None = None
     for number, whole in enumerate(lines, start=1):
+        place = Place(file, number)
         # What SAVE_CONFIG has added is in force, behind a mark that makes it a comment elsewhere.
         saved = whole.startswith("#*#")
         line = whole.removeprefix("#*#").strip() if saved else whole
@@ -85,31 +164,52 @@ def _sections(lines: list[str], file: str, settings: Settings) -> _File:
             continue
         header = re.match(r"\[([^\]]+)\]$", code)
         if header is not None:
-            if header[1].startswith("include "):
-                raise MachineError(
-                    f"[{header[1]}] is not followed",
-                    place=Place(file, number),
-                    remedy="Put the text of that file in its place.",
-                )
-            section = read.sections.setdefault(" ".join(header[1].split()), {})
+            name = " ".join(header[1].split())
+            if name.startswith("include "):
+                for path in _included(name.removeprefix("include "), place, settings, within):
+                    text = read_text(path, _MOST_BYTES, MachineError, "file of settings")
+                    _take_lines(text.splitlines(), str(path), settings, read, (*within, path))
+                section = None
+                continue
+            section = read.sections.setdefault(name, {})
             continue
         if saved and (section is None or "=" not in code):
             continue  # its heading
         if section is None:
-            raise unknown(line, file, number, "[stepper_x]")
-        _note_axis(settings, read, code, number)
+            raise unknown(line, place, "[stepper_x]")
+        _note_axis(settings, read, code, place)
+        if re.search(r"\bSET_VELOCITY_LIMIT\b", code, re.IGNORECASE):
+            settings.notes.append(f"{place}: SET_VELOCITY_LIMIT of a macro is not followed")
         if code[0] in " \t":  # the value of the key before it goes on, as Klipper reads it
             if (last := next(reversed(section), None)) is not None:
                 section[last] = f"{section[last][0]} {code.strip()}".strip(), section[last][1]
             continue
         match = _KEY.match(code)
         if match is None:
-            raise unknown(line, file, number, "rotation_distance: 40")
-        section[match[1].lower()] = match[2].strip(), number
-    return read
+            raise unknown(line, place, "rotation_distance: 40")
+        section[match[1].lower()] = match[2].strip(), place
 
 
-def _note_axis(settings: Settings, read: _File, code: str, number: int) -> None:
+def _included(
+    pattern: str, place: Place, settings: Settings, within: tuple[Path, ...]
+) -> Iterator[Path]:
+    """Yield the files that ``[include pattern]`` names, where they lie beside; else note it."""
+    found = files_beside(pattern, within[-1].parent)
+    if not found:
+        settings.notes.append(
+            f"{place}: [include {pattern}] is not read: no such file lies beside this one"
+        )
+    for path in found:
+        if path in within:
+            raise MachineError(
+                f"[include {pattern}] includes the file that it stands in",
+                place=place,
+                remedy="Take it out, as Klipper asks for.",
+            )
+        yield path
+
+
+def _note_axis(settings: Settings, read: _File, code: str, place: Place) -> None:
     """Note a command MANUAL_STEPPER, of a macro, that makes a stepper an axis of programs."""
     command = re.search(r"\bMANUAL_STEPPER\b([^;]*)", code.upper())
     letters = None if command is None else re.search(r"\bGCODE_AXIS=(\S*)", command[1])
@@ -118,17 +218,17 @@ def _note_axis(settings: Settings, read: _File, code: str, number: int) -> None:
     words = dict(_WORD.findall(command[1]))
     if not letters[1]:
         settings.unheeded.append(
-            f"{Place(settings.file, number)}: GCODE_AXIS= takes the axis away again; programs are "
+            f"{place}: GCODE_AXIS= takes the axis away again; programs are "
             "planned for the time while it is one"
         )
     elif len(letters[1]) > 1:
         raise MachineError(
             f"GCODE_AXIS={letters[1][:40]} is no axis: it must be one letter",
-            place=Place(settings.file, number),
+            place=place,
             remedy="Write it like GCODE_AXIS=A.",
         )
     elif "STEPPER" in words:
-        read.axes.setdefault(words["STEPPER"], []).append((words, number))
+        read.axes.setdefault(words["STEPPER"], []).append((words, place))
 
 
 def _of_kinematics(settings: Settings, axis: str, keys: Keys, section: str, printer: Keys) -> None:
@@ -139,8 +239,8 @@ def _of_kinematics(settings: Settings, axis: str, keys: Keys, section: str, prin
         (f"max_{slow}accel", "acceleration", 1.0),
     ):
         if key in printer:
-            text, number = printer[key]
-            settings.say(axis, what, times(text, factor), number, f"[printer] {key}", text)
+            text, place = printer[key]
+            settings.say(axis, what, times(text, factor), place, f"[printer] {key}", text)
 
 
 def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
@@ -149,7 +249,9 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
     Its ``velocity`` is of MANUAL_STEPPER MOVE alone; ``accel`` holds in moves without X, Y and Z.
     """
     name = section.partition(" ")[2].upper()
-    line = min((line for _, line in keys.values()), default=0)
+    line = min(
+        (at for _, at in keys.values()), key=lambda at: at.line, default=Place(settings.file)
+    )
     commands = read.axes.get(name, [])
     axis = commands[0][0]["GCODE_AXIS"] if commands else name
     if len(axis) != 1 or axis not in _LETTERS or axis in _OF_KINEMATICS:
@@ -157,26 +259,26 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
             raise MachineError(
                 f"MANUAL_STEPPER makes {name.lower()} the axis {axis}; it must be one of "
                 f"{', '.join(sorted(set(_LETTERS) - set(_OF_KINEMATICS)))}",
-                place=Place(settings.file, commands[0][1]),
+                place=commands[0][1],
                 remedy="Give it another letter.",
             )
         example = f"MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS=A LIMIT_VELOCITY=..."
         settings.unheeded.append(
-            f"{Place(settings.file, line)}: [{section}] is left out: no macro of this file makes "
+            f"{line}: [{section}] is left out: no macro of this file makes "
             f"it an axis of programs, as {example} would"
         )
         return
     if not commands:
         settings.unheeded.append(
-            f"{Place(settings.file, line)}: [{section}] is taken for the axis {axis}, which it is "
+            f"{line}: [{section}] is taken for the axis {axis}, which it is "
             f"after MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS={axis}"
         )
     own = commands[0][1] if commands else line
     if axis in read.taken:
         other, at = read.taken[axis]
         raise MachineError(
-            f"{name.lower()} is the axis {axis} here, and {other} on line {at}",
-            place=Place(settings.file, own),
+            f"{name.lower()} is the axis {axis} here, and {other} on line {at.line}",
+            place=own,
             remedy="Give one of them another letter.",
         )
     read.taken[axis] = name.lower(), own
@@ -189,8 +291,8 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
         if words["GCODE_AXIS"] != axis:
             raise MachineError(
                 f"MANUAL_STEPPER makes {name.lower()} the axis {words['GCODE_AXIS']} here and "
-                f"{axis} on line {commands[0][1]}",
-                place=Place(settings.file, number),
+                f"{axis} on line {commands[0][1].line}",
+                place=number,
                 remedy="Keep one of them.",
             )
         for word, (what, factor) in _OF_AXIS.items():
@@ -204,42 +306,46 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
 
 def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:
     def number(key: str, default: str) -> float:
-        text, line = keys.get(key, (default, 0))
+        text, line = keys.get(key, (default, Place(settings.file)))
         try:
             return float(text)
         except ValueError:
-            raise unknown(f"{key}: {text}", settings.file, line, f"{key}: {default}") from None
+            raise unknown(f"{key}: {text}", line, f"{key}: {default}") from None
 
     if "rotation_distance" in keys and "microsteps" in keys:
         ratio = 1.0
-        for part in keys.get("gear_ratio", ("1:1", 0))[0].split(","):
+        for part in keys.get("gear_ratio", ("1:1", None))[0].split(","):
             teeth = _TEETH.fullmatch(part.strip())
             if teeth is None or not (float(teeth[1]) and float(teeth[2])):
                 line = keys["gear_ratio"][1]
-                raise unknown(f"gear_ratio: {part}", settings.file, line, "gear_ratio: 60:20")
+                raise unknown(f"gear_ratio: {part}", line, "gear_ratio: 60:20")
             ratio *= float(teeth[1]) / float(teeth[2])
         typed, line = keys["rotation_distance"]
         distance = settings.number(typed, line, f"[{section}] rotation_distance")
         micro = settings.number(*keys["microsteps"], f"[{section}] microsteps")
-        whole = keys.get("full_steps_per_rotation", ("200", 0))
+        whole = keys.get("full_steps_per_rotation", ("200", Place(settings.file)))
         full = settings.number(*whole, f"[{section}] full_steps_per_rotation")
         if micro != int(micro):
             raise MachineError(
                 f"[{section}] microsteps is {keys['microsteps'][0]!r}; it must be a whole number",
-                place=Place(settings.file, keys["microsteps"][1]),
+                place=keys["microsteps"][1],
                 remedy="Write it like microsteps: 16.",
             )
         steps = full * micro * ratio / distance
         if not _LEAST_STEPS <= steps <= _MOST_STEPS:
             raise MachineError(
                 f"[{section}] rotation_distance is {typed!r} at microsteps "
-                f"{keys['microsteps'][0]} on line {keys['microsteps'][1]}: {steps:g} steps per mm "
-                f"or degree; they must be from {_LEAST_STEPS:g} to {_MOST_STEPS:g}",
-                place=Place(settings.file, line),
+                f"{keys['microsteps'][0]} on line {keys['microsteps'][1].line}: {steps:g} steps "
+                f"per mm or degree; they must be from {_LEAST_STEPS:g} to {_MOST_STEPS:g}",
+                place=line,
                 remedy="Correct the one that is wrong.",
             )
-        settings.say(axis, "steps", repr(steps), line, f"[{section}] rotation_distance")
+        settings.say(axis, "steps", repr(steps), line, f"[{section}] rotation_distance", typed)
         settings.say(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")
+    elif "step_distance" in keys:  # until 2020
+        typed, line = keys["step_distance"]
+        steps = 1.0 / settings.number(typed, line, f"[{section}] step_distance")
+        settings.say(axis, "steps", repr(steps), line, f"[{section}] step_distance", typed)
     if "position_max" in keys:
         way = number("position_max", "200") - number("position_min", "0")
         settings.say(

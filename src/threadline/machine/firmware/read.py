@@ -1,45 +1,42 @@
-"""Readers of settings files, one for each firmware, which is recognised from the content.
-
-Sources: grbl 1.1 wiki, "Configuring Grbl" ($100 to $135); Marlin, marlinfw.org/docs/gcode M92,
-M201, M203, M503; FluidNC wiki, "Axes".
-"""
+"""The choice of the reader of a settings file, by its content."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from threadline.errors import MachineError, Place
 from threadline.input_files import read_text
-from threadline.machine.firmware.axis_settings import Settings, times, unknown
-from threadline.machine.firmware.config_g import LINE as _OF_CONFIG_G
-from threadline.machine.firmware.config_g import read_config_g
-from threadline.machine.firmware.printer_cfg import read_printer_cfg
+from threadline.machine.firmware.axis_settings import Settings
+from threadline.machine.firmware.config_g import is_config_g, read_config_g
+from threadline.machine.firmware.grbl_dump import is_fluidnc, is_grbl, read_fluidnc, read_grbl
+from threadline.machine.firmware.linuxcnc_ini import is_linuxcnc, read_linuxcnc
+from threadline.machine.firmware.marlin_dump import is_marlin, read_marlin
+from threadline.machine.firmware.printer_cfg import is_printer_cfg, read_printer_cfg
 
-_MOST_BYTES = 1_000_000
-_LETTERS = "XYZABCUVW"
-_GRBL_AXES = "XYZABC"
-_GRBL_DEVIATION = 11
-_GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
-_GRBL_LINE = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(]*)\s*(?:\(.*)?$")
-_GRBL_OTHER = re.compile(r"(?:ok|>|\$\$|\$[A-Za-z]\S*|\[.*\]|<.*>|[Gg]rbl.*|;.*)?$")
-_MARLIN_LINE = re.compile(r"(?:echo:)?\s*(?:;.*|M(\d{1,4})((?:\s+[A-Z]-?[0-9.]+)*)\s*(?:;.*)?)?$")
-_MARLIN = {92: "steps", 203: "rate", 201: "acceleration"}
-_FLUIDNC = {
-    "steps_per_mm": "steps", "max_rate_mm_per_min": "rate",
-    "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
-}  # fmt: skip
+_MOST_BYTES = 4_000_000  # logs of senders are long
+_DEFAULTS = {
+    "grbl": {"junction_deviation": "0.01"},
+    "fluidnc": {"junction_deviation": "0.01"},
+    "marlin": {"junction_deviation": "0.013"},
+    "klipper": {"square_corner_velocity": "5", "minimum_cruise_ratio": "0.5"},
+    "reprapfirmware": {"policy": "0"},
+}
+_WIDE = (b"\xff\xfe", b"\xfe\xff")  # byte order marks of UTF-16, as some senders save logs
 
 
-def read_settings(path: str | Path) -> Settings:
+def read_settings(path: str | Path, firmware: str = "") -> Settings:
     """Return the settings of axes and motion planner in a settings file.
 
     Parameters
     ----------
     path
         File with grbl's answer to ``$$``, Marlin's answer to ``M503``, FluidNC's YAML, Klipper's
-        ``printer.cfg`` or RepRapFirmware's ``config.g``.
+        ``printer.cfg``, RepRapFirmware's ``config.g`` or LinuxCNC's INI; logs of terminals may
+        have prompts and time stamps around the answer.
+    firmware
+        Whose settings they are, as their owner says: ``reprapfirmware`` for commands that Marlin
+        has, too, with other units; empty for what the content says.
 
     Raises
     ------
@@ -47,128 +44,63 @@ def read_settings(path: str | Path) -> Settings:
         If it is none of these, has a line that cannot be read, or has no axis.
     """
     path = Path(path)
-    text = read_text(path, _MOST_BYTES, MachineError, "settings file")
+    text = read_text(path, _MOST_BYTES, MachineError, "settings file", _encoding(path))
     lines = text.splitlines()
-    for shape, read in _READERS:
-        if any(shape.match(line) for line in lines):
-            settings = read(lines, str(path))
+    for belongs, read in _READERS:
+        if belongs(lines):
+            told = read is read_marlin and firmware == "reprapfirmware"
+            settings = (read_config_g if told else read)(lines, str(path))
             if not settings.axes:
                 raise MachineError(
                     f"the settings say nothing of any axis ({settings.firmware})",
                     place=Place(str(path)),
                     remedy="Give all of what the firmware lists.",
                 )
+            _assume(settings)
             return settings
+    eeprom = next((at for at, line in enumerate(lines, 1) if "EPR:" in line), 0)
+    if eeprom:
+        raise MachineError(
+            "EPR: lines are of Repetier-Firmware, whose planner is not known here",
+            place=Place(str(path), eeprom),
+            remedy="Write the machine file by hand: docs/machines.md says how.",
+        )
     raise MachineError(
         "these are no settings that are known",
         place=Place(str(path)),
-        remedy="Give what grbl answers to $$, Marlin to M503, a FluidNC YAML, a printer.cfg or a "
-        "config.g.",
+        remedy="Give what grbl answers to $$, Marlin to M503, a FluidNC YAML, a printer.cfg, a "
+        "config.g or an INI of LinuxCNC.",
     )
 
 
-def _grbl(lines: list[str], file: str) -> Settings:
-    settings = Settings("grbl", file)
-    for number, line in enumerate(lines, start=1):
-        match = _GRBL_LINE.match(line.strip())
-        if match is None:
-            if _GRBL_OTHER.match(line.strip()) is None:
-                raise unknown(line, file, number, "$110=5000.000")
-            continue
-        code = int(match[1])
-        if code == _GRBL_DEVIATION:
-            settings.say_of_planner("junction_deviation", match[2], number, f"${code}")
-        what = _GRBL.get(code - code % 10)
-        if what is not None and code % 10 < len(_GRBL_AXES):
-            settings.say(_GRBL_AXES[code % 10], what, match[2], number, f"${code}")
-    return settings
+def _assume(settings: Settings) -> None:
+    """Give the planner what the settings do not say, as the firmware has it by default."""
+    by_jerk = any(key.startswith("jump.") for key in settings.planner)
+    for key, number in _DEFAULTS.get(settings.firmware, {}).items():
+        if key not in settings.planner and not (by_jerk and key == "junction_deviation"):
+            name = f"default of {settings.firmware}"
+            settings.say_of_planner(key, number, Place(settings.file), name)
 
 
-def _marlin(lines: list[str], file: str) -> Settings:
-    settings = Settings("marlin", file)
-    for number, line in enumerate(lines, start=1):
-        match = _MARLIN_LINE.match(line.strip())
-        if re.match(r"\s*(?:echo:)?\s*G20\b", line):
-            settings.refuse_inches(number)
-        if re.match(r"\s*(?:echo:)?\s*M665\b", line):  # deltas and SCARA arms alone have it
-            settings.refuse_kinematics("M665", number)
-        shaper = re.match(r"\s*(?:echo:)?\s*M593\b[^;]*\bF([0-9.]+)", line)
-        if shaper is not None and shaper[1].strip("0."):
-            settings.shapes("M593", number)
-        if match is None:
-            if line.strip().startswith(("echo:", "Cap:", "ok", "FIRMWARE_NAME", "Unknown", "//")):
-                continue
-            raise unknown(line, file, number, "echo:  M92 X80.00 Y80.00")
-        code = int(match[1] or 0)
-        for letter, text in re.findall(r"([A-Z])(-?[0-9.]+)", match[2] or ""):
-            name = f"M{code} {letter}"
-            if code == 205 and letter == "J":
-                settings.say_of_planner("junction_deviation", text, number, name)
-            elif code == 205 and letter in _LETTERS and letter != "B":  # B: least segment time
-                settings.say_of_planner(f"jump.{letter}", text, number, name)
-            elif code == 204 and letter == "T":
-                settings.say_of_planner("acceleration", text, number, name)
-            if code in _MARLIN and letter in _LETTERS:
-                written = times(text, 60.0) if code == 203 else text  # mm/s there
-                settings.say(letter, _MARLIN[code], written, number, name, text)
-    return settings
+def _encoding(path: Path) -> str:
+    """Return how the text is written: UTF-8, or UTF-16 by its mark."""
+    if not path.is_file():  # refused where it is read
+        return "utf-8-sig"
+    try:
+        with path.open("rb") as file:
+            return "utf-16" if file.read(2) in _WIDE else "utf-8-sig"
+    except OSError:
+        return "utf-8-sig"
 
 
-def _fluidnc(lines: list[str], file: str) -> Settings:
-    settings = Settings("fluidnc", file)
-    path: list[tuple[int, str]] = []
-    for number, line in enumerate(lines, start=1):
-        code = line.split("#", 1)[0].rstrip()
-        if not code.strip() or code.strip() == "---":
-            continue
-        indent = len(code) - len(code.lstrip())
-        if "\t" in code[:indent]:
-            raise MachineError(
-                "a tab before a key: YAML takes blanks alone",
-                place=Place(file, number),
-                remedy="Write blanks.",
-            )
-        key, colon, value = code.strip().partition(":")
-        if not colon:
-            raise unknown(line, file, number, "steps_per_mm: 80.000")
-        while path and path[-1][0] >= indent:
-            path.pop()
-        above = [name for _, name in path]
-        _refuse_elsewhere(key.strip(), value.strip(), above, Place(file, number))
-        path.append((indent, key.strip()))
-        if len(above) == 2 and above[0] == "axes" and key.strip() in _FLUIDNC:
-            letter = above[1].upper()
-            if letter in _LETTERS:
-                name = f"axes.{above[1]}.{key.strip()}"
-                settings.say(letter, _FLUIDNC[key.strip()], value.strip(), number, name)
-        elif above == ["kinematics"] and key.strip().lower() != "cartesian":
-            settings.refuse_kinematics(f"kinematics: {key.strip()[:40]}", number)
-        elif not above and key.strip() == "junction_deviation_mm":
-            settings.say_of_planner("junction_deviation", value.strip(), number, key.strip())
-    return settings
-
-
-def _refuse_elsewhere(key: str, value: str, above: list[str], place: Place) -> None:
-    """Refuse what stands in another file or form: an axis would be lost without a word."""
-    if key == "include" or value.startswith(("!", "&", "*")):
-        raise MachineError(
-            f"{key[:40]}: {value[:40]} is not followed",
-            place=place,
-            remedy="Put the text that it stands for in its place.",
-        )
-    table = key == "axes" if not above else above == ["axes"] and key.upper() in _LETTERS
-    if value and table:
-        raise MachineError(
-            f"{key[:40]}: {value[:40]!r}: an axis has its settings on lines of their own",
-            place=place,
-            remedy="Write them as FluidNC's documents do: steps_per_mm: 80.000 and so on.",
-        )
-
-
-_READERS: tuple[tuple[re.Pattern[str], Callable[[list[str], str], Settings]], ...] = (
-    (re.compile(r"\s*\$1[0-3]\d\s*="), _grbl),
-    (_OF_CONFIG_G, read_config_g),
-    (re.compile(r"\s*(?:echo:)?\s*M92\s"), _marlin),
-    (re.compile(r"\[(?:stepper_[a-z]|manual_stepper \w+|printer)\]"), read_printer_cfg),
-    (re.compile(r"axes:"), _fluidnc),
+_READERS: tuple[
+    tuple[Callable[[Sequence[str]], bool], Callable[[Sequence[str], str], Settings]], ...
+] = (
+    (is_printer_cfg, read_printer_cfg),
+    (is_linuxcnc, read_linuxcnc),
+    (is_fluidnc, read_fluidnc),
+    (is_grbl, read_grbl),
+    (is_config_g, read_config_g),
+    (is_marlin, read_marlin),
 )
+"""Of which firmware a file is, in this order: macros of Klipper have Marlin's commands."""

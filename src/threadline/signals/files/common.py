@@ -39,13 +39,15 @@ class Written:
     """A file that was written, and its hash.
 
     ``warnings`` say what was left out or looks suspicious; ``facts`` say what was checked of its
-    content.
+    content. ``as_run_s`` are two times by the planner of a firmware, of the job as it stands and of
+    the file; None where the planner is not known.
     """
 
     path: Path
     sha256: str
     warnings: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
+    as_run_s: tuple[float, float] | None = None
 
 
 @contextmanager

@@ -1,14 +1,17 @@
 """Recordings in MCAP files, written block by block and readable after a crash of the writer.
 
 MCAP (mcap.dev) is a container of messages. The schema holds the channels, their clocks and the
-hashes of job and machine. Each block is one message, which is complete in the file as soon as it
-has been written.
+hashes of job and machine. Each block is one message in a chunk of its own, which is complete in the
+file, with its checksum, as soon as it has been written. The end of the file has a checksum of all
+chunks together, and one of the index behind them. A file is refused where a checksum fails, and
+where it has none, since damage to it could not be told.
 """
 
 from __future__ import annotations
 
 import json
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from io import BytesIO
@@ -18,12 +21,13 @@ from typing import IO, Any
 import lz4.frame
 import numpy as np
 import zstandard
+from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from threadline.errors import Place, RecordingError
 from threadline.input_files import KnownFile
@@ -50,9 +54,24 @@ from threadline.signals.recording import Channel, ChannelKind, Recording, Record
 ENCODING = "threadline-block-1"
 BROKEN_OFF = "the trace breaks off: the program that wrote it ended before the run did"
 _MOST_RECORD_BYTES = 1 << 28
+_MOST_BLOCK_BYTES = _MOST_RECORD_BYTES - (2 << 20)  # with the description in the same chunk
 _LENGTH = struct.Struct("<I")
 _RECORD = struct.Struct("<BQ")  # kind and length
+_CRC = struct.Struct("<I")
+_CHUNK_HEAD = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
+_SIZE = struct.Struct("<Q")
+_FOOTER = _RECORD.pack(Opcode.FOOTER, 8 + 8 + _CRC.size)
 _MAGIC = b"\x89MCAP0\r\n"
+_PROFILE = "threadline"
+_UNREAD: dict[int, Any] = {
+    Opcode.HEADER: records.Header,
+    Opcode.CHANNEL: records.Channel,
+    Opcode.MESSAGE_INDEX: records.MessageIndex,
+    Opcode.ATTACHMENT: records.Attachment,
+    Opcode.METADATA: records.Metadata,
+}
+"""Kinds of records that may stand among the data, and of which nothing is used."""
+_ENDING = len(_FOOTER) + 8 + 8 + _CRC.size + len(_MAGIC)  # bytes of a footer and what is behind it
 
 
 class TraceWriter:
@@ -68,8 +87,15 @@ class TraceWriter:
 
     def __init__(self, file: IO[bytes], recording: Recording) -> None:
         self._file, self._channels = file, recording.channels
-        self._writer = Writer(file, use_chunking=False, compression=CompressionType.NONE)
-        self._writer.start(profile="threadline", library="threadline")
+        self._writer = Writer(
+            file,
+            chunk_size=0,  # every block ends a chunk
+            compression=CompressionType.NONE,
+            index_types=IndexType.CHUNK,
+            enable_crcs=True,
+            enable_data_crcs=True,
+        )
+        self._writer.start(profile=_PROFILE, library="threadline")
         meta = {"format": TITLE, **recording_meta(recording)}
         text = json.dumps(meta, ensure_ascii=False, sort_keys=True, allow_nan=False)
         schema = self._writer.register_schema("threadline.recording", ENCODING, text.encode())
@@ -87,9 +113,9 @@ class TraceWriter:
         }
         text = json.dumps(head, ensure_ascii=False, allow_nan=False).encode()
         data = _LENGTH.pack(len(text)) + text + b"".join(part.tobytes() for part in parts)
-        if len(data) > _MOST_RECORD_BYTES - 64:  # with the head of a message
+        if len(data) > _MOST_BLOCK_BYTES:
             raise RecordingError(
-                f"a block has {len(data)} bytes, limit {_MOST_RECORD_BYTES - 64}",
+                f"a block has {len(data)} bytes, limit {_MOST_BLOCK_BYTES}",
                 remedy="Record in smaller blocks.",
             )
         tick = block.first_tick[self._clock.name]
@@ -120,10 +146,16 @@ def read_recording_mcap(path: Path) -> Recording:
     Raises
     ------
     RecordingError
-        If it is damaged before its end, or something else.
+        If it is damaged before its end, has no checksums, or is something else.
     """
     with clear_errors(path), path.open("rb") as file:
         schema = next((r for r, _ in _records(file, path) if isinstance(r, Schema)), None)
+        if schema is None and _is_of_a_run(file):
+            raise RecordingError(
+                "the trace ends before its first sample: there is nothing to judge",
+                place=Place(str(path)),
+                remedy="Run the job again.",
+            )
         if schema is None or schema.encoding != ENCODING:
             raise RecordingError(
                 "the MCAP file holds no recording of Threadline",
@@ -144,21 +176,55 @@ def read_recording_mcap(path: Path) -> Recording:
 def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
     """Yield schemas and messages of the data section, then None and True at its regular end.
 
-    A record that is not complete is the last: the program that wrote the file ended there.
+    A record that is not complete is the last: the program that wrote the file ended there. What a
+    checksum does not confirm is refused, at the latest with the last record.
     """
-    if file.read(len(_MAGIC)) != _MAGIC:
+    magic = file.read(len(_MAGIC))
+    if not _MAGIC.startswith(magic):
         raise RecordingError("the file is no MCAP file", place=Place(str(path)))
+    crc, bare = zlib.crc32(_MAGIC), False
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         kind, length = _RECORD.unpack(head)
         _check_length(length, path)
         content = file.read(length)
         if len(content) < length:
-            return
+            _check_cut(kind, length, content, path)
+            break
         if kind == Opcode.DATA_END:
+            _check_end(content, crc, path, bare=bare)
+            _check_summary(file.read(_MOST_RECORD_BYTES), path)
             yield None, True
             return
-        for record in _records_of(kind, content, path):
+        if kind == Opcode.FOOTER:
+            raise _damaged("its records do not have the end that its last bytes promise", path)
+        crc = zlib.crc32(content, zlib.crc32(head, crc))
+        found, checked = _records_of(kind, content, path)
+        bare = bare or (bool(found) and not checked)
+        for record in found:
             yield record, False
+    _check_broken_off(file, path, bare=bare)
+
+
+def _is_of_a_run(file: IO[bytes]) -> bool:
+    """Say whether a file begins as one of ``TraceWriter``, or nothing was written to it yet."""
+    file.seek(0)
+    head = file.read(len(_MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
+    return _MAGIC.startswith(head) or head.endswith(_PROFILE.encode())
+
+
+def _damaged(why: str, path: Path) -> RecordingError:
+    return RecordingError(
+        f"the file is damaged: {why}", place=Place(str(path)), remedy="Write or fetch it again."
+    )
+
+
+def _unconfirmed(path: Path) -> RecordingError:
+    return RecordingError(
+        "the MCAP file carries no checksums, so that damage to it could not be told",
+        place=Place(str(path)),
+        remedy="Record it again; or trust it as it is, and pack it anew with checksums: "
+        f"mcap recover {path.name} -o checked.mcap",
+    )
 
 
 def _check_length(length: int, path: Path) -> None:
@@ -170,25 +236,96 @@ def _check_length(length: int, path: Path) -> None:
         )
 
 
-def _records_of(kind: int, content: bytes, path: Path) -> list[Any]:
-    """Return a record that is a schema or a message, or those that a chunk holds."""
+def _check_crc(told: int, found: int, what: str, path: Path) -> None:
+    """Refuse bytes that do not have their checksum; 0 is a checksum that was not written."""
+    if told not in {0, found}:
+        raise _damaged(f"{what} has the checksum {found:08x}, written with it is {told:08x}", path)
+
+
+def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
+    """Check the bytes of the whole data section by the checksum that its last record has."""
+    if len(content) != _CRC.size:
+        raise _damaged("the end of its data has no checksum", path)
+    (told,) = _CRC.unpack(content)
+    _check_crc(told, crc, "its data", path)
+    if bare and not told:
+        raise _unconfirmed(path)
+
+
+def _check_summary(rest: bytes, path: Path) -> None:
+    """Check what stands behind the data: an index, which a writer that was ended leaves unfinished.
+
+    No figure depends on it.
+    """
+    ending = rest[-_ENDING:]
+    whole = ending.startswith(_FOOTER), rest.endswith(_MAGIC)
+    if not any(whole):
+        return
+    if not all(whole):
+        raise _damaged("its last record or its last bytes are not those of an MCAP file", path)
+    body = rest[: -len(_MAGIC) - _CRC.size]
+    (told,) = _CRC.unpack_from(rest, len(body))
+    _check_crc(told, zlib.crc32(body), "its index", path)
+
+
+def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
+    """Refuse a last record whose length is not the one that the chunk in it says: it is damaged."""
+    if kind != Opcode.CHUNK or len(content) < _CHUNK_HEAD.size:
+        return
+    at = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1]
+    if len(content) >= at + _SIZE.size and length != (
+        at + _SIZE.size + _SIZE.unpack_from(content, at)[0]
+    ):
+        raise _damaged(
+            f"a record promises {length} bytes, and the chunk in it another number", path
+        )
+
+
+def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
+    """Refuse a file that has its last bytes, though its records ended before them."""
+    file.seek(max(file.seek(0, 2) - len(_MAGIC), 0))
+    if file.read() == _MAGIC and file.tell() > len(_MAGIC):
+        raise _damaged("its records do not lead to its end", path)
+    if bare:
+        raise _unconfirmed(path)
+
+
+def _records_of(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]:
+    """Return a record that is a schema or a message, or those that a chunk holds.
+
+    The second is whether a checksum of their own confirms them.
+    """
     stream = ReadDataStream(BytesIO(content))
+    found: list[Any] = []
+    checked = True
     try:
         if kind == Opcode.SCHEMA:
-            return [Schema.read(stream)]
-        if kind == Opcode.MESSAGE:
-            return [Message.read(stream, len(content))]
-        if kind == Opcode.CHUNK:  # written by another tool, with compression
+            found, checked = [Schema.read(stream)], False
+        elif kind == Opcode.MESSAGE:
+            found, checked = [Message.read(stream, len(content))], False
+        elif kind == Opcode.CHUNK:
             chunk = Chunk.read(stream)
             _check_length(chunk.uncompressed_size, path)
-            return breakup_chunk(replace(chunk, compression="", data=_unpacked(chunk)))
+            data = _unpacked(chunk)
+            _check_crc(chunk.uncompressed_crc, zlib.crc32(data), "a chunk", path)
+            found = breakup_chunk(replace(chunk, compression="", data=data))
+            checked = chunk.uncompressed_crc != 0
+        elif kind in _UNREAD:  # what is in it is not used, and yet it has to be one
+            _UNREAD[kind].read(stream)
+        else:
+            raise _damaged(f"a record of kind {kind} stands among its data", path)
+        if stream.count != len(content):
+            raise McapError(f"it has {len(content)} bytes, and says what fits into {stream.count}")
     except (struct.error, McapError, zstandard.ZstdError) as error:
         raise RecordingError(
             f"a record is damaged: {str(error)[:200] or type(error).__name__}",
             place=Place(str(path)),
             remedy="Write or fetch it again.",
         ) from error
-    return []
+    if kind == Opcode.ATTACHMENT:
+        (told,) = _CRC.unpack(content[-_CRC.size :])
+        _check_crc(told, zlib.crc32(content[: -_CRC.size]), "an attachment", path)
+    return found, checked
 
 
 def _unpacked(chunk: Chunk) -> bytes:
@@ -211,9 +348,13 @@ def _unpacked(chunk: Chunk) -> bytes:
 def _blocks(known: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
     place = Place(str(known.path))
     last: Mapping[str, int] = {channel.clock.name: 0 for channel in channels}
+    number = 0
     with reading(known), known.path.open("rb") as file:
         for record, ended in _records(file, known.path):
             if isinstance(record, Message):
+                if record.sequence != number % (1 << 32):
+                    raise _damaged(f"block {number} is missing between two others", known.path)
+                number += 1
                 block = _block(bytes(record.data), channels, place)
                 last = block.first_tick
                 yield block

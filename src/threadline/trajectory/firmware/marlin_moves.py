@@ -14,7 +14,6 @@ from threadline.arrays import FloatArray
 from threadline.trajectory.firmware.firmware_moves import Moves
 
 _LEAST_STEPS = 6  # of the axis that makes most: a shorter move waits for the next
-_SHORT_S = 0.02  # M205 B: shorter moves take longer while few are in hand
 _FEW = (2, 7)  # moves in hand: up to half of the ring
 _ROUNDING, _EXACT = 1e-6, 1e-12  # of its numbers of 24 bits, and of ours
 
@@ -75,7 +74,7 @@ def least_squares(moves: Moves, steps: FloatArray) -> FloatArray:
     return np.asarray(np.minimum(0.5 * moves.acceleration / per_length, moves.speed**2))
 
 
-def held_back(length: FloatArray, asked: FloatArray, first: int) -> FloatArray:
+def held_back(length: FloatArray, asked: FloatArray, first: int, short_s: float) -> FloatArray:
     """Return the (n,) speeds that moves are read with, while few are in hand slower than asked.
 
     Parameters
@@ -86,12 +85,14 @@ def held_back(length: FloatArray, asked: FloatArray, first: int) -> FloatArray:
         (n,) speed that F asks for, infinite for rapid moves without.
     first
         How many moves came before them since the machine rested.
+    short_s
+        Time (``M205 B``) below which a move takes longer while few are in hand.
     """
     ahead = np.arange(first, first + len(length))
     takes_s = length / asked
-    short = (ahead >= _FEW[0]) & (ahead <= _FEW[1]) & (takes_s < _SHORT_S)
-    slow_s = takes_s + 2.0 * (_SHORT_S - takes_s) / np.maximum(ahead, 1)
-    return np.where(short, length / slow_s, asked)
+    short = (ahead >= _FEW[0]) & (ahead <= _FEW[1]) & (takes_s < short_s)
+    slow_s = takes_s + 2.0 * (short_s - takes_s) / np.maximum(ahead, 1)
+    return np.where(short, length / np.where(short, slow_s, 1.0), asked)
 
 
 def whole_rates(moves: Moves, asked: FloatArray, most: float, steps: FloatArray) -> FloatArray:

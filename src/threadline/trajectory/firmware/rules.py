@@ -29,6 +29,7 @@ from threadline.trajectory.firmware.junctions import (
 
 MM = 1e3  # firmwares count in mm and degrees
 LINEAR, _SECOND, _TURNING = "XYZ", "UVW", "ABC"
+_SHORT_S = 0.02  # Marlin's own default of M205 B
 _INSTANT = 1.0  # mm/s or deg/s: Klipper's own default for axes beside X Y Z
 
 
@@ -96,6 +97,7 @@ class Rules:
             acceleration = np.minimum(acceleration, travel)
         with np.errstate(divide="ignore"):
             asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
+        asked = np.maximum(asked, self.least_speed)
         return Moves(length, direction, np.minimum(asked, fastest), acceleration, most)
 
     @property
@@ -105,6 +107,22 @@ class Rules:
         if isinstance(planner, KlipperPlanner | MarlinPlanner) and planner.acceleration is not None:
             return planner.acceleration.si * MM
         return np.inf
+
+    @property
+    def least_speed(self) -> float:
+        """What Marlin raises the speed of a slower move to, 0 for none."""
+        planner = self.planner
+        if isinstance(planner, MarlinPlanner) and planner.least_speed is not None:
+            return planner.least_speed.si * MM
+        return 0.0
+
+    @property
+    def short_time_s(self) -> float:
+        """Time below which Marlin makes a move slower while few are in hand."""
+        planner = self.planner
+        if isinstance(planner, MarlinPlanner) and planner.short_time is not None:
+            return planner.short_time.si
+        return _SHORT_S
 
     def corners(self, moves: Moves) -> FloatArray:
         """Return the (n,) greatest v^2 at the start of each of n moves, the first from rest."""

@@ -213,7 +213,12 @@ class _MarlinRun(_Run):
         moves = self.rules.moves(whole, nominal_s)
         with np.errstate(divide="ignore"):
             asked = np.where(nominal_s > 0.0, moves.length / nominal_s, np.inf)
-        asked = held_back(moves.length, asked, self.gone)
+        asked = held_back(
+            moves.length,
+            np.maximum(asked, self.rules.least_speed),
+            self.gone,
+            self.rules.short_time_s,
+        )
         moves = replace(moves, speed=np.minimum(moves.speed, asked))
         self.rates = whole_rates(moves, asked, self.rules.most_acceleration, steps)
         return moves, least_squares(moves, steps)

@@ -9,14 +9,13 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.errors import PlanError
 from threadline.machine import Machine
-from threadline.plant.rigid import current_needed, drive_rate, rigid_motion
+from threadline.plant.rigid import drive_limits, drive_needs
 from threadline.trajectory.optimal.along_path import AlongPath
 from threadline.trajectory.optimal.motion_limits import Limits
 
 RESERVE = 0.1
 """Of volts and current, for the loop, where the machine file says nothing else."""
 _UNITS = ("V at the controller", "V", "A")
-_CREEP = 1e-12  # m/s: sliding friction has a sign and no size
 
 
 def axis_limits(
@@ -137,25 +136,9 @@ def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = Fals
 
 def _needs(machine: Machine, axis: str, of_loads: bool) -> list[tuple[float, FloatArray]]:
     """Return limit and need, at rest, per m/s and per m/s^2, in the order of ``_UNITS``."""
-    drive = machine.drive_of(axis)
-    turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
-    still, moving = (abs(current_needed(machine, axis, speed, 0.0)) for speed in (_CREEP, 1.0))
-    push = abs(current_needed(machine, axis, 0.0, 1.0))
-    current = np.array([still, moving - still, push])
-    winding = drive.resistance.si * current
-    winding[1] += drive.back_emf.si * turning
-    amplifier = drive.amplifier
-    if of_loads and amplifier.mode == "voltage":
+    current, winding = drive_needs(machine, axis)
+    if of_loads and machine.drive_of(axis).amplifier.mode == "voltage":
         tick_s = float(machine.clock(machine.controller_of(axis).clock).period_s)
         decayed = tick_s * winding[1] / winding[2]
         current = current * np.array([1.0, 1.0, decayed / -np.expm1(-decayed)])
-    told = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
-    most_v, most_a = (
-        np.inf if limit is None else limit.si
-        for limit in (amplifier.voltage_limit, amplifier.current_limit)
-    )
-    return [
-        (machine.controller_of(axis).dac.range.si, told),
-        (most_v, winding),
-        (most_a, current),
-    ]
+    return [(limit, need) for limit, need, _ in drive_limits(machine, axis, current, winding)]

@@ -65,11 +65,23 @@ class Limits:
             deceleration=None if np.array_equal(speeding, braking) else braking,
         )
 
-    @property
-    def ramp_s(self) -> float:
-        """The time that the jerk takes to the limit of acceleration or velocity, about."""
+    def ramp_s(self, fastest: FloatArray) -> float:
+        """Return the time that the jerk takes to the limit of acceleration or velocity, about.
+
+        It is that of the axis with the shortest, and no longer than any axis needs to the velocity
+        that it reaches: a limit of velocity far above changes nothing.
+
+        Parameters
+        ----------
+        fastest
+            (axes,) velocities that the motion reaches.
+        """
+        to_limits = np.nanmin(self._ramps_s(self.velocity))
+        return float(min(to_limits, np.nanmax(self._ramps_s(fastest))))
+
+    def _ramps_s(self, velocity: FloatArray) -> FloatArray:
+        """Return how long the jerk of each axis takes, NaN for an axis that has no limit at all."""
         with np.errstate(invalid="ignore"):
-            by_jerk = np.fmin(self.acceleration / self.jerk, np.sqrt(self.velocity / self.jerk))
-            by_acceleration = _LEAST_RAMP * self.velocity / self.acceleration
-        # What has no limit at all has no ramp either.
-        return float(np.nanmin(np.fmax(by_jerk, by_acceleration)))
+            by_jerk = np.fmin(self.acceleration / self.jerk, np.sqrt(velocity / self.jerk))
+            by_acceleration = _LEAST_RAMP * velocity / self.acceleration
+        return np.asarray(np.fmax(by_jerk, by_acceleration))

@@ -284,6 +284,13 @@ class Problem:
                 # First, for guards are told by their places at the end.
                 yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used], axis=2)
 
+    def _fastest(self) -> FloatArray:
+        """Return the (axes,) largest velocities of the motion: bounds, close on short elements."""
+        at = self.elements
+        rates = np.arange(1.0, at.c.shape[1])[:, None] * np.abs(at.c[:, 1:])
+        rate = np.sqrt(bernstein(self.b, at.length).max(axis=1))
+        return np.asarray((rates.sum(axis=1) * rate[:, None]).max(axis=0))
+
     def settled(self) -> int:
         """Return the number of elements that are not too near to the end to be cut."""
         moving = len(self.elements) - max(self.held[1] - 1, 0)
@@ -295,7 +302,8 @@ class Problem:
         time_s = (bernstein(self.b, self.elements.length) ** -0.5).mean(axis=1)
         used = np.concatenate([part.max(axis=2).min(axis=1) for part in self._shares()])
         lost_s = time_s * (1.0 - used)
-        enough_s = max(_LOSS * self.limits.ramp_s, _PART * self._cost_s())
+        ramp_s = self.limits.ramp_s(self._fastest())
+        enough_s = max(_LOSS * ramp_s, _PART * self._cost_s())
         lost_s[np.cumsum(self.elements.length) <= self.fresh] = 0.0
         return np.where(lost_s > _MUCH * enough_s, 4, np.where(lost_s > enough_s, 2, 1))
 

@@ -31,7 +31,7 @@ def shape_of(
     Parameters
     ----------
     cell
-        The fastest rate times the longest cell.
+        The fastest rate times the longest cell. At most 1/2 where there is a guard.
     rest
         The fields of the shape that are named alike.
     """
@@ -39,6 +39,9 @@ def shape_of(
     for e, count in enumerate(plant.modes):
         laws = _somewhere(plant.law[:, e, :count]).any(axis=0)
         matrix = matrix | (_somewhere(plant.direction[:, e])[:, None] & laws)
+    guards = _guards(plant, matrix)
+    if not guards:
+        cell = 0.0  # without a guard no cell is watched, however long it is: no series is needed
     terms = next(k for k in range(4, 40) if cell ** (k + 1) / factorial(k + 1) < _REMAINDER)
     return Shape(
         matrix=tuple(_pattern(row) for row in matrix),
@@ -67,7 +70,7 @@ def shape_of(
             )
             for x in range(len(axis_controller))
         ),
-        guards=_guards(plant, matrix),
+        guards=guards,
         inputs=len(piece.group.inputs),
         terms=terms,
         sections=max(1, ceil(cell / _SECTION_PER_RATE)),

@@ -175,7 +175,7 @@ class FormulaReader:
                 name = self.name() if marked else self.refuse("EXISTS[#<name>] needs a name")
             else:
                 name, self.at = bare[0], bare.end()  # FluidNC takes it so, too
-            found = lambda values: float(values.exists(name))  # noqa: E731
+            found = lambda values: float(values.exists(name, self._place))  # noqa: E731
         if not self.take("]"):
             self.refuse("] is missing")
         return found

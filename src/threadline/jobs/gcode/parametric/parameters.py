@@ -15,6 +15,7 @@ MAX_DEPTH = 9
 _LAST_OWN = 5000
 _POSITION = 5420
 _AXES = "XYZABCUVW"
+_POSITIONS = frozenset(f"_{letter.lower()}" for letter in _AXES)
 _LAST = 5601
 _KEPT = "only the control knows what it keeps there (offsets, tools, probes, inputs)"
 _OF_CONTROL = frozenset(
@@ -86,6 +87,7 @@ class Values:
         if which in self._numbers:
             return self._numbers[which]
         if _POSITION <= which < _POSITION + len(_AXES):
+            self._refuse_position(f"#{which}", at)
             value = self.told(f"_{_AXES[which - _POSITION].lower()}")
             if value is not None:
                 return value
@@ -130,6 +132,9 @@ class Values:
         JobError
             If it was not set.
         """
+        if name in _POSITIONS:
+            self._refuse_position(f"#<{name}>", at)
+        self._refuse_configuration(name, at)
         value = self._find(name)
         if value is None and name in _OF_CONTROL:
             raise JobError(f"parameter #<{name}>: {_KEPT}", place=at, remedy=_ALONE)
@@ -141,8 +146,15 @@ class Values:
             )
         return value
 
-    def exists(self, name: str) -> bool:
-        """Say whether a named parameter was set."""
+    def exists(self, name: str, at: Place) -> bool:
+        """Say whether a named parameter was set.
+
+        Raises
+        ------
+        JobError
+            If the control alone knows it.
+        """
+        self._refuse_configuration(name, at)
         return name in _OF_CONTROL or self._find(name) is not None
 
     def has_number(self, which: int) -> bool:
@@ -157,6 +169,7 @@ class Values:
         JobError
             If the control sets it.
         """
+        self._refuse_configuration(name, at)
         if name in _OF_CONTROL or (name[:1] == "_" and self._predefined(name) is not None):
             raise JobError(
                 f"the control sets #<{name}>, and no program does",
@@ -164,6 +177,27 @@ class Values:
                 remedy="Choose another name.",
             )
         (self._globals if name[:1] == "_" else self._frames[-1].names)[name] = value
+
+    def _refuse_position(self, written: str, at: Place) -> None:
+        """Refuse the position of the motors, where the control reads it as the program is read."""
+        if not self.flavour.at_motors:
+            return
+        raise JobError(
+            f"parameter {written} is where the motors are at the instant at which fluidnc reads "
+            "the line, somewhere in the moves before it",
+            place=at,
+            remedy="Keep the position in a parameter of the program, like #<_at_x> = 20.",
+        )
+
+    def _refuse_configuration(self, name: str, at: Place) -> None:
+        """Refuse an item of the configuration, whose name is a path."""
+        if name[:1] == "/" and self.flavour.paths_configure:
+            raise JobError(
+                f"#<{name[:40]}> is an item of the control's configuration (its steps, limits and "
+                "pins)",
+                place=at,
+                remedy="Set it in the configuration and not in the program.",
+            )
 
     def _find(self, name: str) -> float | None:
         if name[:1] != "_":

@@ -12,6 +12,7 @@ from threadline.errors import JobError, Place
 from threadline.jobs.gcode.block import Block, block_of
 from threadline.jobs.gcode.dialects import Reading
 from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.grammar import check_length
 from threadline.jobs.gcode.modal import Modal, ProgramText
 from threadline.jobs.gcode.parametric.course import Run
 from threadline.jobs.gcode.parametric.flow import WORDS, Flow, FlowReader, o_word
@@ -77,6 +78,8 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
         if text.strip() == TAPE:
             tapes.take(number, begun)
         else:
+            here = Place(reading.file, number)
+            check_length(text, reading.dialect.grammar, reading.dialect.name, here)
             code = code_of(text, flavour, reading.file, number)
         if code.text:
             begun = True
@@ -168,7 +171,7 @@ class ParametricInterpreter(Modal):
             block = block_of(raw, last, self._reading)
             if block.ends in {"call", "return"} or block.label >= 0:
                 self._mixed(last)
-            if block.action == 40 or (block.axes and block.action in {-1, 280}):
+            if block.action == 40 or block.goes:
                 run.idle = 0
             yield block, self._step(block)
             if block.ends == "end":
@@ -182,7 +185,7 @@ class ParametricInterpreter(Modal):
         end = Block(
             last, -1, -1, (), (), None, None, 1, (), 0.0, 30, "end", None, False, (), -1, ()
         )
-        yield end, iter((Stop(True, Source(self._path, last)),))
+        yield end, self._rest(Stop(True, Source(self._path, last)))
 
     def _mixed(self, line: int) -> NoReturn:
         raise self._error(

@@ -8,14 +8,12 @@ from collections.abc import Callable
 from decimal import Decimal
 from typing import NamedTuple
 
-from threadline.errors import JobError, Place
+from threadline.errors import Place
 from threadline.jobs.gcode.flavour import Flavour
 from threadline.jobs.gcode.parametric.formulas import NUMBER, Formula, FormulaReader
 from threadline.jobs.gcode.parametric.parameters import Values
 from threadline.jobs.gcode.words import MAX_DECIMALS, RawBlock, tags_of, without_comments
 
-LONGEST = 252
-"""Characters of a line that LinuxCNC takes (FluidNC takes 254)."""
 _WHOLE = {"G": (10.0, 1e-3), "M": (1.0, 1e-4), "L": (1.0, 1e-4), "T": (1.0, 1e-4)}
 _BLANKS = re.compile(r"[ \t]+")
 _LOOSE = re.compile(r"\([^)]*(?:\)|$)|\)")
@@ -72,14 +70,8 @@ def code_of(text: str, flavour: Flavour, file: str, line: int) -> Code:
     Raises
     ------
     JobError
-        If it is longer than the controls take, or parentheses do not fit.
+        If parentheses do not fit.
     """
-    if len(text) > LONGEST:
-        raise JobError(
-            f"the line has {len(text)} characters; with parameters {LONGEST} is the most",
-            place=Place(file, line),
-            remedy="Write it in parts, as the control wants it.",
-        )
     comment = ""
     if flavour.loose_comments:
         text, _, comment = text.partition(";")

@@ -67,9 +67,7 @@ def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> 
             findings.rapid_f = block.line
         findings.note(None, block)
         moved.update(index for index, _ in block.axes)
-        systems.take(
-            block.settings, block.line, moves=bool(block.axes) and block.action in (-1, 280)
-        )
+        systems.take(block.settings, block.line, moves=block.goes)
         for operation in made:
             moves = moves or isinstance(operation, Move)
             operations += 1

@@ -1,0 +1,144 @@
+"""Checks of what Python callers give: every wrong type is told as an ``InputError``.
+
+The command line gives text, which its readers check. A caller in Python may give anything; what a
+parameter takes is said once, by its annotation, and held against what is given.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from functools import cache, wraps
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, ParamSpec, TypeVar, get_args, get_origin
+
+from threadline.errors import BudgetError, OptionError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+_MOST = 60  # characters of a value in a message
+_WORDS = {
+    str: "a text",
+    Path: "a path",
+    int: "a whole number",
+    float: "a number",
+    bool: "True or False",
+    NoneType: "None",
+}
+
+
+def checked(function: Callable[P, T]) -> Callable[P, T]:
+    """Return a function that refuses arguments of other types than its annotations say.
+
+    Files that cannot be used, and memory that is not there, are told as on the command line, too.
+
+    Raises
+    ------
+    OptionError
+        By the function that is returned: with the name of the argument, and what it takes.
+    """
+
+    @wraps(function)
+    def asked(*given: P.args, **named: P.kwargs) -> T:
+        _check(function, given, named)
+        try:
+            return function(*given, **named)
+        except OSError as error:
+            raise OptionError(
+                f"cannot use {error.filename or 'a file'}: {error.strerror or error}",
+                remedy="Give another path.",
+            ) from error
+        except MemoryError as error:
+            raise BudgetError(
+                "this needs more memory than there is",
+                remedy="Give a shorter job, a higher feed or a longer clock.",
+            ) from error
+
+    return asked
+
+
+def _check(function: Callable[..., Any], given: Sequence[Any], named: dict[str, Any]) -> None:
+    signature = inspect.signature(function)
+    try:
+        bound = signature.bind(*given, **named)
+    except TypeError as error:
+        raise OptionError(
+            f"{function.__name__}: {error}", remedy=f"It is {function.__name__}{_told(signature)}."
+        ) from None
+    for name, value in bound.arguments.items():
+        options = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
+        if not options and (takes := _takes(function, name)) is not Any:
+            check_argument(name, value, takes)
+
+
+@cache
+def _takes(function: Callable[..., Any], name: str) -> Any:
+    """Return the types that an argument may have; Any where the function checks it itself."""
+    told = inspect.signature(function).parameters[name].annotation
+    if told is inspect.Parameter.empty:
+        return Any
+    # Not all names of a signature are there at run time: those of answers are for readers.
+    return eval(told, function.__globals__) if isinstance(told, str) else told  # noqa: S307
+
+
+def check_argument(name: str, value: object, takes: Any) -> None:
+    """Refuse a value that is of none of the types that an argument takes.
+
+    Raises
+    ------
+    OptionError
+        If it is not, or is a text that no file or program could hold.
+    """
+    if not _fits(value, takes):
+        raise OptionError(
+            f"{name} is {_shown(value)}, of type {type(value).__name__}",
+            remedy=f"Give {_named(takes)}.",
+        )
+    texts: Sequence[object] = value if isinstance(value, list | tuple) else [value]
+    for text in texts:
+        if isinstance(text, str | Path) and not _is_text(str(text)):
+            raise OptionError(f"{name} is {_shown(text)}, which is no text", remedy="Correct it.")
+
+
+def _fits(value: object, takes: Any) -> bool:
+    if isinstance(takes, UnionType):
+        return any(_fits(value, one) for one in get_args(takes))
+    if get_origin(takes) is not None:  # a sequence of one type
+        (inner,) = get_args(takes)
+        if isinstance(value, str | bytes) or not isinstance(value, Sequence):
+            return False
+        return all(_fits(one, inner) for one in value)
+    if takes in {int, float} and isinstance(value, bool):
+        return False
+    return isinstance(value, int | float if takes is float else takes)
+
+
+def _is_text(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return "\0" not in text
+
+
+def _named(takes: Any) -> str:
+    """Return types as people say them."""
+    if isinstance(takes, UnionType):
+        *most, last = dict.fromkeys(map(_named, get_args(takes)))
+        return f"{', '.join(most)} or {last}" if most else last
+    if get_origin(takes) is not None:
+        return f"a list, each of it {_named(get_args(takes)[0])}"
+    return _WORDS.get(takes, f"a {takes.__name__}")
+
+
+def _shown(value: object) -> str:
+    try:
+        text = ascii(value)
+    except Exception:
+        return "an object"
+    return text if len(text) <= _MOST else f"{text[:_MOST]}..."
+
+
+def _told(signature: inspect.Signature) -> str:
+    return "(" + ", ".join(map(str, signature.parameters)) + ")"

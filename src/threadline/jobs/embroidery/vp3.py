@@ -1,0 +1,124 @@
+"""Husqvarna's VP3: nested blocks, each with its length; a block for each colour of the design.
+
+The parts that lead to the stitches are stepped over by their own lengths, and the centre of the
+design is kept. A colour block has the place where it begins, from the centre, and records of two
+signed bytes, X to the right and Y down in 0.1 mm. ``80 01`` and two numbers of 16 bits, with two
+bytes that have no known effect behind them, are a long stitch; ``80 02`` alone has no effect, and
+``80 03`` is a trim. VP3 has no jumps: the needle travels from the end of a block to the beginning
+of the next one.
+"""
+
+from __future__ import annotations
+
+from threadline.errors import JobError, Place
+
+SUFFIX = ".vp3"
+_MAGIC = b"%vsm%\x00"
+_PER_UNIT = 100
+"""Parts of 0.1 mm in which centre and beginnings are given."""
+_STITCH, _JUMP, _TRIM, _LAST, _COLOUR = 0, 1, 2, 4, 5
+_ESCAPE, _LONG, _BEHIND_LONG, _CUT = 0x80, 1, 2, 3
+
+
+class _Bytes:
+    """The bytes of a file with a position."""
+
+    def __init__(self, content: bytes, place: Place) -> None:
+        self._content = content
+        self._place = place
+        self.at = 0
+
+    def take(self, size: int) -> bytes:
+        """Return the next bytes.
+
+        Raises
+        ------
+        JobError
+            If there are not so many.
+        """
+        found = self._content[self.at : self.at + size]
+        if len(found) < size:
+            raise self.refused(f"it is cut off at byte {len(self._content)}")
+        self.at += size
+        return found
+
+    def number(self, size: int) -> int:
+        """Return the next signed number."""
+        return int.from_bytes(self.take(size), "big", signed=True)
+
+    def text(self) -> None:
+        """Step over a text, which begins with the number of its bytes."""
+        self.take(int.from_bytes(self.take(2), "big"))
+
+    def refused(self, why: str) -> JobError:
+        """Return the error for a file that is no VP3."""
+        return JobError(
+            f"the file cannot be read as VP3: {why}",
+            place=self._place,
+            remedy="It is damaged, or its name has the ending of another format; export it again.",
+        )
+
+
+def read_vp3(content: bytes, place: Place) -> list[list[float]]:
+    """Return x and y (down) in 0.1 mm and act of every record, like the readers of pystitch.
+
+    Raises
+    ------
+    JobError
+        With the byte, if the file is no VP3, is cut off, or holds something that is no record.
+    """
+    source = _Bytes(content, place)
+    if source.take(len(_MAGIC)) != _MAGIC:
+        raise source.refused("it does not begin with %vsm%")
+    source.text()
+    source.take(7)
+    source.text()
+    source.take(32)
+    centre = source.number(4) / _PER_UNIT, -source.number(4) / _PER_UNIT
+    source.take(27)
+    source.text()
+    source.take(24)
+    source.text()
+    found: list[list[float]] = []
+    for block in range(int.from_bytes(source.take(2), "big")):
+        if block:
+            found.append([*found[-1][:2], _COLOUR] if found else [0.0, 0.0, _COLOUR])
+        _colour_block(source, centre, found)
+    return [*found, [*found[-1][:2], _LAST]] if found else [[0.0, 0.0, _LAST]]
+
+
+def _colour_block(source: _Bytes, centre: tuple[float, float], found: list[list[float]]) -> None:
+    """Add the records of a colour block to those that were found."""
+    source.take(3)
+    size = source.number(4)
+    end = source.at + size
+    x = source.number(4) / _PER_UNIT + centre[0]
+    y = -source.number(4) / _PER_UNIT + centre[1]
+    if [x, y] != (found[-1][:2] if found else [0.0, 0.0]):
+        found.append([x, y, _JUMP])
+    colours = source.take(2)[0]
+    source.take(6 * colours + 2)
+    for _ in range(3):
+        source.text()
+    source.take(18)
+    if end < source.at:
+        raise source.refused(f"its block of {size} bytes ends before its stitches")
+    records = source.take(end - source.at)
+    begin, at = end - len(records), 0
+    while at + 1 < len(records):
+        dx, dy = records[at], records[at + 1]
+        at += 2
+        if dx != _ESCAPE:
+            x, y = x + (dx ^ 0x80) - 0x80, y + (dy ^ 0x80) - 0x80
+            found.append([x, y, _STITCH])
+        elif dy == _LONG:
+            if at + 4 > len(records):
+                raise source.refused(f"the long stitch at byte {begin + at - 2} is not whole")
+            x += int.from_bytes(records[at : at + 2], "big", signed=True)
+            y += int.from_bytes(records[at + 2 : at + 4], "big", signed=True)
+            found.append([x, y, _STITCH])
+            at += 6
+        elif dy == _CUT:
+            found.append([x, y, _TRIM])
+        elif dy != _BEHIND_LONG:
+            raise source.refused(f"the bytes 0x80 {dy:#04x} at {begin + at - 2} are no record")

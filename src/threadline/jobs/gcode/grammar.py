@@ -1,0 +1,378 @@
+"""What each control's own parser takes: of a line, of the words of a block, of arcs.
+
+``dialects`` has the words of a control and their meaning. A word that is known may still stand
+where the control refuses it, drops it, or gives it to another word; such a block is refused here,
+so that no other motion is planned than the control makes.
+
+Sources: grbl 1.1 (``gcode.c``, ``protocol.c``, ``motion_control.c``), FluidNC 4 (``GCode.cpp``,
+``MotionControl.cpp``), Marlin 2.1 as its files configure it (``parser.cpp``, ``queue.cpp``, the
+files of each command), LinuxCNC 2.9 (``rs274``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from threadline.errors import JobError, Place
+from threadline.jobs.gcode.words import ONE, exact
+
+_NUMBER_OF_LINE = re.compile(r" *N *([0-9]+) *")
+_CHECKSUM = re.compile(r"\*[ \t]*([0-9]{1,3})[ \t]*$")
+_TEXT = re.compile(r" *(?:N *[0-9]+ *)?M *(?:11[78]|23|28|30|32|928)(?![0-9.])")
+_HOMING = re.compile(r" *(?:N *[0-9]+ *)?G *28(?![0-9.])")
+_ALONE = re.compile(r"([A-Z])(?! *[-+.0-9])")
+_COMMAND = re.compile(r" *(?:N *[0-9]+ *)?[GMT] *[0-9]")
+_MOVES = re.compile(r"G0*[0-3](?:\.0*)?")
+_COMMENTS = re.compile(r"\([^()]*\)|[ \t]")
+_SPLIT_COMMENT = re.compile(r"\([^()]*;")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grammar:
+    """The grammar of one control.
+
+    Parameters
+    ----------
+    longest
+        The most characters of a line; 0 for no limit but the reader's.
+    packed
+        Whether blanks and comments do not count as characters of a line.
+    letters
+        Letters that have no use, although the dialect has them.
+    most
+        Greatest number of a letter, by the letter.
+    unsigned
+        Letters whose number is not negative.
+    alone
+        G words of which a block has one at most, as ten times their numbers.
+    m_kinds
+        Kind of each M word of which a block has one at most.
+    takes_axes
+        G words that take the axis words of their block, of which it has one at most.
+    loses_axes
+        G words that take the axis words of their block and do nothing with them.
+    needs_p
+        M words that need a P.
+    of_sender
+        M words that the control refuses with their whole line: what sends the program takes them
+        out, and stops there. No other words than N S T stand beside them.
+    split_comments
+        Whether a semicolon inside parentheses ends the line.
+    feed_first
+        Whether G1 G2 G3 need a feed even in a block without axis words.
+    forgets_feed
+        Whether G93 and G94 take F back where they are in force already.
+    numbers_first
+        Whether N stands in front of its line alone.
+    cancelled
+        Whether no word takes axis words while G80 is in force.
+    reset_last
+        Whether the axis words beside G92.1 still count from the zero that it takes back.
+    turns
+        Whether P of an arc is the number of its turns.
+    arc_ends
+        Whether an arc needs an axis word of its plane.
+    round_arcs
+        Whether an arc keeps the radius of its start up to its last chord, which leads to its end.
+    single
+        Whether positions have single precision.
+    exact_circles
+        Whether an arc is a full circle only where it ends at its start, and none at all where it
+        ends elsewhere in that direction.
+    """
+
+    longest: int = 0
+    packed: bool = False
+    letters: str = ""
+    most: Mapping[str, int] = field(default_factory=dict)
+    unsigned: str = ""
+    alone: frozenset[int] = frozenset()
+    m_kinds: Mapping[int, str] = field(default_factory=dict)
+    takes_axes: frozenset[int] = frozenset()
+    loses_axes: frozenset[int] = frozenset()
+    needs_p: frozenset[int] = frozenset()
+    of_sender: frozenset[int] = frozenset()
+    split_comments: bool = False
+    feed_first: bool = False
+    forgets_feed: bool = False
+    numbers_first: bool = False
+    cancelled: bool = False
+    reset_last: bool = False
+    turns: bool = False
+    arc_ends: bool = False
+    round_arcs: bool = False
+    single: bool = False
+    exact_circles: bool = False
+
+
+_NON_MODAL = frozenset({40, 100, 280, 281, 300, 301, 530, 920, 921, 922, 923})
+_MOTIONS = frozenset({0, 10, 20, 30})
+_COOLANT = dict.fromkeys((7, 8, 9), "coolant")
+_OUTPUTS = dict.fromkeys((62, 63, 64, 65), "outputs")
+PLAIN = Grammar()
+GRBL = Grammar(
+    longest=79, packed=True, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
+    alone=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
+    loses_axes=frozenset({490}), feed_first=True, cancelled=True, reset_last=True, arc_ends=True,
+    round_arcs=True, single=True, of_sender=frozenset({6}),
+)  # fmt: skip
+FLUIDNC = Grammar(
+    longest=127, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
+    alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS}, takes_axes=_MOTIONS | {280, 920, 490},
+    loses_axes=frozenset({490}), needs_p=frozenset(_OUTPUTS), split_comments=True,
+    feed_first=True, cancelled=True, reset_last=True, turns=True, arc_ends=True, round_arcs=True,
+    single=True,
+)  # fmt: skip
+LINUXCNC = Grammar(
+    longest=252, unsigned="FST", alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS},
+    takes_axes=_MOTIONS | {50, 280, 920}, needs_p=frozenset(_OUTPUTS), feed_first=True,
+    forgets_feed=True, numbers_first=True, turns=True,
+)  # fmt: skip
+MARLIN = Grammar(longest=95, letters="LO", round_arcs=True, single=True, exact_circles=True)
+
+
+def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
+    """Refuse a line that a control would cut off or read otherwise.
+
+    Raises
+    ------
+    JobError
+        If it is too long, or has a semicolon in a comment that ends the line.
+    """
+    if grammar.split_comments and _SPLIT_COMMENT.search(text):
+        raise JobError(
+            f"a semicolon in parentheses ends the line for {name}, and what stands behind it is "
+            "not run",
+            place=place,
+            remedy="Take the semicolon out of the comment.",
+        )
+    check_length(text, grammar, name, place)
+
+
+def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
+    """Refuse a line that is longer than the control takes.
+
+    Raises
+    ------
+    JobError
+        With its length.
+    """
+    if grammar.longest and len(text) > grammar.longest:
+        size = len(text)
+        if grammar.packed:
+            size = len(_COMMENTS.sub("", text).partition(";")[0])
+        if size > grammar.longest:
+            blanks = " (without blanks and comments)" if grammar.packed else ""
+            raise JobError(
+                f"the line has {size} characters{blanks}; {name} takes {grammar.longest}",
+                place=place,
+                remedy="Write its words in two blocks, or fewer decimals.",
+            )
+
+
+def one_command(text: str, place: Place) -> str:
+    """Return a line of a firmware with one command a line, as words with numbers.
+
+    The text of M117 and the like is removed, and so are the number of the line and its checksum,
+    which is compared. Letters without number, which name the axes of G28, get the number 0.
+
+    >>> here = Place("a.gcode", 1)
+    >>> one_command("N3 G28 X Y*17", here), one_command("M117 hello X1", here)
+    (' G28 X0 Y0', 'M117')
+
+    Raises
+    ------
+    JobError
+        If a checksum is wrong or lacking, or the firmware would run something else than is written.
+    """
+    code, mark, comment = text.partition(";")
+    code = _without_checksum(code, place)
+    said = _TEXT.match(code)
+    if said is not None:
+        return said[0]
+    if "(" in code or ")" in code:
+        raise JobError(
+            "marlin reads the letters in parentheses as words, unless it is built with "
+            "PAREN_COMMENTS",
+            place=place,
+            remedy="Write a comment behind a semicolon.",
+        )
+    if not code.isascii() or code != code.upper():
+        raise JobError(
+            "marlin knows capital letters alone, unless it is built with GCODE_CASE_INSENSITIVE",
+            place=place,
+            remedy="Write the line in capital letters, and a comment behind a semicolon.",
+        )
+    if "\t" in code:
+        raise JobError(
+            "the line has a tab, where marlin looks for a blank alone",
+            place=place,
+            remedy="Write a blank.",
+        )
+    if len(code) > MARLIN.longest:
+        raise JobError(
+            f"the line has {len(code)} characters; marlin cuts it off behind {MARLIN.longest}",
+            place=place,
+            remedy="Write fewer blanks or decimals.",
+        )
+    if code.strip(" \t%") and _COMMAND.match(code) is None:
+        raise JobError(
+            "the line does not begin with a command (G, M or T and a number), which marlin passes "
+            "over",
+            place=place,
+            remedy="Write the command in front, like G1 X5 F600.",
+        )
+    if _HOMING.match(code):
+        code = _ALONE.sub(r"\g<1>0", code)
+    return f"{code}{mark}{comment}"
+
+
+def number_of_line(text: str) -> int | None:
+    """Return the number with which a line of a firmware begins, None without one."""
+    found = _NUMBER_OF_LINE.match(text)
+    return None if found is None else int(found[1])
+
+
+def _without_checksum(code: str, place: Place) -> str:
+    """Return a line without its checksum, and without its number where it has one."""
+    number, checksum = _NUMBER_OF_LINE.match(code), _CHECKSUM.search(code)
+    if number is None and checksum is None:
+        return code
+    if number is not None and checksum is None:
+        raise JobError(
+            f"the line has the number N{number[1]} and no checksum: marlin asks for it again",
+            place=place,
+            remedy="Take the number out: the program that sends the file writes its own.",
+        )
+    assert checksum is not None
+    body = code[: checksum.start()]
+    right = 0
+    for byte in body.lstrip(" ").encode():
+        right ^= byte
+    if number is not None and int(checksum[1]) != right:
+        raise JobError(
+            f"the checksum of the line is {checksum[1]} and must be {right}: marlin does not run "
+            "the line",
+            place=place,
+            remedy="Have the program written again: the line was changed, or take the N word and "
+            "the checksum out.",
+        )
+    return body if number is None else body[number.end() - 1 :]
+
+
+def check_first_alone(words: Sequence[tuple[str, str]], name: str, place: Place) -> None:
+    """Refuse what a firmware does not run that takes one command from each line.
+
+    Raises
+    ------
+    JobError
+        If there is one.
+    """
+    commands = [f"{letter}{number}" for letter, number in words if letter in "GMT"]
+    if not commands:
+        return
+    if len(commands) > 1:
+        raise JobError(
+            f"{name} runs the first command of a line alone ({commands[0]}), and not {commands[1]}",
+            place=place,
+            remedy="Write each command on a line of its own.",
+        )
+    if commands[0][0] == "G" and _MOVES.fullmatch(commands[0]) is None:
+        for letter, number in words:
+            if letter == "F":
+                raise JobError(
+                    f"{name} does not read F{number} beside {commands[0]}",
+                    place=place,
+                    remedy="Write it beside G0 or G1.",
+                )
+
+
+def check_words(
+    words: Sequence[tuple[str, str]],
+    axes: Mapping[str, int],
+    grammar: Grammar,
+    name: str,
+    at: Place,
+) -> None:
+    """Refuse the words of a block that a control does not take together.
+
+    Raises
+    ------
+    JobError
+        With the words, if there are such.
+    """
+    alone: list[str] = []
+    takers: list[str] = []
+    kinds: dict[str, str] = {}
+    has_axes = any(letter in axes for letter, _ in words)
+    for place, (letter, number) in enumerate(words):
+        value = exact(number)
+        if value is None:
+            continue  # refused by who reads it
+        if letter == "N" and (place or "." in number) and grammar.numbers_first:
+            raise JobError(
+                f"{name} takes N{number} in front of the line alone, and without a point",
+                place=at,
+                remedy="Write it there.",
+            )
+        word = f"{letter}{number}"
+        if letter in grammar.letters:
+            raise JobError(
+                f"{name} has no word {letter}", place=at, remedy="Take it out of the program."
+            )
+        if letter in grammar.unsigned and value < 0:
+            raise JobError(
+                f"{word} must not be negative for {name}", place=at, remedy="Correct it."
+            )
+        if letter in grammar.most and value > grammar.most[letter] * ONE:
+            raise JobError(
+                f"{word} is beyond {grammar.most[letter]}, the most that {name} takes",
+                place=at,
+                remedy="Write a smaller number.",
+            )
+        if letter == "G":
+            code = 10 * value // ONE
+            if code in grammar.alone:
+                alone.append(word)
+            if code in grammar.takes_axes:
+                takers.append(word)
+            if code in grammar.loses_axes and has_axes:
+                raise JobError(
+                    f"{name} takes the axis words beside {word} away from the motion",
+                    place=at,
+                    remedy=f"Write {word} in a block of its own.",
+                )
+        elif letter == "M" and value // ONE in grammar.m_kinds:
+            kind = grammar.m_kinds[value // ONE]
+            _refuse_two([kinds[kind], word] if kind in kinds else [], name, at)
+            kinds[kind] = word
+        if letter == "M" and value // ONE in grammar.of_sender:
+            beside = [f"{a}{b}" for a, b in words if a not in "NST" and f"{a}{b}" != word]
+            if beside:
+                raise JobError(
+                    f"{name} refuses {word} with its whole line, {beside[0]} too",
+                    place=at,
+                    remedy=f"Write {word} in a line of its own, where what sends the program "
+                    "takes it out and stops.",
+                )
+        if (
+            letter == "M"
+            and value // ONE in grammar.needs_p
+            and all(other != "P" for other, _ in words)
+        ):
+            raise JobError(
+                f"{word} needs the number of its output as P", place=at, remedy="Write it."
+            )
+    _refuse_two(alone, name, at)
+    _refuse_two(takers, name, at)
+
+
+def _refuse_two(words: Sequence[str], name: str, at: Place) -> None:
+    if len(words) > 1:
+        raise JobError(
+            f"{name} takes one of {words[0]} and {words[1]} in a block",
+            place=at,
+            remedy="Write two blocks.",
+        )

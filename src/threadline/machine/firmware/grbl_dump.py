@@ -1,0 +1,184 @@
+"""What grbl answers to ``$$`` and ``$I``, and the YAML of FluidNC, which plans as grbl does.
+
+Sources: grbl 1.1 wiki, "Configuring Grbl" ($11, $100 to $135) and "Grbl v1.1 Interface"
+(``[OPT:]``, whose C is CoreXY; ``[AXS:]`` of grbl-Mega-5X and grblHAL names the axes); grbl 0.8,
+README ($0 in steps per mm); FluidNC wiki, "Axes" and "Kinematics"; FluidNC,
+``Configuration/Parser.cpp``: keys are compared without regard to case.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from threadline.errors import MachineError, Place
+from threadline.machine.firmware.axis_settings import AxisSettings, Settings, number_or_nan, unknown
+from threadline.machine.firmware.dump_lines import DumpLine, Saying, dump_lines, in_force
+
+_LETTERS = "XYZABCUVW"
+_GRBL_AXES = "XYZABC"
+_DEVIATION = 11
+_GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
+_SETTING = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(;,>]*)")
+_ALONE = re.compile(r"\$\d{1,3}$")  # what grblHAL is asked for one setting
+_COMMENT = re.compile(r"\s*(?:[A-Za-z(;,>|/#<\[-].*)?$")
+_AMID = re.compile(r"(?<![\w$])\$1[0-3]\d\s*=")
+_OPTIONS = re.compile(r"\[OPT:([A-Z+0-9]*)")
+_AXES = re.compile(r"\[AXS:\d:([A-Z]{1,9})\]")
+_OLD = re.compile(r"\$[0-2]\s*=\s*[\d.]+\s*\(\s*[xyz]\W.*step")
+_NONE_IS_ZERO = "0 stands for none"
+_FLUIDNC = {
+    "steps_per_mm": "steps", "max_rate_mm_per_min": "rate",
+    "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
+}  # fmt: skip
+_OF_TERMINAL = re.compile(r"(?:\[|<|>|\$|ok\b|\.\.\.$|---)")
+
+
+def is_grbl(lines: Sequence[str]) -> bool:
+    """Return whether lines hold settings as grbl lists them."""
+    return any(re.search(r"(?<![\w$])\$1[0-3]\d\s*=", line) or _OLD.search(line) for line in lines)
+
+
+def read_grbl(lines: Sequence[str], file: str) -> Settings:
+    """Return the settings of axes and planner in what grbl answers to ``$$``.
+
+    Raises
+    ------
+    MachineError
+        If a setting cannot be read, has two values, or is numbered as grbl 0.8 did.
+    """
+    settings = Settings("grbl", file)
+    letters = _GRBL_AXES
+    sayings: list[Saying] = []
+    for line in dump_lines(lines, file):
+        text = line.text
+        if "FluidNC" in text and not text.startswith(";"):
+            settings.firmware = "fluidnc"
+        axes = _AXES.search(text)
+        letters = letters if axes is None else axes[1]
+        options = _OPTIONS.search(text)
+        if options is not None and "C" in options[1]:
+            settings.refuse_kinematics(f"{options[0]}...]: C is CoreXY", line.place)
+        if _OLD.match(text):
+            raise MachineError(
+                f"{text[:50]!r}: grbl 0.8 and older number their settings so",
+                place=line.place,
+                remedy="Give what grbl 0.9 or later answers to $$: $100 and on.",
+            )
+        sayings += _settings_of(line)
+    kept, note = in_force(sayings, lambda a, b: number_or_nan(a) == number_or_nan(b))
+    settings.notes += [note] if note else []
+    given = {one.key for one in kept if one.order // 10 == 10 and not _zero(one.text)}
+    absent: dict[str, None] = {}
+    for one in kept:
+        name = f"${one.key}"
+        if one.order == _DEVIATION:
+            settings.say_of_planner("junction_deviation", one.text, one.place, name)
+            continue
+        letter = letters[one.order % 10]
+        if _zero(one.text) and one.order < 110:
+            absent.setdefault(letter)
+            settings.notes.append(f"{one.place}: {name}={one.text}: no axis {letter}")
+        if letter in absent or letter not in _LETTERS:
+            continue
+        what = _GRBL[one.order - one.order % 10]
+        if _zero(one.text):  # of an axis that is there
+            settings.axes.setdefault(letter, AxisSettings())
+            settings.notes.append(f"{one.place}: {name}={one.text}: {_NONE_IS_ZERO} ({what})")
+            continue
+        settings.say(letter, what, one.text, one.place, name)
+    if not given and absent:
+        settings.axes.clear()
+    return settings
+
+
+def _zero(text: str) -> bool:
+    return number_or_nan(text) == 0.0
+
+
+def _settings_of(line: DumpLine) -> list[Saying]:
+    """Return the settings of axes and planner in a line; several may stand in one."""
+    text = line.text
+    if text[:1] in ";(%":
+        return []
+    if re.match(r"\$\d", text) is None:
+        if _AMID.search(text.split(";", 1)[0]):
+            raise unknown(text, line.place, "$110=5000.000, with nothing before the $")
+        return []
+    if _ALONE.match(text):
+        return []
+    found, at = [], 0
+    while (match := _SETTING.match(text, at)) is not None:
+        code = int(match[1])
+        if code == _DEVIATION or (code - code % 10 in _GRBL and code % 10 < len(_GRBL_AXES)):
+            found.append(Saying(code, match[1], match[2], line.place))
+        at = match.end()
+        at += len(text[at:]) - len(text[at:].lstrip(" \t,;"))
+    if not at or _COMMENT.match(text, at) is None:
+        raise unknown(text, line.place, "$110=5000.000")
+    return found
+
+
+def is_fluidnc(lines: Sequence[str]) -> bool:
+    """Return whether lines are a YAML with axes, as FluidNC has it."""
+    return any(re.match(r"axes\s*:", line, re.IGNORECASE) for line in lines)
+
+
+def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
+    """Return the settings of axes and planner in a YAML of FluidNC; its keys have no case.
+
+    Raises
+    ------
+    MachineError
+        If a line cannot be read, an axis stands elsewhere, or a motor moves more than its axis.
+    """
+    settings = Settings("fluidnc", file)
+    path: list[tuple[int, str]] = []
+    for number, line in enumerate(lines, start=1):
+        place = Place(file, number)
+        code = line.split("#", 1)[0].rstrip()
+        if not code.strip() or _OF_TERMINAL.match(code):
+            continue
+        indent = len(code) - len(code.lstrip())
+        if "\t" in code[:indent]:
+            raise MachineError(
+                "a tab before a key: YAML takes blanks alone", place=place, remedy="Write blanks."
+            )
+        typed, colon, value = (part.strip() for part in code.strip().partition(":"))
+        key = typed.lower()
+        if not colon:
+            raise unknown(line, place, "steps_per_mm: 80.000")
+        while path and path[-1][0] >= indent:
+            path.pop()
+        above = [name for _, name in path]
+        _refuse_elsewhere(typed, key, value, above, place)
+        path.append((indent, key))
+        if len(above) == 2 and above[0] == "axes" and key in _FLUIDNC:
+            letter = above[1].upper()
+            if letter in _LETTERS:
+                name = f"axes.{above[1]}.{key}"
+                settings.say(letter, _FLUIDNC[key], value, place, name)
+        elif above == ["kinematics"] and key != "cartesian":
+            settings.refuse_kinematics(f"kinematics: {typed[:40]}", place)
+        elif not above and key == "kinematics" and value.lower() not in ("", "cartesian"):
+            settings.refuse_kinematics(f"kinematics: {value[:40]}", place)
+        elif not above and key == "junction_deviation_mm":
+            settings.say_of_planner("junction_deviation", value, place, key)
+    return settings
+
+
+def _refuse_elsewhere(typed: str, key: str, value: str, above: list[str], place: Place) -> None:
+    """Refuse what stands in another file or form: an axis would be lost without a word."""
+    if key == "include" or value.startswith(("!", "&", "*")):
+        raise MachineError(
+            f"{typed[:40]}: {value[:40]} is not followed",
+            place=place,
+            remedy="Put the text that it stands for in its place.",
+        )
+    table = key == "axes" if not above else above == ["axes"] and key.upper() in _LETTERS
+    if value and table:
+        raise MachineError(
+            f"{typed[:40]}: {value[:40]!r}: an axis has its settings on lines of their own",
+            place=place,
+            remedy="Write them as FluidNC's documents do: steps_per_mm: 80.000 and so on.",
+        )

@@ -1,0 +1,263 @@
+"""Settings in LinuxCNC's INI: limits of axes and joints, and the path mode that it starts in.
+
+Source: linuxcnc.org/docs, "INI Configuration": [KINS], [TRAJ], [AXIS_<letter>], [JOINT_<number>],
+[RS274NGC] RS274NGC_STARTUP_CODE, [HAL] HALFILE; of version 2.7 and before, where [AXIS_<number>] is
+what [JOINT_<number>] has been since; "G Codes", G61 and G64.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from threadline.errors import MachineError, Place
+from threadline.input_files import read_text
+from threadline.machine.firmware.axis_settings import (
+    AxisSettings,
+    Settings,
+    number_or_nan,
+    times,
+    unknown,
+)
+from threadline.machine.firmware.dump_lines import files_beside
+
+_LETTERS = "XYZABCUVW"
+_TURNING = "ABC"
+_OWN = re.compile(
+    r"\s*\[(?:EMC|EMCMOT|KINS|TRAJ|JOINT_\d+|AXIS_\w+)\]\s*(?:[;#].*)?$", re.IGNORECASE
+)
+_SECTION = re.compile(r"\[([A-Za-z0-9_]+)\]$")
+_INCHES = ("in", "inch", "imperial")
+_MILLIMETRES = ("mm", "metric")
+_ANGLES = {"degree": 1.0, "deg": 1.0, "radian": 57.29577951308232, "rad": 57.29577951308232,
+           "gradian": 0.9, "grad": 0.9}  # fmt: skip
+_LIMITS = {
+    "MAX_VELOCITY": ("rate", 60.0), "MAX_ACCELERATION": ("acceleration", 1.0),
+}  # fmt: skip
+_SCALES = ("STEP_SCALE", "SCALE", "OUTPUT_SCALE", "INPUT_SCALE")
+_MOST_BYTES = 1_000_000
+_ENDLESS = 1e9  # a limit as good as none, and what INI files have for it
+
+Keys = dict[str, tuple[str, Place]]
+
+
+def is_linuxcnc(lines: Sequence[str]) -> bool:
+    """Return whether lines hold sections that an INI of LinuxCNC has."""
+    return sum(_OWN.match(line) is not None for line in lines) > 1
+
+
+def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
+    """Return the settings of axes and path mode in the lines of an INI.
+
+    Raises
+    ------
+    MachineError
+        If a line cannot be read, or a joint moves more than its own axis.
+    """
+    settings = Settings("linuxcnc", file)
+    sections = _sections(lines, file)
+    whole = Place(file)
+    traj, kins = sections.get("TRAJ", {}), sections.get("KINS", {})
+    _check_kinematics(settings, kins)
+    length, angle = _units(traj)
+    letters = _letters(kins, traj, whole)
+    joints = "JOINT" if any(name.startswith("JOINT_") for name in sections) else "AXIS"
+    for index, letter in enumerate(letters):
+        if letter in letters[:index]:
+            continue  # a second motor of the axis
+        joint = sections.get(f"{joints}_{index}", {})
+        axis = sections.get(f"AXIS_{letter}", {}) if joints == "JOINT" else {}
+        turns = _turns(letter, joint, axis)
+        settings.turning[letter] = turns
+        settings.axes[letter] = AxisSettings()
+        factor = angle if turns else length
+        _say_axis(settings, letter, axis, joint, factor)
+    _most_of_path(settings, traj, length)
+    _path_mode(settings, sections.get("RS274NGC", {}), length)
+    for key, (text, place) in sections.get("HAL", {}).items():
+        if key.startswith("HALFILE"):
+            settings.notes.append(f"{place}: the HAL file {text} is not read")
+    return settings
+
+
+def _sections(lines: Sequence[str], file: str) -> dict[str, Keys]:
+    """Return the sections by name, in capitals; a key that comes again has a mark behind it."""
+    sections: dict[str, Keys] = {}
+    section: Keys | None = None
+    for place, code in _joined(lines, (Path(file).resolve(),)):
+        header = _SECTION.match(re.sub(r"\s*[;#].*", "", code))
+        if header is not None:
+            section = sections.setdefault(header[1].upper(), {})
+            continue
+        key, equals, value = (part.strip() for part in code.partition("="))
+        if not equals:
+            raise unknown(code, place, "MAX_VELOCITY = 100.0")
+        if section is None:
+            raise unknown(code, place, "[TRAJ], with its keys behind it")
+        key = key.upper()
+        while key in section:
+            key += "'"
+        section[key] = re.sub(r"\s+[;#].*", "", value), place
+    return sections
+
+
+def _joined(lines: Sequence[str], within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
+    """Yield the lines with their places: continued ones in one, and those of included files."""
+    begun, begins = "", Place(str(within[-1]))
+    for number, line in enumerate(lines, start=1):
+        place = Place(str(within[-1]), number)
+        code = line.strip()
+        if code.upper().startswith("#INCLUDE"):
+            yield from _included(code[len("#INCLUDE") :].strip(), place, within)
+            continue
+        if not begun and (not code or code[0] in ";#"):
+            continue
+        begins = begins if begun else place
+        begun += code
+        if begun.endswith("\\"):
+            begun = begun.removesuffix("\\").rstrip() + " "
+            continue
+        yield begins, begun
+        begun = ""
+    if begun:
+        yield begins, begun
+
+
+def _included(name: str, place: Place, within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
+    """Yield the lines of a file that lies beside, or below."""
+    found = files_beside(name, within[-1].parent)
+    if len(found) != 1 or found[0] in within:
+        raise MachineError(
+            f"#INCLUDE {name[:60]}: no such file lies beside this one, or it includes itself",
+            place=place,
+            remedy="Put it there, or its text in the place of this line.",
+        )
+    text = read_text(found[0], _MOST_BYTES, MachineError, "INI")
+    yield from _joined(text.splitlines(), (*within, found[0]))
+
+
+def _check_kinematics(settings: Settings, kins: Keys) -> None:
+    text, place = kins.get("KINEMATICS", ("trivkins", Place(settings.file)))
+    if text.split()[:1] not in ([], ["trivkins"]):
+        settings.refuse_kinematics(f"KINEMATICS = {text[:40]}", place)
+
+
+def _letters(kins: Keys, traj: Keys, whole: Place) -> str:
+    """Return the letter of each joint, in the order of the joints."""
+    found = re.search(r"coordinates\s*=\s*([A-Za-z]+)", kins.get("KINEMATICS", ("", whole))[0])
+    text = found[1] if found is not None else traj.get("COORDINATES", ("XYZ", whole))[0]
+    place = traj.get("COORDINATES", kins.get("KINEMATICS", ("", whole)))[1]
+    letters = "".join(text.split()).upper()
+    wrong = [letter for letter in letters if letter not in _LETTERS]
+    if wrong or not letters:
+        raise MachineError(
+            f"COORDINATES is {text[:40]!r}; it must be letters of {', '.join(_LETTERS)}",
+            place=place,
+            remedy="Write it like COORDINATES = XYZA.",
+        )
+    return letters
+
+
+def _units(traj: Keys) -> tuple[float, float]:
+    """Return mm in a unit of length, and degrees in one of angle."""
+    text, place = traj.get("LINEAR_UNITS", ("mm", Place("")))
+    word = text.lower()
+    if word not in _INCHES + _MILLIMETRES and number_or_nan(text) != 1.0:
+        raise MachineError(
+            f"LINEAR_UNITS is {text[:40]!r}; it must be mm or inch",
+            place=place,
+            remedy="Write it like LINEAR_UNITS = mm.",
+        )
+    turns, at = traj.get("ANGULAR_UNITS", ("degree", Place("")))
+    if turns.lower() not in _ANGLES and number_or_nan(turns) != 1.0:
+        raise MachineError(
+            f"ANGULAR_UNITS is {turns[:40]!r}; it must be degree, radian or gradian",
+            place=at,
+            remedy="Write it like ANGULAR_UNITS = degree.",
+        )
+    return (25.4 if word in _INCHES else 1.0), _ANGLES.get(turns.lower(), 1.0)
+
+
+def _turns(letter: str, *sections: Keys) -> bool:
+    for keys in sections:
+        if "TYPE" in keys:
+            return keys["TYPE"][0].upper() == "ANGULAR"
+    return letter in _TURNING
+
+
+def _say_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: float) -> None:
+    """Say the limits of an axis: the lesser of those of its axis and its joint."""
+    for key, (what, a_minute) in _LIMITS.items():
+        given = [(keys[key], keys is joint) for keys in (axis, joint) if key in keys]
+        if not given:
+            continue
+        (text, place), of_joint = min(given, key=lambda one: _sized(one[0][0]))
+        name = f"[{'JOINT' if of_joint and axis else 'AXIS'}] {letter} {key}"
+        settings.say(letter, what, times(text, a_minute * factor), place, name, text)
+    for key in _SCALES:
+        if key in joint:
+            text, place = joint[key]
+            size = repr(abs(number_or_nan(text)) / factor)
+            settings.say(letter, "steps", size, place, f"{letter} {key}", text.removeprefix("-"))
+            break
+    low, high = (_end(key, axis, joint) for key in ("MIN_LIMIT", "MAX_LIMIT"))
+    if low is not None and high is not None and not settings.turning[letter]:
+        way = number_or_nan(high[0]) - number_or_nan(low[0])
+        if not way >= _ENDLESS:
+            name = f"{letter} MIN_LIMIT {low[0]} MAX_LIMIT"
+            settings.say(letter, "travel", repr(way * factor), high[1], name)
+    backlash = joint.get("BACKLASH")
+    if backlash is not None and number_or_nan(backlash[0]) != 0.0:
+        settings.leave_out(
+            f"BACKLASH = {backlash[0][:20]}", "adds a motion of the motor at reversals", backlash[1]
+        )
+
+
+def _sized(text: str) -> float:
+    number = number_or_nan(text)
+    return -1.0 if math.isnan(number) else number  # what is no number is refused where it is said
+
+
+def _end(key: str, *sections: Keys) -> tuple[str, Place] | None:
+    return next((keys[key] for keys in sections if key in keys), None)
+
+
+def _most_of_path(settings: Settings, traj: Mapping[str, tuple[str, Place]], length: float) -> None:
+    """Note a limit of the speed along the path, where it is below an axis' own."""
+    said = traj.get("MAX_LINEAR_VELOCITY", traj.get("MAX_VELOCITY"))
+    if said is None:
+        return
+    most = number_or_nan(said[0]) * length * 60.0
+    slower = [
+        axis
+        for axis, own in settings.axes.items()
+        if not settings.turning[axis] and own.rate is not None and most < own.rate.value
+    ]
+    for axis in slower:
+        settings.axes[axis].rate = None
+        settings.say(axis, "rate", repr(most), said[1], "[TRAJ] MAX_LINEAR_VELOCITY", said[0])
+    if slower:
+        settings.notes.append(
+            f"{said[1]}: the greatest speed of the path is below the limit of "
+            f"{', '.join(slower)}: it is taken for the limit of each"
+        )
+
+
+def _path_mode(settings: Settings, interpreter: Keys, length: float) -> None:
+    """Say the path mode of RS274NGC_STARTUP_CODE; LinuxCNC starts in G64 without P."""
+    text, place = interpreter.get("RS274NGC_STARTUP_CODE", ("", Place(settings.file)))
+    code = text.upper()
+    factor = 25.4 if re.search(r"\bG20\b", code) else 1.0 if "G21" in code else length
+    if re.search(r"\bG61(?:\.1)?\b", code):
+        settings.say_of_planner("exact_stop", "1", place, "G61")
+        return
+    blend = re.search(r"\bG64\s*(?:P\s*([\d.]+))?\s*(?:Q\s*([\d.]+))?", code)
+    if blend is None:
+        settings.notes.append("G64 without P: the INI starts in no other path mode")
+        return
+    for key, number, letter in (("tolerance", blend[1], "P"), ("cam_tolerance", blend[2], "Q")):
+        if number is not None:
+            name = f"G64 {letter}"
+            settings.say_of_planner(key, times(number, factor), place, name, typed=number)

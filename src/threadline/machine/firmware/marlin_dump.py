@@ -1,0 +1,273 @@
+"""What Marlin answers to ``M503``, in each of the forms that it has had.
+
+``M204`` and ``M205`` have changed their letters, and a letter its meaning:
+
+===================== ============== ===================================== =======================
+form                  acceleration   least speeds and time of a move       jerk
+===================== ============== ===================================== =======================
+Marlin 1.0            ``M204 S T``   ``M205 S T B``                        ``X`` of X and Y, ``Z``
+MarlinKimbra, MK4duo  ``M204 P V``   ``M205 S V B``                        ``X Y Z``, or as 1.0
+Marlin 1.1 and later  ``M204 P R T`` ``M205 S T B`` (``Q`` in 1.1.9)       ``X Y Z``, or ``J``
+===================== ============== ===================================== =======================
+
+Sources: Marlin 1.0.2, ``ConfigurationStore.cpp`` (S acceleration, T acceleration of retracting, X
+"maximum XY jerk"); 1.1.9 and 2.1, ``configuration_store.cpp`` and ``settings.cpp`` (P printing, R
+retracting, T travel); MarlinKimbra, ``configuration_store.cpp`` (V travel, ``M204 T0 R`` of a
+tool); ``planner.cpp`` of these (what each holds for a move without extrusion);
+marlinfw.org/docs/gcode, M92, M201, M203 to M206, M420, M425, M493, M593, M665, M852.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from threadline.errors import MachineError, Place
+from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times, unknown
+from threadline.machine.firmware.dump_lines import Saying, dump_lines, in_force
+
+FIRST = "Marlin 1.0"
+KIMBRA = "MarlinKimbra or MK4duo"
+LATER = "Marlin 1.1 or later"
+_LETTERS = "XYZABCUVW"
+_ORDER = (92, 203, 201, 204, 205, 350)
+_LIMITS = _ORDER[:5]
+_OF_AXES = {92: "steps", 203: "rate", 201: "acceleration", 350: "microsteps"}
+_SEGMENT_US = 20_000.0
+_ENDS = {210: "low", 211: "high"}
+_CODE = re.compile(r"(?:N\d+\s+)?([GM])(\d{1,4})(?:\.\d+)?(?![\d.])(.*)$")
+_COUNTS = re.compile(r"(?<![\w.])M(?:92|20[1345])\s+[A-Z]\s*-?\d")
+_WORD = re.compile(r"\s*([A-LN-Z])\s*(-?(?:\d+\.?\d*|\.\d+))(?![\d.])")
+_COMMENT = re.compile(r"\s*(?:$|[;#(<*/>-].*|=.*)")
+_HEEDED = (206, 420, 425, 493, 593, 665, 666, 852)
+_ASSUMED = "default of marlin"
+_DEFAULT_JERK = {FIRST: {"X": "20", "Y": "20", "Z": "0.4"}}
+_LATER_JERK = {"X": "10", "Y": "10", "Z": "0.3"}
+
+
+@dataclass(slots=True)
+class _Evidence:
+    """What the comments and letters of a dump say of its form."""
+
+    kimbra: bool = False
+    first: bool = False
+    later: bool = False
+    of_both: bool = False  # the jerk of X, by a comment, is that of Y too
+    stealth: bool = False  # lines of a second mode of motors follow, as Prusa's firmware has them
+
+    def note(self, text: str) -> None:
+        """Take in a line that is no command, in lower case."""
+        if "acceleration" in text and "retract" in text:
+            self.kimbra |= "v=travel" in text or " v<" in text
+            self.first |= "s=acceleration" in text
+            self.later |= "t=travel" in text or "t<travel" in text
+        version = re.match(r"marlin\s*v?(\d+)\.(\d+)", text)
+        if version is not None:
+            self.later |= (int(version[1]), int(version[2])) >= (1, 1)
+        self.of_both |= "maximum xy jerk" in text
+        if text.startswith(("maximum ", "; maximum ")):
+            self.stealth = "stealth" in text
+
+
+def is_marlin(lines: Sequence[str]) -> bool:
+    """Return whether lines hold limits or steps as Marlin lists them."""
+    return any(
+        (match := _CODE.match(line.text)) is not None and int(match[2]) in _LIMITS
+        for line in dump_lines(lines, "")
+        if line.text[:1] in "MN"
+    )
+
+
+def read_marlin(lines: Sequence[str], file: str) -> Settings:
+    """Return the settings of axes and planner in what Marlin answers to ``M503``.
+
+    Raises
+    ------
+    MachineError
+        If a line that counts cannot be read, has two values, or is of a machine without a motor
+        for each axis.
+    """
+    settings = Settings("marlin", file)
+    evidence = _Evidence()
+    sayings: list[Saying] = []
+    besides: dict[tuple[int, str], Place] = {}
+    for line in dump_lines(lines, file):
+        match = _CODE.match(line.text)
+        if match is None:
+            _prose(line.text, line.place, evidence)
+            continue
+        code = int(match[2])
+        if match[1] == "G" and code == 20:
+            settings.refuse_inches(line.place)
+        if match[1] == "G" or code not in (*_ORDER, *_HEEDED, *_ENDS):
+            continue
+        words, rest = _words(match[3])
+        if code in _LIMITS and not (words and _COMMENT.match(rest)):
+            raise unknown(line.text, line.place, "echo:  M92 X80.00 Y80.00")
+        if code in _HEEDED:
+            besides[code, match[3].split(";", 1)[0].strip()] = line.place
+        elif evidence.stealth and code in (203, 201):
+            settings.notes.append(f"{line.place}: M{code} of the stealth mode is not read")
+        else:
+            sayings += _sayings(code, words, line.place, evidence)
+    kept, note = in_force(sayings, lambda a, b: number_or_nan(a) == number_or_nan(b))
+    settings.notes += [note] if note else []
+    for (code, text), place in besides.items():
+        if not note or place.line > kept[0].place.line:  # of the dump in force
+            _heed(settings, code, text, place)
+    _interpret(settings, evidence, kept)
+    settings.notes.append(
+        "a motor for each axis is assumed: M503 does not say whether the machine is a CoreXY"
+    )
+    return settings
+
+
+def _prose(text: str, place: Place, evidence: _Evidence) -> None:
+    """Take in a line that is no command; one with a command in its middle is refused."""
+    bare = re.split(r"[;#]", text, maxsplit=1)[0]
+    if _COUNTS.search(bare) is not None and not text.lower().startswith("unknown command"):
+        raise unknown(text, place, "echo:  M92 X80.00 Y80.00, with nothing before the M")
+    evidence.note(text.lower())
+
+
+def _words(text: str) -> tuple[dict[str, str], str]:
+    """Return the words of a command, letters doubled with marks, and what is left of the line."""
+    found: dict[str, str] = {}
+    at = 0
+    while (match := _WORD.match(text, at)) is not None:
+        letter = match[1]
+        while letter in found:  # told apart, so that two values of a letter are not one
+            letter += "'"
+        found[letter] = match[2]
+        at = match.end()
+    return found, text[at:]
+
+
+def _sayings(code: int, words: dict[str, str], place: Place, evidence: _Evidence) -> list[Saying]:
+    """Return the settings of a command, but those of extruders and tools."""
+    order = _ORDER.index(code) if code in _ORDER else len(_ORDER)
+    letters = {letter.rstrip("'") for letter in words}
+    if "E" in letters and letters <= {"T", "E"}:
+        return []
+    if code == 204:
+        evidence.kimbra |= "V" in letters
+        evidence.later |= "P" in letters and "V" not in letters
+        if evidence.kimbra and "R" in letters and letters <= {"T", "R"}:
+            return []  # of a tool
+    if code == 205 and letters <= {"T", "E"}:
+        return []
+    return [
+        Saying(order, f"M{code} {letter.rstrip(chr(39))}", text, place)
+        for letter, text in words.items()
+        if letter != "E"
+    ]
+
+
+def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) -> None:
+    """Say what the kept settings are, by the form that the dump has."""
+    keys = {one.key for one in kept}
+    doubtful = "M204 S" in keys and "M204 T" in keys and not (evidence.first or evidence.later)
+    if evidence.kimbra:
+        form = KIMBRA
+    elif evidence.first or doubtful or ("M204 S" in keys and not evidence.later):
+        form = FIRST
+    else:
+        form = LATER
+    settings.form = form
+    if doubtful:
+        settings.notes.append(
+            "M204 S T is taken for Marlin 1.0's: S acceleration, T that of retracting"
+        )
+    tells = {FIRST: "S", KIMBRA: "V", LATER: "T"}
+    travel = {tells[form]} | ({"S"} if form == LATER and "M204 T" not in keys else set())
+    slowest = {FIRST: "T", KIMBRA: "V", LATER: "T"}[form]
+    segment = "Q" if "M205 Q" in keys else "B"
+    ends: dict[str, dict[str, tuple[str, Place]]] = {}
+    for one in kept:
+        code, letter = int(one.key[1:].split()[0]), one.key[-1]
+        if code in _OF_AXES and letter in _LETTERS:
+            written = times(one.text, 60.0) if code == 203 else one.text  # mm/s there
+            settings.say(letter, _OF_AXES[code], written, one.place, one.key, one.text)
+        elif code in _ENDS and letter in _LETTERS:
+            ends.setdefault(letter, {})[_ENDS[code]] = one.text, one.place
+        elif code == 201 and letter == "F" and number_or_nan(one.text) != 0.0:
+            settings.leave_out(one.key, "slows X and Y in short zigzags (frequency)", one.place)
+        elif code == 205 and letter == "S" and number_or_nan(one.text) != 0.0:
+            settings.notes.append(f"{one.place}: M205 S{one.text}: of moves with extrusion alone")
+        elif code == 204 and letter in travel:
+            settings.say_of_planner("acceleration", one.text, one.place, one.key, zero=False)
+        elif code == 205 and letter == "J":
+            settings.say_of_planner("junction_deviation", one.text, one.place, one.key)
+        elif code == 205 and letter == slowest:
+            if number_or_nan(one.text) != 0.0:
+                settings.say_of_planner("least_speed", one.text, one.place, one.key)
+        elif code == 205 and letter == segment:
+            if number_or_nan(one.text) != _SEGMENT_US:
+                settings.say_of_planner(
+                    "short_time", times(one.text, 1e-3), one.place, one.key, typed=one.text
+                )
+        elif code == 205 and letter in _LETTERS:
+            settings.say_of_planner(f"jump.{letter}", one.text, one.place, one.key)
+    for letter, found in ends.items():
+        if letter in settings.axes and len(found) == 2:
+            text, place = found["high"]
+            way = number_or_nan(text) - number_or_nan(found["low"][0])
+            settings.say(letter, "travel", repr(way), place, f"M211 {letter}", text)
+    if "acceleration" not in settings.planner and "M204 P" in keys:
+        settings.notes.append(
+            f"M204 {tells[form]} is not said: moves without extrusion have the axes' M201 alone"
+        )
+    _corners(settings, evidence, form, keys)
+
+
+def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str]) -> None:
+    """Give every axis its jerk, where corners are taken by jerk."""
+    said = settings.planner
+    if "junction_deviation" in said:
+        return
+    by_jerk = any(key.startswith("jump.") for key in said)
+    if not by_jerk and form == LATER:
+        return  # by junction deviation, with its default
+    whole = evidence.of_both or form == FIRST or "M205 Z" in keys
+    if "jump.X" in said and "jump.Y" not in said and "Y" in settings.axes and whole:
+        said["jump.Y"] = said["jump.X"]
+        settings.notes.append(
+            f"{said['jump.X'].place}: M205 X is the jerk of X and Y together; each has it by "
+            "itself here, so that a diagonal corner may be passed faster than on the machine"
+        )
+    for axis in settings.axes:
+        default = _DEFAULT_JERK.get(form, _LATER_JERK).get(axis)
+        if f"jump.{axis}" in said:
+            continue
+        if default is None:
+            raise MachineError(
+                f"the settings do not say the jerk of axis {axis}",
+                place=Place(settings.file),
+                remedy=f"Add it to M205, like M205 {axis}5.",
+            )
+        settings.say_of_planner(f"jump.{axis}", default, Place(settings.file), _ASSUMED)
+        settings.notes.append(f"the jerk of {axis} is not said: {default} mm/s, as {form} has it")
+
+
+def _heed(settings: Settings, code: int, text: str, place: Place) -> None:
+    """Refuse kinematics that move more than an axis; record what else changes the motion."""
+    words = dict(re.findall(r"([A-Z])(-?[\d.]*)", text))
+    on = {letter for letter, number in words.items() if number_or_nan(number) != 0.0}
+    told = f"M{code} " + " ".join(f"{letter}{number}" for letter, number in words.items())
+    if code == 665:  # deltas and SCARA arms alone have it
+        settings.refuse_kinematics("M665", place)
+    elif code == 852 and on & set("IJKS"):
+        settings.leave_out(told, "moves an axis by a share of another's way (skew)", place)
+    elif code == 425 and "F" in on and on - set("FS"):
+        settings.leave_out(told, "adds a motion of the motor at reversals (backlash)", place)
+    elif code == 420 and "S" in on:
+        settings.leave_out(told, "moves Z by the mesh of the bed", place)
+    elif code == 493 and "S" in on:
+        settings.leave_out(told, "shapes the motion (fixed-time motion)", place)
+    elif code == 593 and "F" in on:
+        settings.shapes("M593", place)
+    elif code in (206, 666) and on:
+        settings.notes.append(
+            f"{place}: {told} moves where zero is after homing, and no motion of a job"
+        )

@@ -1,0 +1,273 @@
+"""Each control's own grammar: what it refuses, drops or reads otherwise than the others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+from tests.jobs.in_dialects import millimetres, moves, numbered, read
+from tests.jobs.made_machines import made_machine
+from tests.jobs.random_blocks import random_blocks, random_commands
+
+from threadline.errors import InputError, JobError
+from threadline.jobs import Dwell, Stop
+from threadline.jobs.gcode.plain_reader import PlainReader
+from threadline.machine import Machine
+
+HEAD = "G21 G90 G94\nG1 X5 F600\n"
+
+
+@pytest.fixture(scope="module")
+def xyza(tmp_path_factory: pytest.TempPathFactory) -> Machine:
+    return made_machine(tmp_path_factory.mktemp("xyza"), "XYZ", "A")
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc"])
+@pytest.mark.parametrize("word", ["G28.1", "G92.1"])
+def test_axis_words_beside_what_takes_none_are_a_move(
+    tmp_path: Path, xyza: Machine, dialect: str, word: str
+) -> None:
+    """They belong to the motion in force, as rs274 and grbl's gcode.c have it."""
+    job = read(tmp_path, xyza, f"{HEAD}{word} X-1 Y-2\nX2\n{word} G0 Y7\nM30\n", dialect)
+    ends = [p[:2] for p in millimetres(job)]
+    assert ends == [(5, 0), (-1, -2), (2, -2), (2, 7)]
+    assert [m.source.line for m in moves(job)] == [2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("block", "ends"),
+    [
+        ("G92.2 X-1 Y-2\nX0 Y0", [(-1, -2), (0, 0)]),
+        ("G92 X0 Y4\nG92.3\nY0", [(5, -4)]),
+        ("G92 X0 Y4\nG92.2\nG92.2\nX0 Y0\nG92.3 X1\nY0", [(0, 0), (6, 0), (6, -4)]),
+        ("G92 X0 Y4\nG92.1\nG92.3\nX0 Y1", [(0, 1)]),
+    ],
+)
+def test_linuxcnc_keeps_what_g92_has_shifted(
+    tmp_path: Path, xyza: Machine, block: str, ends: list[tuple[float, float]]
+) -> None:
+    """G92.3 takes the last G92 again, whether G92.2 set it aside or not; G92.1 forgets it."""
+    job = read(tmp_path, xyza, f"{HEAD}{block}\nM2\n", "linuxcnc")
+    assert [p[:2] for p in millimetres(job)][1:] == [pytest.approx(end) for end in ends]
+
+
+def test_the_zero_that_g92_1_takes_back_counts_for_its_own_block_on_grbl(
+    tmp_path: Path, xyza: Machine
+) -> None:
+    text = f"{HEAD}G92 X0\nG92.1 X1\nX2\nM2\n"
+    there = {d: [p[0] for p in millimetres(read(tmp_path, xyza, text, d))] for d in _BOTH}
+    assert there == {"grbl": [5, 6, 2], "linuxcnc": [5, 1, 2]}
+
+
+_BOTH = ("grbl", "linuxcnc")
+
+
+def test_a_shift_in_a_folded_subroutine_is_kept_for_g92_3(tmp_path: Path, xyza: Machine) -> None:
+    text = "F60 G1 X0\nM98 P2 L50\nG92.2\nG92.3\nX0\nM30\nO2\nX5\nG92 X0\nM99\n"
+    job = read(tmp_path, xyza, text, "linuxcnc")
+    assert millimetres(job)[-1][0] == pytest.approx(250.0)
+    last = [operation for operation, _, _ in job.folded()][-2]
+    assert (last.targets[-1] if hasattr(last, "targets") else last.target)[0] == pytest.approx(0.25)
+
+
+REFUSED = [
+    # one word of a kind, and one that takes the axis words
+    ("grbl", "G28 G92 X1", "grbl takes one of G28 and G92 in a block|two G words of one kind"),
+    ("grbl", "G53 G4 P1", "grbl takes one of G53 and G4 in a block"),
+    ("grbl", "M7 M8", "grbl takes one of M7 and M8 in a block"),
+    ("linuxcnc", "M7 M8", "linuxcnc takes one of M7 and M8 in a block"),
+    ("fluidnc", "M62 P1 M63", "fluidnc takes one of M62 and M63 in a block"),
+    ("fluidnc", "M62", "M62 needs the number of its output as P"),
+    ("grbl", "G49 X7", "grbl takes the axis words beside G49 away from the motion"),
+    ("grbl", "G80\nG92 X0", "axis words while G80 is in force, which grbl refuses"),
+    ("linuxcnc", "G53", "G53 needs axis words, and G0 or G1"),
+    # words without use
+    ("grbl", "G4 P1\nI5", "I has no use in this block"),
+    ("grbl", "G21 R5", "R has no use in this block"),
+    ("grbl", "G92 X0 J1", "J has no use in this block"),
+    ("grbl", "G1 X9 P1", "P has no use in this block"),
+    # numbers
+    ("grbl", "N10000001 X7", "N10000001 is beyond 10000000, the most that grbl takes"),
+    ("grbl", "T256", "T256 is beyond 255, the most that grbl takes"),
+    ("grbl", "M3 S-1", "S-1 must not be negative for grbl"),
+    ("linuxcnc", "G1 N7 X9", "linuxcnc takes N7 in front of the line alone"),
+    ("linuxcnc", "N3. X9", "linuxcnc takes N3. in front of the line alone, and without a point"),
+    # words that the control does not know
+    ("grbl", "G64", "G64 is no word of grbl"),
+    ("grbl", "T1 M6 G1 X9", "grbl refuses M6 with its whole line, G1 too"),
+    ("grbl", "O100", "grbl has no word O"),
+    ("grbl", "G92.2", "unknown word G92.2"),
+    ("fluidnc", "G92.3", "unknown word G92.3"),
+    # feeds
+    ("grbl", "G93\nG1", "in G93 every G1 block needs its own F"),
+    ("linuxcnc", "G94\nX7", "G1 moves before any feed F"),
+    # arcs
+    ("grbl", "G2 X15 I5 P2", "P of an arc is no number of turns for grbl"),
+    ("fanuc", "G2 X15. I5. P2", "P of an arc is no number of turns for fanuc"),
+    ("grbl", "G2 I5", "grbl takes no G2 without axis words"),
+    ("grbl", "G2 Z5 I5", "grbl takes no arc without an axis word of X or Y"),
+    ("grbl", "G2", "grbl takes no G2 without axis words"),
+    ("linuxcnc", "G3", "linuxcnc takes no G3 without axis words"),
+    ("grbl", "G2 X5.005 I0.0025 J-20000", "the arc turns by 2.5e-07 rad"),
+    ("linuxcnc", "G2 X5.005 I0.0025 J-20000", "the arc turns by 2.5e-07 rad"),
+    # lines
+    ("grbl", "N" + "0" * 76 + "1 X 7", r"80 characters \(without blanks and comments\); grbl"),
+    ("fluidnc", "X7 (" + "a" * 125 + ")", "the line has 130 characters; fluidnc takes 127"),
+    ("fluidnc", "(a;b) X7", "a semicolon in parentheses ends the line for fluidnc"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("dialect", "block", "said"), REFUSED)
+def test_what_a_control_refuses_is_refused_by_name(
+    tmp_path: Path, xyza: Machine, dialect: str, block: str, said: str
+) -> None:
+    head = HEAD.replace("X5", "X5.")
+    with pytest.raises(JobError, match=said) as refused:
+        moves(read(tmp_path, xyza, f"{head}{block}\nG0 X1.\nM2\n", dialect))
+    assert "\n" not in str(refused.value)
+    assert refused.value.place is not None and refused.value.place.line > 2
+
+
+@pytest.mark.parametrize(
+    ("dialect", "block", "x_mm"),
+    [
+        ("grbl", "X1.25 (" + "a" * 100 + ") ; " + "b" * 200, 1.25),
+        ("fluidnc", "G2 X15 I5 P2", 15),
+        ("linuxcnc", "G2 X15 I5 P2", 15),
+        ("linuxcnc", "(a;b) X7", 7),
+        ("grbl", "(a;b) X7", 7),
+        ("grbl", "G3 X5 I-5", 5),
+    ],
+)
+def test_what_a_control_takes_is_read(
+    tmp_path: Path, xyza: Machine, dialect: str, block: str, x_mm: float
+) -> None:
+    job = read(tmp_path, xyza, f"{HEAD}{block}\nM2\n", dialect)
+    assert millimetres(job)[-1][0] == pytest.approx(x_mm)
+
+
+def test_m6_of_grbl_is_a_stop_of_what_sends_the_program(tmp_path: Path, xyza: Machine) -> None:
+    job = read(tmp_path, xyza, f"{HEAD}N4 T1 M6\nX7\n", "grbl")
+    assert any("a.nc:3: grbl itself refuses M6" in warning for warning in job.warnings)
+    assert [isinstance(item, Stop) for item in job] == [False, True, False, True]
+    assert not any("M6" in w for w in read(tmp_path, xyza, f"{HEAD}M6\nX7\n", "fluidnc").warnings)
+
+
+@pytest.mark.parametrize(("dialect", "bulge"), [("grbl", 100.0), ("linuxcnc", 100.05)])
+def test_grbl_keeps_the_radius_of_the_start(
+    tmp_path: Path, xyza: Machine, dialect: str, bulge: float
+) -> None:
+    """An arc whose ends differ by 0.1 mm in their radius of 100 mm: a circle, or a spiral."""
+    job = read(tmp_path, xyza, f"{HEAD}G0 X0\nG2 X200.1 Y0 I100\nM2\n", dialect)
+    assert max(p[1] for p in millimetres(job)) == pytest.approx(bulge, abs=0.003)
+
+
+# --- Marlin ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("G21 G90 G1 X50", r"the first command of a line alone \(G21\), and not G90"),
+        ("M3 G1 X5", r"the first command of a line alone \(M3\), and not G1"),
+        ("G1 X10 F600 (see Y20)", "reads the letters in parentheses as words"),
+        ("g1 X5", "knows capital letters alone"),
+        ("X5 G1", "does not begin with a command"),
+        ("\tG1 X5", "has a tab"),
+        ("G1\tX5", "has a tab"),
+        ("G1 X\t5", "has a tab"),
+        ("G+1 X5", "does not begin with a command"),
+        ("G21 F50", "does not read F50 beside G21"),
+        ("G90 X5", "axis words without a G word"),
+        ("G2 X15 Y0 I5 J0 P2", "P of an arc is no number of turns for marlin"),
+        ("M502", "M502 is what sets the steps, limits and jerks"),
+        ("M420 S1", "M420 is the compensation of the bed"),
+        ("M810", "M810 is a macro"),
+        ("G20", "INCH_MODE_SUPPORT; otherwise all numbers stay millimetres"),
+        ("G18", "CNC_WORKSPACE_PLANES"),
+        ("G92.1", "CNC_COORDINATE_SYSTEMS"),
+        ("G5 X9 Y0 I1 J1 P1 Q1", "BEZIER_CURVE_SUPPORT"),
+        ("G1 X1" + " " * 90 + "Y1", "the line has 97 characters; marlin cuts it off behind 95"),
+        ("N1 G1 X5", "has the number N1 and no checksum"),
+        ("N1 G1 X5*1", "the checksum of the line is 1 and must be 100"),
+        (numbered(2, "G1 X5"), "N2 where marlin waits for N1"),
+        (numbered(1, "G1 X5") + "\n" + numbered(3, "G1 X6"), "N3 where marlin waits for N2"),
+    ],
+)  # fmt: skip
+def test_what_marlin_runs_otherwise_is_refused(
+    tmp_path: Path, xyza: Machine, line: str, said: str
+) -> None:
+    with pytest.raises(InputError, match=said):
+        moves(read(tmp_path, xyza, f"G1 X5 F600\n{line}\nG1 X1\n", "marlin"))
+
+
+@pytest.mark.parametrize(
+    ("line", "dwell_s"),
+    [("G4 S60 P200", 60.0), ("G4 P200 S60", 60.0), ("G4 P200", 0.2), ("G4 P150.9", 0.15)],
+)
+def test_s_goes_over_p_in_a_dwell_of_marlin(
+    tmp_path: Path, xyza: Machine, line: str, dwell_s: float
+) -> None:
+    job = read(tmp_path, xyza, f"G1 X5 F600\n{line}\n", "marlin")
+    assert [d.duration_s for d in job if isinstance(d, Dwell)] == [pytest.approx(dwell_s)]
+
+
+def test_numbered_lines_of_marlin_are_followed(tmp_path: Path, xyza: Machine) -> None:
+    lines = [numbered(1, "G1 X5 F600"), numbered(2, "M110 N7"), numbered(8, "G1 X6"), "G1 X7"]
+    job = read(tmp_path, xyza, "\n".join(lines), "marlin")
+    assert [p[0] for p in millimetres(job)] == [5, 6, 7]
+    with pytest.raises(JobError, match="G4 has two times, the second is X2"):
+        read(tmp_path, xyza, "G1 X1. F60\nG4 P1 X2.\nM30\n", "fanuc")
+
+
+# --- FluidNC --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("#</axes/x/steps_per_mm>=160", "is an item of the control's configuration"),
+        ("#1=#</axes/x/steps_per_mm>", "is an item of the control's configuration"),
+        ("#1=EXISTS[#</axes/x/steps_per_mm>]", "is an item of the control's configuration"),
+        ("G1 Y[#5420]", "parameter #5420 is where the motors are at the instant"),
+        ("G1 Y#<_x>", "parameter #<_x> is where the motors are at the instant"),
+    ],
+)
+def test_what_fluidnc_reads_of_itself_is_refused(
+    tmp_path: Path, xyza: Machine, line: str, said: str
+) -> None:
+    with pytest.raises(JobError, match=said):
+        moves(read(tmp_path, xyza, f"G21\nG1 X20 F60\n{line}\nG1 X1\n", "fluidnc"))
+
+
+def test_linuxcnc_reads_the_position_of_the_program(tmp_path: Path, xyza: Machine) -> None:
+    text = "G21\nG1 X20 F60\n#</a/b>=2\nG1 Y[#5420+#<_x>+#</a/b>]\nM2\n"
+    assert millimetres(read(tmp_path, xyza, text, "linuxcnc"))[-1][1] == 42
+
+
+# --- the compiled reader --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dialect", ["grbl", "fluidnc", "linuxcnc", "marlin"])
+def test_the_compiled_reader_has_the_same_grammar(
+    tmp_path: Path, xyza: Machine, dialect: str
+) -> None:
+    """Of random lines, odd ones among them: the same operations, or the same error."""
+    taken = 0
+    for seed in range(60):
+        made = random_commands if dialect == "marlin" else random_blocks
+        text = "\n".join([*made(seed, 0.1), *(["M2"] if dialect == "linuxcnc" else [])])
+
+        def outcome(plain: bool, text: str = text) -> list[object]:
+            usual = PlainReader.worth_trying
+            with patch.object(PlainReader, "worth_trying", usual if plain else lambda _: False):
+                try:
+                    return list(read(tmp_path, xyza, text, dialect))
+                except InputError as error:
+                    return [str(error)]
+
+        first, second = outcome(plain=True), outcome(plain=False)
+        assert first == second, text
+        taken += len(first) > 1
+    assert taken > 15

@@ -1,0 +1,178 @@
+"""One design in every format: the needle enters at the same places, in the same order."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+import pystitch
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from threadline.errors import JobError, Place
+from threadline.jobs.embroidery.pes import read_pes
+from threadline.jobs.embroidery.records import UNIT_M, Act, read_records
+
+WRITTEN = {
+    "dst": {},
+    "exp": {},
+    "jef": {},
+    "vp3": {},
+    "xxx": {},
+    "u01": {},
+    "pes": {"version": 1},
+    "6.pes": {"version": 6},
+    "1t.pes": {"version": "1t"},
+    "6t.pes": {"version": "6t"},
+    "pec": {},
+}
+"""Ending of the file, and settings of pystitch's writer."""
+
+
+class Way(NamedTuple):
+    """What leads to the next place: a stitch, a jump and a stitch, or another thread as well."""
+
+    act: str
+    x: int
+    y: int
+
+
+_UNITS = st.integers(-100, 100) | st.sampled_from((0, 62, 63, 64, -63, -64, -65))
+DESIGNS = st.lists(
+    st.builds(Way, st.sampled_from(("stitch", "stitch", "jump", "colour")), _UNITS, _UNITS),
+    min_size=2,
+    max_size=12,
+)
+
+
+def pattern_of(ways: list[Way]) -> tuple[pystitch.EmbPattern, list[tuple[int, int]]]:
+    """Return a pattern, and X and Y (up) of its stitches in 0.1 mm."""
+    pattern = pystitch.EmbPattern()
+    pattern.add_thread(pystitch.EmbThread(0xFF0000))
+    x = y = 0
+    places = []
+    for number, way in enumerate(ways):
+        x, y = x + way.x, y + way.y
+        if way.act != "stitch":
+            pattern.add_stitch_absolute(pystitch.JUMP, x, -y)
+        if way.act == "colour" and number:
+            pattern.add_command(pystitch.COLOR_CHANGE)
+            pattern.add_thread(pystitch.EmbThread((0x00FF00, 0xFF0000)[number % 2]))
+        pattern.add_stitch_absolute(pystitch.STITCH, x, -y)
+        places.append((x, y))
+    pattern.end()
+    return pattern, places
+
+
+def once(places: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return places from the first on, those in which the needle enters again left out.
+
+    A writer may add a stitch in place where a jump or a thread ends.
+    """
+    first = places[0]
+    moved = [(round(x - first[0], 6), round(y - first[1], 6)) for x, y in places]
+    return [one for at, one in enumerate(moved) if not at or one != moved[at - 1]]
+
+
+def read_back(file: Path) -> list[tuple[float, float]]:
+    records = read_records(file)
+    sewn = records.position_m[records.act == Act.STITCH] / UNIT_M
+    return [(round(x, 6), round(y, 6)) for x, y in sewn.tolist()]
+
+
+@pytest.mark.parametrize("ending", list(WRITTEN))
+@settings(max_examples=25)
+@given(ways=DESIGNS)
+def test_every_format_has_the_same_stitches(
+    ending: str, tmp_path_factory: pytest.TempPathFactory, ways: list[Way]
+) -> None:
+    """pystitch's writer of VP3 cuts half units off, so that all lengths are even there."""
+    if ending == "vp3":
+        ways = [Way(act, 2 * x, 2 * y) for act, x, y in ways]
+    pattern, places = pattern_of(ways)
+    file = tmp_path_factory.getbasetemp() / f"design{ending if '.' in ending else '.' + ending}"
+    pystitch.write(pattern, str(file), dict(WRITTEN[ending]))
+    assert once(read_back(file)) == once([(float(x), float(y)) for x, y in places])
+
+
+def test_a_thread_of_vp3_may_begin_on_an_axis(tmp_path: Path) -> None:
+    """A block that begins at X 0 is reached by travel, like any other."""
+    pattern, places = pattern_of(
+        [Way("stitch", 40, 20), Way("stitch", 20, 0), Way("colour", -60, 30), Way("stitch", 8, 8)]
+    )
+    file = tmp_path / "a.vp3"
+    pystitch.write(pattern, str(file))
+    assert once(read_back(file)) == once([(float(x), float(y)) for x, y in places])
+
+
+# --- PES, written from its description ------------------------------------------------------------
+
+
+def number(units: int, flag: int = 0) -> bytes:
+    if not flag and -64 <= units <= 63:
+        return bytes([units & 0x7F])
+    return struct.pack(">H", 0x8000 | flag << 8 | units & 0xFFF)
+
+
+def pes(records: bytes, colours: bytes = b"\x05", version: bytes = b"0001") -> bytes:
+    """Return a PES without a drawing, and with pictures behind its stitches."""
+    header = b"#PES" + version + struct.pack("<I", 22) + bytes(10)
+    block = b"LA:" + b"a".ljust(16) + b"\r" + b" " * 12 + b"\xff\x00\x06\x26" + b" " * 12
+    block += bytes([len(colours) - 1]) + colours
+    block = block.ljust(512, b" ")
+    stitches = b"\x31\xff\xf0" + struct.pack("<4H", 100, 70, 0x1E0, 0x1B0) + records
+    block += b"\x00\x00" + (len(stitches) + 5).to_bytes(3, "little") + stitches
+    return header + block + bytes(6 * 38 * 2)
+
+
+@pytest.mark.parametrize("first", [(0, 0), (62, 40), (63, 40), (100, -3), (5, -64), (-65, 2047)])
+@pytest.mark.parametrize("corner", [False, True])
+@pytest.mark.parametrize("version", [b"0001", b"0022", b"0060", b"0100"])
+def test_the_first_stitch_of_a_pes_is_not_lost(
+    corner: bool, first: tuple[int, int], version: bytes
+) -> None:
+    """Writers begin with a jump from the corner, or with the first stitch, short or long."""
+    ways = [first, (60, 40), (40, -40), (-160, 5)]
+    places = [[sum(way[k] for way in ways[: end + 1]) for k in (0, 1)] for end in range(len(ways))]
+    records = b"".join(number(x) + number(y) for x, y in ways) + b"\xff"
+    if corner:
+        left, top = (min(place[k] for place in places) for k in (0, 1))
+        records = number(-left, 0x10) + number(-top, 0x10) + records
+    found = read_pes(pes(records, version=version), Place("a.pes"))
+    assert found == [[*place, Act.STITCH] for place in places] + [[*places[-1], Act.END]]
+
+
+def test_jumps_trims_and_colours_of_a_pes_keep_their_places() -> None:
+    """A jump that does not come from the corner leads to the first stitch; one colour twice is a
+    stop."""
+    records = (
+        number(7, 0x10) + number(9, 0x10) + number(1) + number(2)
+        + b"\xfe\xb0\x02" + number(-300, 0x20) + number(0, 0x20) + number(0) + number(0)
+        + b"\xfe\xb0\x01" + number(3) + number(4) + b"\xff"
+    )  # fmt: skip
+    found = read_pes(pes(records, b"\x05\x05\x0e"), Place("a.pes"))
+    assert found == [
+        [7, 9, Act.JUMP], [8, 11, Act.STITCH], [8, 11, Act.STOP], [8, 11, Act.TRIM],
+        [-292, 11, Act.JUMP], [-292, 11, Act.STITCH], [-292, 11, Act.COLOUR],
+        [-289, 15, Act.STITCH], [-289, 15, Act.END],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"#PES0001", "it is cut off at byte 8, in its header"),
+        (b"not a design at all", "does not begin with #PES"),
+        (pes(b"\x01\x01\xff")[:400], "cut off at byte 400: its stitches begin at byte 550"),
+        (b"#PES0001" + struct.pack("<I", 23) + pes(b"\xff")[12:], "no PEC block begins at byte 23"),
+        (pes(b"\x01\x01\xc1\x02\x03\xff"), "the byte 0xc1 at 552 begins no record"),
+        (pes(b"\x01\x01")[:552], "its records are cut off at byte 552"),
+        (pes(b"\x01\x01\x80")[:553], "its records are cut off at byte 553"),
+        (pes(b"\x01\x01\xfe\xb0")[:554], "its records are cut off at byte 554"),
+    ],
+)
+def test_what_is_no_pes_is_refused_by_its_byte(content: bytes, said: str) -> None:
+    with pytest.raises(JobError, match=said):
+        read_pes(content, Place("a.pes"))

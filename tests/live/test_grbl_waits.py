@@ -1,0 +1,358 @@
+"""What a controller with grbl waits for, what its numbers mean, and a computer that slept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.live.grbl_model import GrblModel
+from tests.live.test_grbl import EXAMPLES, MACHINE, START, go_on, meeting, program, ready, settings
+from threadline.cli import operator_keys
+from threadline.cli.operator_keys import AtTheKeys
+from threadline.errors import CommandError, LinkFaultError, OptionError
+from threadline.live import grbl_controller, grbl_run, lateness
+from threadline.live.desk import Desk
+from threadline.live.grbl_run import GrblRun
+from threadline.live.grbl_words import status_of
+from threadline.live.kept import Kept
+from threadline.live.lateness import clock_s
+from threadline.live.links import link_of
+from threadline.live.sim_process import SLOWER
+from threadline.live.states import Cause, State
+from threadline.options import Options
+from threadline.pipeline import open_job, plan_job
+from threadline.signals import Ended
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grbl_run, "POLL_S", 0.03)
+    monkeypatch.setattr(grbl_run, "SILENCE_S", 3.0)
+    monkeypatch.setattr(grbl_run, "_OBEYS_S", 0.3)
+
+
+def moving(model: GrblModel) -> Callable[[], bool]:
+    """Return whether more than a few lines were taken, and many are still to be."""
+    return lambda: model.heard.count(b"G1") > 8
+
+
+# --- what its numbers mean -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "says"),
+    [
+        (13, 1.0, r"\$13=1 of the controller: it reports inches"),
+        (10, 0.0, r"\$10=0 of the controller: it reports work positions.*Set \$10=1"),
+        (10, 2.0, r"\$10=2 .*Set \$10=3"),
+    ],
+)
+def test_settings_that_give_its_numbers_another_meaning_are_refused(
+    setting: int, value: float, says: str
+) -> None:
+    model = GrblModel(settings() | {setting: value})
+    with meeting(model) as (one, _, _), pytest.raises(CommandError, match=says):
+        one.controller.meet()
+    assert b"G1" not in model.heard and b"$J" not in model.heard
+
+
+def test_settings_that_say_the_usual_are_taken() -> None:
+    with meeting(GrblModel(settings() | {10: 255.0, 13: 0.0})) as (one, _, _):
+        one.controller.meet()
+
+
+def test_a_small_receive_buffer_is_not_overflowed() -> None:
+    """It is told by $I, and counted into; a smaller one than any line of a jog is refused."""
+    model = GrblModel(settings(), faster=4.0, characters=48)
+    with meeting(model) as (one, _, _):
+        ready(one, program())
+        go_on(one)
+        assert one.ended == (Ended.COMPLETED, "")
+        assert not model.overflowed
+    with (
+        meeting(GrblModel(settings(), characters=16)) as (one, _, _),
+        pytest.raises(CommandError, match="holds 16 characters, the least is 40"),
+    ):
+        one.controller.meet()
+
+
+def test_a_line_that_is_longer_than_its_buffer_is_refused() -> None:
+    model = GrblModel(settings(), characters=48)
+    with meeting(model) as (one, _, _):
+        with pytest.raises(CommandError, match="has 60 characters, the receive buffer of the con"):
+            ready(one, program(f"G1 X1{' ' * 50}F600\n"))
+        assert b"G1" not in model.heard
+
+
+# --- what it waits for ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("state", "says"),
+    [
+        ("Sleep", "the controller tells Sleep: its motors are off"),
+        ("Check", "the controller tells Check: it reads lines and moves by none"),
+        ("Home", "the controller tells Home"),
+        ("Tool", "the controller tells Tool"),
+    ],
+)
+def test_a_state_in_which_no_run_goes_on_ends_it(state: str, says: str) -> None:
+    model = GrblModel(settings())
+    with meeting(model) as (one, _, _):
+        ready(one, program())
+        go_on(one, moving(model))
+        one.controller.brakes_s = 0.0  # what does not tell that it stands is reset soon
+        model.state = state
+        go_on(one)
+        assert one.ended is not None
+        assert (one.ended[0], one.state) == (Ended.FAULT, State.FAULT)
+        assert says in one.ended[1]
+        assert not model.blocks and bytes(model.heard).rstrip(b"?").endswith(b"\x18")
+
+
+def test_a_door_is_told_and_nothing_goes_on_before_it_is_closed() -> None:
+    model = GrblModel(settings(), faster=2.0)
+    with meeting(model) as (one, desk, kept):
+        ready(one, program())
+        go_on(one, moving(model))
+        model.state = "Door:1"
+        go_on(one, lambda: one.state is State.HOLDING)
+        assert "its safety door is open" in one.why
+        desk.ask(Cause.RESUME)
+        go_on(one, lambda: "Close the door" in str(kept.log[-1][-1]) or "open" in kept.log[-1][-1])
+        assert one.state is State.HOLDING
+        assert b"~" not in model.heard
+        model.state = "Door:0"
+        go_on(one, lambda: "its safety door is closed again" in one.why)
+        desk.ask(Cause.RESUME)
+        go_on(one)
+        assert one.ended == (Ended.COMPLETED, "")
+
+
+def test_a_stop_at_an_open_door_ends_at_once() -> None:
+    model = GrblModel(settings())
+    with meeting(model) as (one, desk, _):
+        ready(one, program())
+        go_on(one, moving(model))
+        model.state = "Door:1"
+        go_on(one, lambda: one.state is State.HOLDING)
+        desk.ask(Cause.STOP)
+        go_on(one)
+        assert one.ended == (Ended.STOPPED, "stopped by the operator")
+
+
+def test_its_own_button_lets_it_go_on() -> None:
+    model = GrblModel(settings(), faster=2.0)
+    with meeting(model) as (one, _, kept):
+        ready(one, program())
+        go_on(one, moving(model))
+        model.state = "Hold"
+        go_on(one, lambda: one.state is State.HOLDING)
+        model.state = "Run"
+        go_on(one)
+        assert one.ended == (Ended.COMPLETED, "")
+        assert "the controller goes on by itself" in [text for *_, text in kept.log]
+
+
+class Silent(GrblModel):
+    """A controller that takes no line of a program."""
+
+    def _take_move(self, line: str) -> None:
+        pass
+
+    def _do(self, line: str) -> None:
+        if not line.startswith("G1"):
+            super()._do(line)
+
+
+def test_lines_that_are_never_answered_end_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grbl_run, "_ANSWERS_S", 0.3)
+    with meeting(Silent(settings())) as (one, _, _):
+        ready(one, program("G1 X1 F6000\nG1 X2\n"))
+        go_on(one)
+        assert one.ended is not None and "has not answered 2 lines" in one.ended[1]
+
+
+def test_a_dwell_is_part_of_what_lines_take() -> None:
+    assert program("G1 X1 F60\nG4 P5\n").durations_s.tolist() == pytest.approx([1.0, 5.0])
+
+
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_hold_that_nobody_can_end_is_stopped(
+    alone: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(operator_keys, "UNATTENDED_S", 0.0)
+    run = SimpleNamespace(state=State.HOLDING, why="its door is open", stopped_by="", time_s=1.0)
+    desk = Desk()
+    keys = AtTheKeys(desk, 10.0, None, None if alone else 0)
+    monkeypatch.setattr(keys, "_pressed", lambda _: None)
+    keys.step(run)
+    assert desk.take() is (Cause.STOP if alone else None)
+    said = capsys.readouterr().err
+    assert "holding: its door is open; " in said
+    assert ("nobody is at the keys" in said) is alone
+    assert (run.stopped_by == "Threadline: nobody is at the keys to let it go on") is alone
+    desk.close()
+
+
+def test_a_controller_that_waits_is_not_met() -> None:
+    model = GrblModel(settings())
+    model.state = "Door:1"
+    with meeting(model) as (one, _, _):
+        with pytest.raises(LinkFaultError, match="not at rest: it tells Door: its safety door is"):
+            one.controller.meet()
+        assert set(bytes(model.heard)) <= set(b"?")
+
+
+# --- a computer that slept -----------------------------------------------------------------
+
+
+def test_the_clock_counts_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
+    if hasattr(time, "CLOCK_BOOTTIME"):
+        before = time.clock_gettime(time.CLOCK_BOOTTIME)
+        assert before <= clock_s() <= time.clock_gettime(time.CLOCK_BOOTTIME)
+    monkeypatch.setattr(lateness, "_COUNTS_SLEEP", None)
+    before = time.monotonic()
+    assert before <= clock_s() <= time.monotonic()
+
+
+def slept(one: GrblRun, model: GrblModel) -> bytes:
+    """Let a run go on to its end after a sleep; return what the controller heard since."""
+    heard = len(model.heard)
+    go_on(one)
+    assert one.ended is not None
+    assert one.ended[0] is Ended.FAULT
+    assert "this program did not run for" in one.ended[1]
+    return bytes(model.heard)[heard:]
+
+
+def test_nothing_that_moves_is_sent_after_this_process_stood_still(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Answers wait to be read, by which it would be sent more; it holds, and drops what it has."""
+    monkeypatch.setattr(grbl_run, "SILENCE_S", 0.5)
+    model = GrblModel(settings(), blocks=4)
+    with meeting(model) as (one, _, _):
+        ready(one, program())
+        go_on(one, moving(model))
+        time.sleep(1.0)  # as in SIGSTOP: the controller goes on, and answers
+        assert b"G1" not in slept(one, model)
+        assert not model.blocks and not model.rx
+        stood = model.at.copy()
+        time.sleep(0.2)
+        assert np.array_equal(model.at, stood)
+
+
+def test_nothing_that_moves_is_sent_after_the_computer_slept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The clock that Python calls monotonic stands in a sleep."""
+    if not hasattr(time, "CLOCK_BOOTTIME"):
+        pytest.skip("this system has no clock that counts sleep")
+    model = GrblModel(settings(), blocks=4)
+    with meeting(model) as (one, _, _):
+        ready(one, program())
+        go_on(one, moving(model))
+        told = time.clock_gettime
+        monkeypatch.setattr(time, "clock_gettime", lambda clock: told(clock) + 3600.0)
+        assert b"G1" not in slept(one, model)
+
+
+def test_a_hold_is_not_resumed_by_what_was_asked_before_a_sleep(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(grbl_run, "SILENCE_S", 0.5)
+    model = GrblModel(settings())
+    with meeting(model) as (one, desk, _):
+        ready(one, program())
+        go_on(one, moving(model))
+        desk.ask(Cause.HOLD)
+        go_on(one, lambda: model.state == "Hold")
+        desk.ask(Cause.RESUME)
+        time.sleep(1.0)
+        assert b"~" not in slept(one, model)
+
+
+def test_a_sleep_while_it_homes_is_no_way_to_a_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grbl_controller, "_ASLEEP_S", 0.5)
+    model = GrblModel(settings() | {22: 1.0})
+    model.homing_s = 0.5
+    with meeting(model) as (one, _, _):
+        one.controller.meet()
+        slow = iter([1.0])
+        with pytest.raises(LinkFaultError, match=r"did not run for .* while it homed"):
+            one.controller.home(lambda: bool(time.sleep(next(slow, 0.0))))
+        until = time.monotonic() + 60.0
+        while not bytes(model.heard).endswith(b"\x18"):
+            assert time.monotonic() < until
+
+
+def test_no_run_begins_on_what_was_heard_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(grbl_run, "_FRESH_S", 0.2)
+    model = GrblModel(settings())
+    with meeting(model) as (one, _, _):
+        one.controller.meet()
+        one.enable()
+        one.home()
+        time.sleep(0.5)
+        with pytest.raises(CommandError, match="the controller was last heard"):
+            one.start(program(), START)
+        assert b"G1" not in model.heard
+
+
+# --- where it stands -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("approach", [False, True])
+def test_a_run_is_repeated_by_an_approach(approach: bool) -> None:
+    """Without switches it stands where the run before has ended, which is elsewhere."""
+    options = Options()
+    plan = plan_job(open_job(EXAMPLES / "helix.gcode", MACHINE, options), MACHINE, options)
+    model = GrblModel(settings(), faster=20.0)
+    model.at[[0, 3]] = model.target[[0, 3]] = 3.0, 20.0
+    model.start()
+    link = link_of(f"grbl:{model.address}", MACHINE, 1.0, None, approach=approach)
+    link.prepare(plan)
+    desk = Desk()
+
+    def stop(_: object) -> None:
+        desk.ask(Cause.STOP)
+
+    def run() -> Ended:
+        return link.run(
+            plan, desk, Kept(), pass_stops=False, hold_at_rest=False, watch=stop
+        )[0]  # fmt: skip
+
+    try:
+        if approach:
+            assert run() is Ended.STOPPED
+            assert b"$J=G21G90G53X" in model.heard
+        else:
+            with pytest.raises(CommandError, match="run --approach"):
+                run()
+            assert b"$J" not in model.heard
+    finally:
+        link.close()
+        desk.close()
+        model.close()
+
+
+def test_an_approach_is_of_grbl_alone_and_a_slower_machine_has_no_speed() -> None:
+    with pytest.raises(OptionError, match="--approach is of a controller with grbl"):
+        link_of("sim", MACHINE, 1.0, None, approach=True)
+    with pytest.raises(OptionError, match=f"--link {SLOWER} goes at real time where it can"):
+        link_of(SLOWER, MACHINE, 4.0, None)
+
+
+def test_states_in_words() -> None:
+    for text, stands in (
+        ("Hold:0", True), ("Hold:1", False), ("Door:0", True), ("Door:1", True), ("Door:2", False),
+        ("Door:3", False), ("Sleep", True), ("Check", True), ("Run", False), ("Idle", True),
+    ):  # fmt: skip
+        found = status_of(f"<{text}|MPos:0,0,0|FS:0,0>")
+        assert found is not None and found.stands is stands, text
+        assert found.told.startswith(f"the controller tells {text.partition(':')[0]}")

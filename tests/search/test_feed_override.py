@@ -1,0 +1,155 @@
+"""A feed in percent: every F keeps its ratio to the others, typed by hand or found by a search.
+
+Times are held against the same program with every F multiplied by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.jobs.made_machines import made_machine
+
+import threadline as tl
+from threadline.cli.main import main
+from threadline.errors import OptionError, PlanError
+from threadline.jobs import Job, read_job
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.machine import Machine, load_machine
+from threadline.option_words import feed_words, parse_feed
+from threadline.options import Options, options_of
+from threadline.pipeline import plan_job, write
+from threadline.search.feed import search_range, searched_by
+
+PLUNGE = "G21 G90\nG0 X10 Y10\nG1 Y8 F333\nG1 X60 F1000\nG1 Y12 F333\nG93\nX50 F30\nG0 X0 Y0\nM2\n"
+
+
+@pytest.fixture
+def mill(tmp_path: Path) -> Machine:
+    """Two axes of 30 m/min."""
+    return made_machine(tmp_path, "XY", "", '[programs]\ndialect = "linuxcnc"\n')
+
+
+def job_of(folder: Path, machine: Machine, text: str) -> Job:
+    path = folder / f"{len(list(folder.iterdir()))}.ngc"
+    path.write_text(text)
+    return read_job(path, machine)
+
+
+def nominal_s(job: Job, machine: Machine, feed: str | None) -> np.ndarray:
+    options = Options(feed=None if feed is None else parse_feed(feed))
+    blocks = plan_job(job, machine, options).motion.programmed
+    return np.concatenate([block.nominal_s for block in blocks])
+
+
+def times(text: str, factor: float) -> str:
+    """Multiply every F of a program, inverse times as well, by hand."""
+    return re.sub(r"F([\d.]+)", lambda word: f"F{float(word[1]) * factor:.6f}", text)
+
+
+@pytest.mark.parametrize("percent", ["50 %", "120%", "137.5 %", "1000 %"])
+def test_an_override_multiplies_every_f(tmp_path: Path, mill: Machine, percent: str) -> None:
+    factor = float(percent.rstrip(" %")) / 100.0
+    asked = nominal_s(job_of(tmp_path, mill, PLUNGE), mill, percent)
+    by_hand = nominal_s(job_of(tmp_path, mill, times(PLUNGE, factor)), mill, None)
+    assert asked == pytest.approx(by_hand, rel=1e-9)
+    assert (asked > 0.0).sum() == 4  # rapid moves stay so
+
+
+def test_the_normal_feed_of_an_operator_is_multiplied_as_well(tmp_path: Path) -> None:
+    """The printed winder caps F 12000: with 100 % as without, with 200 % at twice that."""
+    winder = load_machine("lathe-winder")
+    job = job_of(tmp_path, winder, "G1 X90 F12000\nX80 F60\nM30\n")
+    alone, same, twice = (nominal_s(job, winder, feed) for feed in (None, "100 %", "200 %"))
+    uncapped = nominal_s(job, replace(winder, operator=None), None)
+    assert same == pytest.approx(alone, rel=1e-12) and twice == pytest.approx(alone / 2.0)
+    assert alone[1] > 2.0 * uncapped[1] and alone[2] == uncapped[2]
+
+
+def test_percent_is_read_and_written_to_the_last_bit() -> None:
+    for percent in (120.0, 137.0, 33.3333333, 1e3 / 7.0, 110.00000000000001):
+        feed = Feed(FeedMode.OVERRIDE, percent / 100.0)
+        assert parse_feed(feed_words(feed)) == feed
+    assert feed_words(parse_feed(" 137 % ")) == "137 %"
+    for wrong in ("0 %", "-5 %", "x %", "F 120 %", "nan %"):
+        with pytest.raises(OptionError):
+            parse_feed(wrong)
+    assert options_of("auto", "120 %", "0.1 mm", feed_mode="path").feed == parse_feed("120 %")
+
+
+def test_a_program_has_its_feeds_times_the_override(tmp_path: Path, mill: Machine) -> None:
+    """Written for LinuxCNC: the plunge at 333 and the cut at 1000 mm/min, both times 1.2."""
+    text = "G0 X10 Y10\nG1 Y-20 F333\nX60 F1000\nY10 F333\nG0 X0 Y0\nM2\n"
+    plan = plan_job(job_of(tmp_path, mill, text), mill, Options(feed=parse_feed("120 %")))
+    # Recordings say with which feed they were planned.
+    write(replace(plan, options={"feed": "120 %"}), "linuxcnc", tmp_path / "out.ngc")
+    speeds = [float(f) for f in re.findall(r"F([\d.]+)", (tmp_path / "out.ngc").read_text())]
+    assert max(speeds) == pytest.approx(1200.0, rel=1e-3)
+    assert min(abs(speed - 399.6) for speed in speeds) < 0.5
+
+
+def test_what_has_no_feeds_is_refused(examples: Path) -> None:
+    with pytest.raises(OptionError, match=r"feed 120 %: .* has no feeds to multiply"):
+        tl.prove(examples / "strap.seam.toml", "stitcher", feed="120 %", level="nominal")
+    with pytest.raises((OptionError, PlanError)):
+        tl.prove(examples / "letter-cycle.toml", "letter-placer", feed="120 %", level="nominal")
+
+
+def test_the_face_takes_it(tmp_path: Path, mill: Machine) -> None:
+    job = tmp_path / "plunge.ngc"
+    job.write_text(PLUNGE)
+    spec = tmp_path / "spec.toml"
+    spec.write_text('name = "made"\n[[criteria]]\nname = "velocity"\nlimit = "machine"\n')
+    usual, faster = (
+        tl.prove(job, mill, spec=spec, level="nominal", feed=feed) for feed in (None, "150 %")
+    )
+    assert usual.passed and faster.passed
+    assert faster.plan.duration_s < 0.9 * usual.plan.duration_s
+
+
+def test_programs_with_feeds_that_differ_are_searched_by_their_override(
+    tmp_path: Path, mill: Machine
+) -> None:
+    """Up to where the fastest F is as fast as its axes: 30 m/min for F 1000, and no higher."""
+    several = job_of(tmp_path, mill, "G1 X5 F333\nX60 F1000\nM2\n")
+    single = job_of(tmp_path, mill, "G0 X5\nG1 X60 F1000\nM2\n")
+    assert searched_by(several, mill) is FeedMode.OVERRIDE
+    assert searched_by(single, mill) is FeedMode.F_WORD
+    winder = load_machine("lathe-winder")  # whose operator sets one feed
+    assert (
+        searched_by(job_of(tmp_path, winder, "G1 X5 F60\nX9 F90\nM2\n"), winder) == "fastest-axis"
+    )
+    _, high = search_range(several, mill, FeedMode.OVERRIDE)
+    assert high == pytest.approx(30.0, rel=1e-5)
+    beyond = job_of(tmp_path, mill, "G1 X5 F333\nX60 F90000\nM2\n")
+    assert search_range(beyond, mill, FeedMode.OVERRIDE)[1] == 1.0
+
+
+def test_what_is_found_is_typed_back(
+    tmp_path: Path, mill: Machine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command that proves the answer is a feed in percent, in spec, of the time that is told.
+
+    Plunge and cut keep their ratio: at the best override no programmed feed beyond its axis.
+    """
+    job, spec = tmp_path / "plunge.ngc", tmp_path / "spec.toml"
+    job.write_text("G1 Y-2 F900\nX60 F3000\nY2 F900\nM2\n")
+    spec.write_text('name = "made"\n[[criteria]]\nname = "velocity"\nlimit = "machine"\n')
+    asked = ["fastest", str(job), "-m", str(mill.reference), "-s", str(spec), "--nominal"]
+    with pytest.raises(SystemExit) as stopped:
+        main([*asked, "--json", "--high", "400 %"])
+    said = json.loads(capsys.readouterr().out)
+    assert not stopped.value.code and said["unit"] == "" and said["feed"] == "override"
+    assert said["best"] == 4.0
+    command = shlex.split(said["command"])
+    assert command[command.index("--feed") + 1] == "400 %"
+    with pytest.raises(SystemExit) as stopped:
+        main([*command[1:], "--json"])
+    proved = json.loads(capsys.readouterr().out)
+    assert not stopped.value.code
+    assert proved["duration_s"] == pytest.approx(said["duration_s"], rel=1e-9)

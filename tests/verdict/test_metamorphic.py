@@ -1,0 +1,80 @@
+"""What must not matter to a verdict changes nothing in it; what must matter turns it.
+
+A recording with noise below any resolution, a program in inches, a machine file in another order
+and others of their kind, from fixed seeds. ``python -m tools.fuzz --reader same-recording`` and so
+on run the same classes for long.
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+from tools import fuzz_metamorphic as cases
+
+from threadline.jobs.gcode import modal
+from threadline.signals import Recording
+from threadline.verdict import each_run, judge
+
+VALUE_OF = modal.value_of
+JUDGE = sys.modules[judge.__module__]
+CASES = {"same-recording": 60, "same-program": 60, "same-machine": 40}
+
+
+def run(kind: str, folder: Path, count: int) -> list[str]:
+    """Return what differed in so many cases."""
+    _, make, check, _ = cases.fuzz_metamorphic()[kind]
+    path, found = folder / "case.seed", []
+    for index in range(count):
+        path.write_bytes(make(random.Random(f"5/{kind}/{index}")))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                check(path)
+        except AssertionError as told:
+            found.append(f"{index}: {told}")
+    return found
+
+
+@pytest.mark.parametrize("kind", cases.CLASSES)
+def test_what_must_not_matter_changes_no_verdict(kind: str, tmp_path: Path) -> None:
+    assert run(kind, tmp_path, CASES[kind]) == []
+
+
+def _wider(criterion, plan):
+    return None if criterion.limit is None else 1.002 * criterion.limit
+
+
+def _in_millimetres(told, _, **mode):
+    return VALUE_OF(told, 10, **mode)
+
+
+def _first(recording, kind, axis=""):
+    return next((c for c in recording.channels if (c.kind, c.axis) == (kind, axis)), None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "owner", "name", "careless", "found"),
+    [
+        ("same-recording", each_run, "limit_of", _wider, "failed [False"),
+        (
+            "same-recording",
+            Recording,
+            "find",
+            _first,
+            "is [",
+        ),
+        ("same-program", modal, "value_of", _in_millimetres, "and was"),
+        ("same-machine", JUDGE, "limit_of", _wider, "times its limit"),
+    ],
+)
+def test_a_careless_program_is_found_out(
+    kind, owner, name, careless, found, tmp_path: Path, monkeypatch
+) -> None:
+    """Limits two thousandths wider, the first channel of a kind, an F in inches taken as mm."""
+    cases.pool()
+    monkeypatch.setattr(owner, name, careless)
+    assert any(found in told for told in run(kind, tmp_path, CASES[kind]))

@@ -1,0 +1,480 @@
+"""Changes that must not matter to a verdict, and changes that must.
+
+Three classes. ``same-recording``: a run with noise below any resolution, cut into other blocks,
+with channels permuted or renamed, at twice the rate, written to a file and read again.
+``same-program``: comments, inches, other words for the same moves, a move split in two, a dwell of
+0 where the machine rests, a mirrored or a shifted path, axes renamed and in another order.
+``same-machine``: other units, tables and keys in another order. The changed one must be judged as
+the one before, value by value; and a limit a thousandth below what was measured must fail, while
+one a thousandth above it must pass.
+
+The recordings are made once and judged many times. Changed samples lie side by side as runs of one
+recording, so that a case holds ``RUNS`` of them. Of most programs and machines the path, or each
+number, is compared; every ``_WHOLE``th is proved.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import random
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cache, partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tools.fuzz_recordings import MAKERS
+from tools.fuzz_rewritten import (
+    DIALECTS,
+    Style,
+    in_another_order,
+    in_other_units,
+    moves_of,
+    style_of,
+    text_of,
+)
+from tools.fuzz_runs import Seed, plan_measured_once, seeds
+
+from threadline.errors import Place, ThreadlineError
+from threadline.jobs import read_job
+from threadline.machine import Machine, load_machine
+from threadline.machine.load import library_file
+from threadline.options import Options
+from threadline.path import programmed_path
+from threadline.pipeline import Proof, prove
+from threadline.signals import ChannelKind, Recording, RecordingBlock, Stream
+from threadline.signals.files import read_recording, write_recording
+from threadline.signals.files.channel_units import in_si
+from threadline.verdict import Judge, Spec, Status, load_spec
+
+CLASSES = ("same-recording", "same-program", "same-machine")
+RUNS = 8
+_POOL = 6  # recordings of each machine: one as it ran, the others with a fault
+_WHOLE = 16
+_SAME = 1e-6  # of a value: what noise of the size of rounding may change
+_MOVED, _COUNTS = 0.1, 1e-4
+"""Share of a value, and m or rad, by which a path that lies elsewhere between counts may differ."""
+_OF_THE_PLACE = ("travel", "settling_time", "residual_vibration", "current_peak", "current_rms")
+"""Where the work lies on the machine, and what hangs on a count or two."""
+_NOISE = ((-300.0, -170.0), (-140.0, -12.0))
+"""Decades; the squares of what lies between them are numbers without digits."""
+_BITS = (ChannelKind.INPUT, ChannelKind.OUTPUT, ChannelKind.OPERATION)
+_NAMELESS = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD, ChannelKind.FRAME)
+"""Channels that are known by kind and axis, whatever their name."""
+_FACTORS = (None, 0.999, 1.001, 0.5, 2.0)
+_AT_TWICE_THE_RATE = (
+    "contour_error", "turning_point_error", "tracking_error", "current_peak",
+    "seam_error", "stitch_placement_error", "stitch_residual", "servo_force", "travel",
+)  # fmt: skip
+"""What a straight line between two samples leaves as it is."""
+
+Key = tuple[str, str, str]
+Samples = Mapping[str, np.ndarray]
+Told = Mapping[Key, tuple[float | None, str, float | None]]
+
+
+@dataclass(frozen=True)
+class Kept:
+    """A recording that is judged many times, and what was measured in it."""
+
+    seed: Seed
+    samples: Samples
+    measured: Mapping[Key, float]
+
+    @property
+    def runs(self) -> int:
+        """How many runs its judge takes side by side."""
+        alone = self.seed.facts.switched or self.seed.facts.places is not None
+        return 1 if alone else RUNS
+
+
+# --- recordings ---
+
+
+@cache
+def pool() -> tuple[Kept, ...]:
+    """Return the recordings, some with a fault for a while in one channel."""
+    found = []
+    for number, seed in enumerate(seeds()):
+        for k in range(_POOL):
+            samples: Samples = seed.samples
+            if k:
+                channels = MAKERS["judge-axes"](random.Random(f"{number}/{k}"), seed)
+                samples = {name: one.chunks[0][1] for name, one in channels.items()}
+            known = _values(seed, recording_of(seed, samples), seed.proof.spec)
+            found.append(Kept(seed, samples, known))
+    return tuple(found)
+
+
+def recording_of(
+    seed: Seed, samples: Samples, edges: tuple[int, ...] = (), runs: int = 1
+) -> Recording:
+    """Return (n,) or (n, runs) samples as a recording, cut into blocks before rows ``edges``."""
+    told = seed.proof.recording
+    channels = tuple(c for c in told.channels if c.name in samples)
+    count = len(next(iter(samples.values())))
+    ends = (0, *edges, count)
+    blocks = [
+        RecordingBlock(
+            first_tick={channels[0].clock.name: a},
+            samples={name: values[a:b] for name, values in samples.items()},
+        )
+        for a, b in pairwise(ends)
+    ]
+    return replace(told, channels=channels, blocks=Stream.of(blocks), runs=runs)
+
+
+def _rows(seed: Seed, recording: Recording, spec: Spec) -> list[tuple[Key, np.ndarray, np.ndarray]]:
+    with plan_measured_once(seed.proof.plan):
+        each = Judge(seed.proof.plan, spec).each(in_si(recording, Place("case")))
+    return [((r.name, r.axis, r.step), r.values, r.failed) for r in each.rows]
+
+
+def _values(seed: Seed, recording: Recording, spec: Spec) -> dict[Key, float]:
+    return {key: float(values[0]) for key, values, _ in _rows(seed, recording, spec)}
+
+
+def spec_about(rng: random.Random, kept: Kept) -> tuple[Spec, dict[Key, bool]]:
+    """Return a specification with limits about what was measured, and whether each must fail."""
+    criteria, must = [], {}
+    named = {(c.name, c.axis, c.step): c for c in reversed(kept.seed.proof.spec.criteria)}
+    for key, value in kept.measured.items():
+        name, axis, step = key
+        plain = named.get((name, "", ""))
+        own = named.get(key, named.get((name, axis, ""), named.get((name, "", step), plain)))
+        if own is None or (name, axis, step) in must:
+            continue
+        factor = rng.choice(_FACTORS)
+        limited = factor is not None and math.isfinite(value) and value > 1e-9
+        limit = factor * value if limited and factor is not None else None
+        criteria.append(replace(own, axis=axis, step=step, limit=limit, hard=False, required=False))
+        must[key] = limit is not None and value > limit
+    return replace(kept.seed.proof.spec, criteria=tuple(criteria)), must
+
+
+def noisy(rng: random.Random, kept: Kept) -> dict[str, np.ndarray]:
+    """Return the samples of all runs, side by side, with noise far below any resolution.
+
+    Where there are several, the first is left as it was but for its commands.
+    """
+    kinds = {c.name: c.kind for c in kept.seed.proof.recording.channels}
+    names = sorted(name for name in kept.samples if kinds[name] not in _BITS)
+    chosen = rng.sample(names, rng.randint(1, len(names)))
+    draw = np.random.default_rng(rng.getrandbits(64))
+    found = dict(kept.samples)
+    for name in sorted(set(kept.samples) - set(names)):
+        if kinds[name] is ChannelKind.INPUT and kept.runs > 1:
+            found[name] = np.repeat(found[name][:, None], kept.runs, axis=1)
+    for name in names:
+        runs = 1 if kinds[name] is ChannelKind.COMMANDED else kept.runs  # the same of all runs
+        values = np.repeat(kept.samples[name][:, None], runs, axis=1)
+        for run in range(min(1, runs - 1), runs if name in chosen else 0):
+            size = 10.0 ** draw.uniform(*_NOISE[draw.integers(len(_NOISE))])
+            first = int(draw.integers(len(values))) if draw.random() < 0.5 else 0
+            stop = first + int(draw.integers(1, 9)) if draw.random() < 0.3 else len(values)
+            part = values[first:stop, run]
+            part += size * draw.uniform(-1.0, 1.0, len(part))
+        found[name] = values if runs > 1 else values[:, 0]
+    return found
+
+
+def told_otherwise(rng: random.Random, recording: Recording) -> Recording:
+    """Return a recording with its channels in another order and by other names."""
+    order = list(recording.channels)
+    rng.shuffle(order)
+    by = {c.name: f"{n} {c.name}" if c.kind in _NAMELESS else c.name for n, c in enumerate(order)}
+    clock = replace(order[0].clock, name="another")
+    blocks = [
+        replace(
+            block,
+            first_tick={clock.name: next(iter(block.first_tick.values()))},
+            samples={by[c.name]: block.samples[c.name] for c in order if c.name in block.samples},
+        )
+        for block in recording
+    ]
+    channels = tuple(replace(c, name=by[c.name], clock=clock) for c in order)
+    return replace(recording, channels=channels, blocks=Stream.of(blocks))
+
+
+def at_twice_the_rate(recording: Recording) -> Recording:
+    """Return a recording with one more sample in the middle between every two."""
+    (block,) = recording
+    clock = replace(
+        recording.channels[0].clock, period_s=recording.channels[0].clock.period_s / Fraction(2)
+    )
+    bits = {c.name for c in recording.channels if c.kind in _BITS}
+    samples = {}
+    for name, values in block.samples.items():
+        twice = np.repeat(values, 2, axis=0)[:-1]
+        if name not in bits:
+            twice[1::2] = 0.5 * (values[:-1] + values[1:])
+        samples[name] = twice
+    channels = tuple(replace(c, clock=clock) for c in recording.channels)
+    blocks = [RecordingBlock(first_tick={clock.name: 0}, samples=samples)]
+    return replace(recording, channels=channels, blocks=Stream.of(blocks))
+
+
+def check_recording(path: Path) -> None:
+    """Judge a recording that was changed, and hold it against the one before.
+
+    Raises
+    ------
+    AssertionError
+        If a value or a status differs.
+    """
+    rng = random.Random(path.read_bytes())
+    kept = rng.choice(pool())
+    spec, must = spec_about(rng, kept)
+    count = len(next(iter(kept.samples.values())))
+    edges = tuple(sorted(rng.sample(range(1, count), rng.choice((0, 0, 1, 3, 30)))))
+    whole = rng.randrange(_WHOLE) == 0
+    twice = not whole and rng.random() < 0.2
+    if whole:
+        recording = recording_of(kept.seed, kept.samples)
+        file = path.with_name(f"case.{rng.choice(('npz', 'csv', 'mcap'))}")
+        write_recording(recording, file)
+        recording = read_recording(file)
+    else:
+        runs = noisy(rng, kept)
+        recording = recording_of(kept.seed, runs, () if twice else edges, kept.runs)
+    if twice:
+        recording = at_twice_the_rate(recording)
+    if not whole and rng.random() < 0.5:
+        recording = told_otherwise(rng, recording)
+    rows = _rows(kept.seed, recording, spec)
+    known = {key for key, _, _ in rows}
+    assert known == set(must), f"criteria {known ^ set(must)} in one of the two alone"
+    for key, values, failed in rows:
+        if twice and key[0] not in _AT_TWICE_THE_RATE:
+            continue
+        off = values - kept.measured[key]
+        small = _SAME * abs(kept.measured[key]) + 1e-10
+        same = (np.abs(off) <= small) | (np.isnan(values) & np.isnan(kept.measured[key]))
+        same |= values == kept.measured[key]
+        where = f"{' '.join(key)} of {kept.seed.proof.plan.machine.name}"
+        told = f"{values.tolist()}, before {kept.measured[key]!r}"
+        assert same.all(), f"{where} is {told} (twice the rate: {twice}, file: {whole})"
+        assert (failed == must[key]).all(), f"{where} failed {failed.tolist()}: {told}"
+
+
+# --- verdicts ---
+
+
+def _told_verdict(proof: Proof) -> Told:
+    return {
+        (r.name, r.axis, r.step): (r.measured, r.status.value, r.limit)
+        for r in proof.verdict.results
+    }
+
+
+def _same_verdicts(before: Told, after: Told, said: str, moved: bool = False) -> None:
+    """Refuse verdicts that differ; a path that was ``moved`` lies elsewhere between the counts."""
+    assert before.keys() == after.keys(), f"criteria {before.keys() ^ after.keys()}: {said}"
+    for key, (value, status, limit) in before.items():
+        now, other, _ = after[key]
+        where = f"{' '.join(key)} is {now!r}, {other}, and was {value!r}, {status}"
+        if moved and key[0] in _OF_THE_PLACE:
+            continue
+        if value is None or now is None:
+            assert value == now and status == other, f"{where}: {said}"
+            continue
+        room = _MOVED * abs(value) + _COUNTS if moved else _SAME * abs(value) + 1e-9
+        assert abs(now - value) <= room, f"{where}: {said}"
+        assert status == other or abs(value - (limit or 0.0)) <= room, f"{where}: {said}"
+
+
+# --- programs ---
+
+_ALIKE = {"X": "Z", "Y": "Y", "A": "B"}
+
+
+@dataclass(frozen=True)
+class Twin:
+    """The same moves on the same machine, of which neither is written as before.
+
+    Attributes
+    ----------
+    machine, file
+        With axes of other names, in another order.
+    names
+        The axes before, by their names.
+    mirrored
+        The axis that goes the other way, by its name; empty for none.
+    """
+
+    machine: Machine
+    file: Path
+    names: Mapping[str, str]
+    mirrored: str
+
+    def path(self, dialect: str) -> dict[str, np.ndarray]:
+        """Return the way gone at each vertex, its time, and the places of the axes of before."""
+        job = read_job(self.file, self.machine, dialect=dialect)
+        path = programmed_path(job, self.machine)
+        blocks = list(path)
+        places = np.concatenate([b.positions for b in blocks])
+        found = {
+            self.names[axis]: places[:, k] * (-1 if axis == self.mirrored else 1)
+            for k, axis in enumerate(path.axes)
+        }
+        ways = np.diff(places, axis=0, prepend=places[:1])
+        found["way"] = np.cumsum(np.linalg.norm(ways, axis=1))
+        found["time"] = np.cumsum(np.concatenate([b.nominal_s + b.dwell_s for b in blocks]))
+        return found
+
+    def verdict(self, options: Options) -> Told:
+        """Return the verdict on it, with the axes of before."""
+        proof = prove(self.file, self.machine, load_spec(None, self.machine), options)
+        told = _told_verdict(proof)
+        return {(name, self.names.get(axis, ""), step): v for (name, axis, step), v in told.items()}
+
+
+def _renamed(rng: random.Random, machine: Machine) -> tuple[Machine, dict[str, str]]:
+    """Return a machine with axes of other names in another order, and the names before."""
+    names = {axis: rng.choice((axis, _ALIKE[axis])) for axis in machine.axes}
+    order = rng.sample(sorted(names), len(names))
+    inputs = {n: replace(one, axis=names[one.axis]) for n, one in machine.inputs.items()}
+    axes = {names[axis]: machine.axes[axis] for axis in order}
+    return replace(machine, axes=axes, inputs=inputs), {new: old for old, new in names.items()}
+
+
+def check_program(path: Path) -> None:
+    """Write the same moves in two ways, and hold path, or verdict, of one against the other's.
+
+    Raises
+    ------
+    AssertionError
+        If they differ.
+    """
+    rng = random.Random(path.read_bytes())
+    dialect, moves = rng.choice(DIALECTS), moves_of(rng)
+    style = style_of(rng, moves, dialect)
+    machine, names = _renamed(rng, winder())
+    axes = {old: new for new, old in names.items()}
+    mirrored = rng.choice(("", "", *(axes[axis] for axis in moves[0][1])))
+    others = [
+        (rapid, {axes[a]: -x if axes[a] == mirrored else x for a, x in place.items()}, feed)
+        for rapid, place, feed in moves
+    ]
+    one = Twin(winder(), path.with_name("one.nc"), {axis: axis for axis in winder().axes}, "")
+    two = Twin(machine, path.with_name("two.nc"), names, mirrored)
+    one.file.write_text(text_of(rng, moves, Style(), dialect))
+    two.file.write_text(text_of(rng, others, style, dialect))
+    told = f"{dialect}, {style}, {names}, mirrored {mirrored!r}\n"
+    told += f"{one.file.read_text()}\n{two.file.read_text()}"
+    before, after = one.path(dialect), two.path(dialect)
+    assert before.keys() == after.keys(), f"axes {list(before)} and {list(after)}: {told}"
+    for name, values in before.items():
+        there = np.interp(before["way"], after["way"], after[name])
+        assert np.abs(there - values).max() < 1e-9, f"{name} is {there} and was {values}: {told}"
+    if rng.randrange(_WHOLE) == 0:
+        options = Options(dialect=dialect, interpolation=rng.choice(("auto", "linear")))
+        by = "" if rng.random() < 0.5 else f"{axes['X']}={rng.randint(-20, 20)} mm"
+        verdicts = one.verdict(options), two.verdict(replace(options, offset=by or None))
+        sums = style.split or style.inches or style.absolute  # rounded elsewhere at half a count
+        _same_verdicts(*verdicts, f"shifted {by!r}, {told}", moved=bool(by or mirrored or sums))
+
+
+# --- machines ---
+
+_WHATEVER = {"sha256", "file", "reference", "note", "unit", "title", "sources", "guide", "design"}
+
+
+@cache
+def winder() -> Machine:
+    """Return the winder of the library."""
+    return load_machine("lathe-winder")
+
+
+def _numbers(of: Any, at: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield every number, word and switch of a machine by where it stands."""
+    if dataclasses.is_dataclass(of) and not isinstance(of, type):
+        names = (field.name for field in dataclasses.fields(of))
+        of = {name: getattr(of, name) for name in names if name not in _WHATEVER}
+    if isinstance(of, Mapping):
+        for key, value in of.items():
+            yield from _numbers(value, f"{at}.{key}")
+    elif isinstance(of, list | tuple):
+        for place, value in enumerate(of):
+            yield from _numbers(value, f"{at}.{place}")
+    else:
+        yield at, of
+
+
+def _alike(one: Any, two: Any) -> bool:
+    if isinstance(one, float) and isinstance(two, float):
+        return math.isclose(one, two, rel_tol=1e-12) or (math.isnan(one) and math.isnan(two))
+    return bool(one == two)
+
+
+def check_machine(path: Path) -> None:
+    """Write a machine of the library in another way, and compare its numbers, or its verdict.
+
+    Raises
+    ------
+    AssertionError
+        If they differ.
+    """
+    rng = random.Random(path.read_bytes())
+    if rng.randrange(4) == 0:
+        _check_limit(rng)
+        return
+    seed = rng.choice(seeds())
+    machine = seed.proof.plan.machine
+    name, *overlays = machine.reference.split("+")
+    text = library_file(name).read_text(encoding="utf-8")
+    for change in rng.sample((in_other_units, in_another_order), rng.randint(1, 2)):
+        text = change(rng, text)
+    file = path.with_name("mine.toml")
+    file.write_text(text)
+    other = load_machine("+".join([str(file), *overlays]))
+    numbers, others = dict(_numbers(machine)), dict(_numbers(other))
+    differ = [key for key in numbers.keys() | others.keys()
+              if not _alike(numbers.get(key), others.get(key))]  # fmt: skip
+    assert not differ, "; ".join(f"{k}: {numbers.get(k)} {others.get(k)}" for k in differ[:5])
+    if rng.randrange(2 * _WHOLE) == 0:
+        proof = prove(seed.file, other, load_spec(None, other), seed.options)
+        _same_verdicts(_told_verdict(seed.proof), _told_verdict(proof), text)
+
+
+def _check_limit(rng: random.Random) -> None:
+    """Move a limit of the machine to a thousandth below, or above, what a plan asks of an axis."""
+    kept = rng.choice([one for one in pool() if one.runs > 1])
+    plan = kept.seed.proof.plan
+    name, axis = rng.choice(("velocity", "acceleration", "jerk")), rng.choice(plan.axes)
+    value = kept.measured[name, axis, ""]
+    factor = rng.choice((0.998, 1.001))  # a thousandth is allowed for rounding
+    own = plan.machine.axes[axis]
+    limit = replace(getattr(own, name), si=factor * value)
+    axes = {**plan.machine.axes, axis: replace(own, **{name: limit})}
+    machine = replace(plan.machine, axes=axes)
+    verdict = Judge(replace(plan, machine=machine), load_spec(None, machine)).verdict(
+        [recording_of(kept.seed, kept.samples)]
+    )
+    found = {(r.name, r.axis): r.status for r in verdict.results}[name, axis]
+    wanted = Status.FAILED if factor < 1.0 else Status.PASSED
+    assert found is wanted, f"{name} {axis} of {factor} times its limit {found.value}"
+
+
+def fuzz_metamorphic() -> dict[str, tuple[str, Callable[..., bytes], Callable[[Path], None], int]]:
+    """Return the readers of this module for the table of ``fuzz.py``."""
+    checks = zip(CLASSES, (check_recording, check_program, check_machine), strict=True)
+    return {name: ("case.seed", case, partial(_not_refused, check), 7) for name, check in checks}
+
+
+def _not_refused(check: Callable[[Path], None], path: Path) -> None:
+    """Count a refusal as a difference: what is changed was taken before."""
+    try:
+        check(path)
+    except ThreadlineError as error:
+        raise AssertionError(f"refused: {error}") from error
+
+
+def case(rng: random.Random) -> bytes:
+    """Return the seed of a case; the runs are made before the first, and not while it is timed."""
+    pool()
+    return rng.randbytes(16)
