@@ -222,6 +222,12 @@ def test_the_searches_refuse_what_they_find_themselves(stopped: Path) -> None:
         assert "--shaper 'zv' does not apply to letter-cycle" in refused
 
 
+def test_a_mode_is_refused_where_no_shaper_is_compared(stopped: Path) -> None:
+    for ask in (by_line, by_python):
+        refused = ask("compare", stopped, "ticks", {"mode": "3 Hz"})
+        assert refused == "--mode and --damping name the mode of a shaper. Give --shaper too."
+
+
 @pytest.mark.usefixtures("coarse_search")
 @pytest.mark.parametrize(
     ("job", "machine", "found"),

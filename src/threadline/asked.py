@@ -147,13 +147,14 @@ class Words:
             raise OptionError("there is no interpolation to compare", remedy="Name one at least.")
         found = []
         once: tuple[str | None, ...] = (None,)
+        unshaped = {None, UNSHAPED_WORD}
         for name, feed, shaper in product(interpolations, feeds or once, shapers or once):
             own: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
             if name != OPTIMAL and OPTIMAL in interpolations:
                 own["contour"] = None
             if name not in USUAL and not USUAL.isdisjoint(interpolations):
                 own["robust"] = None
-            if shaper in (None, UNSHAPED_WORD):
+            if shaper in unshaped and not unshaped.issuperset(shapers):
                 own |= {"mode": None, "damping": None}
             found.append(self.options(**own))
         return found

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.asked import Words, with_radii_of
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.found import AXES_ALONE, command_line, limit_words
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -289,4 +289,4 @@ def _listed(text: str, option: str) -> list[str]:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "compare", compare)
+    option_parameters.add(app, "compare", compare)

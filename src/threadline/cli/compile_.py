@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.asked import Words, check_target
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
@@ -99,4 +99,4 @@ def _content(file: Written) -> dict[str, Any]:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "compile", compile_)
+    option_parameters.add(app, "compile", compile_)

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from threadline.asked import Words, level_option
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.found import command_line, typed
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -256,4 +256,4 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "design", design)
+    option_parameters.add(app, "design", design)

@@ -9,7 +9,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from threadline.asked import Words
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_by_feed import fastest_by_feed
 from threadline.cli.fastest_cycle import fastest_moves
@@ -127,4 +127,4 @@ ANSWERS: Mapping[Pace, Callable[[Asked], NoReturn]] = {
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "fastest", fastest)
+    option_parameters.add(app, "fastest", fastest)

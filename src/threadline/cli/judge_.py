@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from threadline.asked import Words
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.output import print_json, print_table, say
 from threadline.cli.prove import show_steps
 from threadline.cli.shared_options import JsonOption
@@ -56,4 +56,4 @@ def judge(
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "judge", judge)
+    option_parameters.add(app, "judge", judge)

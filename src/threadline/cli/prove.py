@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from threadline.asked import Words
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
@@ -139,4 +139,4 @@ def show_steps(verdict: Verdict, how: str = "") -> None:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "prove", prove)
+    option_parameters.add(app, "prove", prove)

@@ -14,7 +14,7 @@ import typer
 
 from threadline.arrays import finite
 from threadline.asked import Words
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.continued import (
     AtOption,
     ConfirmedOption,
@@ -353,4 +353,4 @@ def _show(
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "run", run)
+    option_parameters.add(app, "run", run)

@@ -14,7 +14,7 @@ import typer
 from threadline import __version__
 from threadline.arrays import finite
 from threadline.asked import Words
-from threadline.cli import arguments
+from threadline.cli import option_parameters
 from threadline.cli.cheapest import set_content, show_set, yield_words
 from threadline.cli.found import command_line
 from threadline.cli.output import print_json, print_table, progress_bar, say
@@ -310,4 +310,4 @@ def _content(
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    arguments.add(app, "yield", yield_)
+    option_parameters.add(app, "yield", yield_)
