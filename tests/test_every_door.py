@@ -225,7 +225,7 @@ def test_the_searches_refuse_what_they_find_themselves(stopped: Path) -> None:
 def test_a_mode_is_refused_where_no_shaper_is_compared(stopped: Path) -> None:
     for ask in (by_line, by_python):
         refused = ask("compare", stopped, "ticks", {"mode": "3 Hz"})
-        assert refused == "--mode and --damping name the mode of a shaper. Give --shaper too."
+        assert "--mode and --damping name the mode of a shaper" in refused
 
 
 @pytest.mark.usefixtures("coarse_search")
