@@ -65,8 +65,10 @@ soak: $(STAMP)  ## A day of simulated running at 100 times real time, and 200 ki
 
 lock:  ## Renew the locked requirements (needs uv)
 	for name in run dev bench panel; do \
+	  case $$name in run) from=pyproject.toml;; panel) from=requirements/panel.in;; \
+	    *) from="pyproject.toml requirements/$$name.in";; esac; \
 	  uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-	    --custom-compile-command "make lock" requirements/$$name.in -o requirements/$$name.txt; \
+	    --custom-compile-command "make lock" $$from -o requirements/$$name.txt || exit 2; \
 	done
 
 clean:
