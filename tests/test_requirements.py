@@ -21,7 +21,12 @@ DECLARED = [
 ]
 OLDEST = {"python_full_version": "3.11.0", "python_version": "3.11"}
 """The oldest Python that is supported."""
-COME_WITH = {"starlette": "fastapi", "pydantic_core": "pydantic", "markupsafe": "jinja2"}
+COME_WITH = {
+    "h11": "uvicorn",
+    "markupsafe": "jinja2",
+    "pydantic_core": "pydantic",
+    "starlette": "fastapi",
+}
 """What is imported and belongs to a package that is declared."""
 
 
