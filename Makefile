@@ -11,7 +11,7 @@ PAGE := src/threadline/panel/page/index.html
 # Byte code is kept: without it each interpreter that tests start reads 109 000 lines anew, a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo panel test test-cores bench lint format fuzz soak lock clean
+.PHONY: demo panel wheel test test-cores bench lint format fuzz soak lock clean
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Threadline needs Python 3.11 or newer; set PYTHON=..."; exit 2; }
@@ -26,6 +26,11 @@ panel: $(PAGE)  ## Build the page of the operator's panel
 $(PAGE): $(STAMP) requirements/panel.txt web/index.html web/package-lock.json $(wildcard web/src/*)
 	@command -v npm >/dev/null 2>&1 || $(BIN)/python -m tools.node_programs $(NODE)
 	cd web && PATH="$$PATH:$(NODE)" npm ci --no-audit --no-fund && PATH="$$PATH:$(NODE)" npm run build
+
+wheel: $(PAGE)  ## Build the wheel, with the panel's page, and try it in a bare environment
+	rm -rf build dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	$(BIN)/python -m tools.try_wheel dist/*.whl
 
 demo: $(STAMP)  ## Prove the cone-dome-cylinder program on the simulated winder
 	$(BIN)/threadline prove examples/cone-dome-cylinder.prg -m lathe-winder --interpolation optimal --report reports/demo
@@ -65,8 +70,10 @@ soak: $(STAMP)  ## A day of simulated running at 100 times real time, and 200 ki
 
 lock:  ## Renew the locked requirements (needs uv)
 	for name in run dev bench panel; do \
+	  case $$name in run) from=pyproject.toml;; panel) from=requirements/panel.in;; \
+	    *) from="pyproject.toml requirements/$$name.in";; esac; \
 	  uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-	    --custom-compile-command "make lock" requirements/$$name.in -o requirements/$$name.txt; \
+	    --custom-compile-command "make lock" $$from -o requirements/$$name.txt || exit 2; \
 	done
 
 clean:

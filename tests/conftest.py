@@ -46,6 +46,65 @@ NO_FIRMWARE = "a firmware that is built by hand, from sources that no package in
 # What is tested is imported in the fixtures: the process that starts the workers does not need it.
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add two options by which one run of the suite goes on where another ended."""
+    group = parser.getgroup("threadline")
+    group.addoption(
+        "--note-passed", type=Path, metavar="FILE", help="write the tests that pass into a file"
+    )
+    group.addoption(
+        "--except-noted",
+        type=Path,
+        metavar="FILE",
+        help="leave out the tests that such a file lists; without the file run all",
+    )
+
+
+class NotePassed:
+    """Writes the tests that passed, one a line; those that a fixture failed for are left out.
+
+    Parameters
+    ----------
+    file
+        Where they are written to, at the end of the run.
+    """
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self._passed: set[str] = set()
+        self._failed: set[str] = set()
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Keep what became of a part of a test: its setup, its call, its end."""
+        if report.failed:
+            self._failed.add(report.nodeid)
+        elif report.passed and report.when == "call":
+            self._passed.add(report.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        """Write the file."""
+        noted = sorted(self._passed - self._failed)
+        self._file.write_text("".join(f"{nodeid!r}\n" for nodeid in noted), encoding="utf-8")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Note in the process that hears of every test: under xdist the workers do not."""
+    file = config.getoption("note_passed", None)
+    if file is not None and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(NotePassed(file))
+
+
+def _leave_out_noted(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect the tests that a run before this one has noted as passed."""
+    file = config.getoption("except_noted", None)
+    if file is None or not file.is_file():
+        return
+    noted = frozenset(file.read_text("utf-8").splitlines())
+    left_out = [item for item in items if repr(item.nodeid) in noted]
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = [item for item in items if repr(item.nodeid) not in noted]
+
+
 @pytest.hookimpl(wrapper=True, optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int, int]:
     """Have a quarter more workers than cores, two at least: those at live machines wait."""
@@ -89,7 +148,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 @pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Let two workers begin with the tests that wait, for live machines and for browsers.
 
     The others compute meanwhile. Each worker is given as many tests as the others, in this order,
@@ -97,6 +156,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     would leave the cores idle. LinuxCNC is one on a computer: its tests are in one queue, or one
     worker would wait for the other.
     """
+    _leave_out_noted(config, items)
     share = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
     waiting = [item for item in items if _waits(item)]
     others = [item for item in items if not _waits(item)]

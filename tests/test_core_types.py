@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,15 +55,48 @@ def test_the_folders_are_there():
     assert [name for name in NUMERICS if not (ROOT / "tests" / name).is_dir()] == []
 
 
+def suite(folder: Path, ci: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run the tests of a folder with the rules of this suite."""
+    (folder / "pytest.ini").write_text("[pytest]\n")
+    here = {"CI": ci, "PYTEST_ADDOPTS": "", "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"}
+    return subprocess.run(
+        [
+            sys.executable, "-m", "pytest", "-q", "-p", "tests.conftest", "-p", "no:cacheprovider",
+            *words,
+        ],
+        cwd=folder, capture_output=True, text=True, check=False, env=os.environ | here,
+    )  # fmt: skip
+
+
+def test_a_second_run_has_what_the_first_did_not_show(tmp_path: Path):
+    """What passed is left out; what was skipped, also as a whole file, and what failed, runs."""
+    (tmp_path / "test_all.py").write_text(
+        "import os, pytest\n"
+        "absent = pytest.mark.skipif(not os.environ.get('CI'), reason='rs274 is absent')\n"
+        "@pytest.fixture\ndef spoilt():\n    yield\n    assert os.environ.get('CI')\n"
+        "@pytest.mark.parametrize('text', ['a', 'b c\\n'])\ndef test_good(text): pass\n"
+        "def test_spoilt(spoilt): pass\n"
+        "@absent\ndef test_oracle(): pass\n"
+    )
+    (tmp_path / "test_page.py").write_text(
+        "import os, pytest\n"
+        "if not os.environ.get('CI'): pytest.skip('no browser', allow_module_level=True)\n"
+        "def test_page(): pass\n"
+    )
+    first = suite(tmp_path, "", "-n", "2", "--note-passed=passed")
+    assert "3 passed, 2 skipped, 1 error" in first.stdout
+    second = suite(tmp_path, "true", "-rp", "-n", "2", "--except-noted=passed")
+    ran = set(re.findall(r"PASSED test_\w+\.py::(\w+)", second.stdout))
+    assert ran == {"test_spoilt", "test_oracle", "test_page"}, second.stdout
+    assert "3 passed" in second.stdout
+    whole = suite(tmp_path, "true", "--except-noted=absent")
+    assert "5 passed" in whole.stdout
+
+
 @pytest.mark.parametrize(("ci", "code"), [("true", 1), ("", 0)])
 def test_a_skipped_test_fails_in_ci_alone(tmp_path: Path, ci: str, code: int):
     case = tmp_path / "test_oracle.py"
     case.write_text("import pytest\n\ndef test_oracle():\n    pytest.skip('rs274 is absent')\n")
-    (tmp_path / "pytest.ini").write_text("[pytest]\n")
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "tests.conftest", "-p", "no:cacheprovider"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-        env=os.environ | {"CI": ci, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{ROOT}"},
-    )  # fmt: skip
+    done = suite(tmp_path, ci)
     assert done.returncode == code, done.stdout
     assert ("skipped, which CI does not allow: rs274 is absent" in done.stdout) == bool(code)

@@ -301,3 +301,23 @@ def test_files_that_cannot_be_used_are_wrong_input(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="is a folder"):
         proof.write(tmp_path)
     assert (tmp_path / "file").read_text() == ""
+
+
+def test_a_proof_prints_itself_in_ten_lines_worst_first(tmp_path: Path) -> None:
+    job = tmp_path / "<i>.prg"  # what a notebook shows is escaped
+    job.write_text((ROOT / "examples" / "x-180.prg").read_text("utf-8"), "utf-8")
+    spec = tmp_path / "tight.spec.toml"
+    spec.write_text(
+        'name = "tight"\n\n[[criteria]]\nname = "tracking_error"\n\n'
+        '[[criteria]]\nname = "contour_error"\nlimit = "0.1 mm"\n',
+        "utf-8",
+    )
+    proof = tl.prove(job, "lathe-winder", interpolation="linear", spec=spec, level="nominal")
+    lines = str(proof).splitlines()
+    assert len(lines) <= 10
+    assert re.match(r"<i>\.prg on lathe-winder, 10.01 s: OUT OF SPEC \(nominal: 1 run; ", lines[0])
+    assert re.search(r"contour_error +0\.4633 mm +limit 0\.1 mm +failed, line 12$", lines[1])
+    assert repr(proof) == str(proof)
+    shown = proof._repr_html_()
+    assert "<i>" not in shown and "&lt;i&gt;.prg" in shown
+    assert shown.index("<td>contour_error</td>") < shown.index("<td>tracking_error</td>")

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from threadline.arguments import checked
 from threadline.errors import OptionError
-from threadline.verdict import Result, Verdict, verdict_json
+from threadline.escaping import plain
+from threadline.verdict import Result, Verdict, closing, verdict_json, verdict_rows
 
 if TYPE_CHECKING:
     from threadline.pipeline import Proof
@@ -19,11 +21,13 @@ if TYPE_CHECKING:
     from threadline.signals.files import Written
 
 PathLike = str | Path
+_MOST_ROWS = 7  # of the criteria that an answer prints: with the lines around them ten in all
+_URGENCY = {"failed": 0, "not-measured (required)": 1, "passed": 2}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Answer:
-    """A verdict, with the plan that it is of.
+    """A verdict and its plan; prints itself in at most ten lines, in a notebook as a table.
 
     Parameters
     ----------
@@ -63,8 +67,40 @@ class Answer:
         """Return what the command line prints with ``--json``."""
         return verdict_json(self.of.verdict, self.of.plan)
 
+    def __repr__(self) -> str:
+        _, rows, more = self._summary()
+        parts = [row[:4] for row in rows]
+        widths = [max(map(len, column)) for column in zip(*parts, strict=True)]
+        lines = [f"{self._title()}: {closing(self.of.verdict)}"]
+        for (name, axis, measured, limit), row in zip(parts, rows, strict=True):
+            figures = f"{measured:>{widths[2]}}  limit {limit:<{widths[3]}}"
+            where = "" if row[6] == "-" else f", line {row[6]}"
+            lines.append(f"  {name:<{widths[0]}}  {axis:<{widths[1]}}  {figures}  {row[4]}{where}")
+        return "\n".join(plain(line) for line in [*lines, *([f"  {more}"] if more else [])])
 
-@dataclass(frozen=True, slots=True, eq=False)
+    def _repr_html_(self) -> str:
+        header, rows, more = self._summary()
+        lines = [f"<table><caption>{escape(plain(self._title()))}</caption>"]
+        for tag, row in [("th", header), *(("td", row) for row in rows)]:
+            cells = "".join(f"<{tag}>{escape(plain(cell))}</{tag}>" for cell in row)
+            lines.append(f"<tr>{cells}</tr>")
+        below = "; ".join(filter(None, (closing(self.of.verdict), more)))
+        return "\n".join([*lines, f"</table><p>{escape(plain(below))}</p>"])
+
+    def _title(self) -> str:
+        plan = self.of.plan
+        return f"{plan.job.name} on {plan.machine.name}, {plan.duration_s:.4g} s"
+
+    def _summary(self) -> tuple[list[str], list[list[str]], str]:
+        """Return header and rows of the most urgent criteria, and a line about the others."""
+        header, rows = verdict_rows(self.of.verdict)
+        rows.sort(key=lambda row: _URGENCY.get(row[4], len(_URGENCY)))
+        others = len(rows) - _MOST_ROWS
+        more = f"and {others} more; .verdict.results has all of them" if others > 0 else ""
+        return header, rows[:_MOST_ROWS], more
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Proved(Answer):
     """A proof: a plan, what the simulated machine made of it, and the verdict."""
 

@@ -11,9 +11,10 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from typer.testing import CliRunner
 
 from threadline.cli import law, prove
-from threadline.cli.main import main
+from threadline.cli.main import app, main
 from threadline.writing import staged_file
 
 
@@ -227,3 +228,30 @@ def test_errors_are_text_on_stderr_with_json_too(capsys: pytest.CaptureFixture[s
     with pytest.raises(SystemExit):
         main(["--help"])
     assert "with --json too" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("words", "offers"),
+    [("threadline ver", "verify"), ("threadline prove --interp", "--interpolation")],
+)
+def test_the_tab_key_completes_commands_and_options(words: str, offers: str) -> None:
+    asked = {
+        "_THREADLINE_COMPLETE": "complete_bash",
+        "COMP_WORDS": words,
+        "COMP_CWORD": str(words.count(" ")),
+    }
+    told = CliRunner().invoke(app, [], prog_name="threadline", env=asked)
+    assert told.stdout.split() == [offers]
+
+
+def test_a_shell_without_completion_is_wrong_input(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It would be exit status 1, which means out of spec."""
+    monkeypatch.setattr("shellingham.detect_shell", lambda: ("tcsh", "/bin/tcsh"))
+    with pytest.raises(SystemExit) as ended:
+        main(["--install-completion"])
+    assert ended.value.code == 2
+    assert "[OPTION] there is no tab completion for this shell. Call it from bash, zsh," in (
+        capsys.readouterr().err
+    )

@@ -77,6 +77,15 @@ def test_colours(body: str, colour: str) -> None:
     assert [stroke.colour for stroke in svg(body).strokes] == [colour]
 
 
+def test_colours_have_the_names_of_css() -> None:
+    from matplotlib.colors import CSS4_COLORS
+
+    body = "".join(f'<path stroke="{name.title()}" d="M0 0H9"/>' for name in CSS4_COLORS)
+    colours = [stroke.colour for stroke in svg(body).strokes]
+    assert colours == [code.lower() for code in CSS4_COLORS.values()]
+    assert len(colours) == 148
+
+
 @pytest.mark.parametrize(
     ("transform", "place"),
     [

@@ -23,7 +23,7 @@ from starlette.websockets import WebSocketDisconnect
 from tests.panel.bench import LOCAL, PROGRAM, Operator, operator, served
 from threadline.errors import InputError, JobError, OptionError
 from threadline.machine import load_machine
-from threadline.panel import admission
+from threadline.panel import admission, server
 from threadline.panel.admission import Admission, PromptHttp
 from threadline.panel.project_programs import (
     planned,
@@ -161,9 +161,19 @@ def test_no_message_enables_a_machine_without_control(client: TestClient, conten
     assert client.get("/api/state").json()["state"] == "disabled"
 
 
-def test_the_published_schema_is_that_of_the_program(client: TestClient) -> None:
+@pytest.mark.parametrize("files", [(), ("index.html",)])
+def test_the_published_schema_is_that_of_the_program(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, files: tuple[str, ...]
+) -> None:
+    """Whether or not the page was built."""
+    (page := tmp_path / "page").mkdir()
+    for name in files:
+        (page / name).write_text("the page", "utf-8")
+    monkeypatch.setattr(server, "PAGE", page)
     published = json.loads((ROOT / "docs" / "panel-protocol.json").read_text("utf-8"))
-    told = client.get("/api/schema").json()
+    with served(tmp_path) as client:
+        assert client.get("/").status_code == (200 if files else 404)
+        told = client.get("/api/schema").json()
     assert told == published, "python -m tools.panel_schema writes it"
     assert MOST_TEXT == 1 << 16
 

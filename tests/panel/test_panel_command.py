@@ -23,6 +23,22 @@ from websockets.sync.client import connect
 from tests.panel.bench import Operator
 from tests.panel.test_panel_killed import Spoken
 from threadline.cli.main import main
+from threadline.panel import server
+
+WITH_PAGE = (
+    "import pathlib, sys; from threadline.panel import server; "
+    "server.PAGE = pathlib.Path(sys.argv.pop(1)); from threadline.cli.start import run; run()"
+)
+"""The program, with the page of the panel in the folder that its first argument names."""
+
+
+@pytest.fixture(autouse=True)
+def page(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A page to serve: a fresh checkout has none."""
+    folder = tmp_path_factory.mktemp("page")
+    (folder / "index.html").write_text("the page", "utf-8")
+    monkeypatch.setattr(server, "PAGE", folder)
+    return folder
 
 
 @pytest.mark.parametrize(
@@ -100,6 +116,22 @@ def test_a_port_that_another_has_is_one_line(
     assert f"cannot listen at 127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
 
 
+def test_without_its_page_it_says_how_to_build_it(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (page / "index.html").unlink()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(uvicorn.Server, "run", lambda *_: pytest.fail("it serves"))
+    with pytest.raises(SystemExit) as ended:
+        main(["panel", "-m", "lathe-winder"])
+    assert ended.value.code == 2
+    told = capsys.readouterr()
+    assert not told.out
+    assert told.err == (
+        "error: [OPTION] the page of the panel was not built in this checkout. Run: make panel\n"
+    )
+
+
 @pytest.mark.parametrize("host", ["::1", "[::1]"])
 def test_an_address_of_ipv6_stands_in_brackets(
     host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -133,8 +165,8 @@ def panel(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], 
         port = free.getsockname()[1]
     panel = subprocess.Popen(
         [
-            sys.executable, "-m", "threadline", "panel", "-m", "lathe-winder", "--port", str(port),
-            *options,
+            sys.executable, "-c", WITH_PAGE, str(server.PAGE), "panel", "-m", "lathe-winder",
+            "--port", str(port), *options,
         ],
         cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=dict(os.environ),

@@ -35,6 +35,7 @@ EXIT_NO_READER = 141  # 128 + SIGPIPE
 # of our own making and may list many values to give, stands whole.
 _HEAD_SHOWN, _TAIL_SHOWN, _MOST_OF_REMEDY = 320, 155, 3000
 _LEFT_OUT = " ... "
+_COMPLETION = ("--install-completion", "--show-completion")  # typer's; it ends with 1 if refused
 _STDOUT = 1  # its file descriptor; typer may have put something else into sys.stdout
 
 _EPILOG = (
@@ -50,7 +51,7 @@ app = typer.Typer(
     help="How fast can this machine do this job and stay in spec, and can you prove it?",
     epilog=_EPILOG,
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -115,6 +116,11 @@ def _run(given: list[str], termination: Termination) -> int:
             # Not in typer's stand-alone mode, which tells a wrong option in four lines and an
             # interrupt in none. It returns the exit status, or nothing for 0.
             status = int(app(args=given or ["--help"], standalone_mode=False) or 0)
+            if status and given and given[0] in _COMPLETION:
+                raise OptionError(
+                    "there is no tab completion for this shell",
+                    remedy="Call it from bash, zsh, fish or PowerShell.",
+                )
             _flush()
             tell_warnings(told.warnings)
     except ThreadlineError as error:

@@ -89,9 +89,10 @@ def panel(
     from threadline.panel.owner_process import Owned, start_owner
     from threadline.panel.panel import Panel
     from threadline.panel.protocol import MOST_TEXT
-    from threadline.panel.server import make_app
+    from threadline.panel.server import check_page, make_app
 
     admission = Admission(host, token)
+    check_page()
     owned = Owned(chosen, spec, folder, store, speed, link)
     with tempfile.TemporaryDirectory(prefix="threadline-panel-") as kept:
         calculation = Calculation(chosen, spec, folder, Path(kept))

@@ -18,7 +18,7 @@ from starlette.background import BackgroundTask
 from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp
 
-from threadline.errors import InputError, StoreError
+from threadline.errors import InputError, OptionError, StoreError
 from threadline.live.lateness import clock_s
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
@@ -38,7 +38,6 @@ PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""
 _NUMBERS = re.compile("[0-9]{1,15}")
 _HELLO_S = 5.0  # time in which a client has to say who it is
-_NO_PAGE = "The page was not built: run make panel.\n"
 _REFUSALS: dict[int | str, dict[str, Any]] = {
     404: {"description": "there is none of that name"},
     409: {"description": "the lease is not that in force"},
@@ -218,15 +217,24 @@ def _add_live(app: FastAPI, panel: Panel, admission: Admission) -> None:
                 await sending
 
 
+def check_page() -> None:
+    """Refuse to serve a panel whose page was not built.
+
+    Raises
+    ------
+    OptionError
+        If this is a checkout in which ``make panel`` has not run; a wheel holds the page.
+    """
+    if not (PAGE / "index.html").exists():
+        raise OptionError(
+            "the page of the panel was not built in this checkout", remedy="Run: make panel"
+        )
+
+
 def _add_page(app: FastAPI) -> None:
-    """Add the page, or in its place a line that says how it is built."""
+    """Add the page where it was built; the rest of the interface needs no page."""
     if (PAGE / "index.html").exists():
         app.mount("/", StaticFiles(directory=PAGE, html=True))
-    else:
-
-        @app.get("/")
-        def no_page() -> PlainTextResponse:
-            return PlainTextResponse(_NO_PAGE, 503)
 
 
 def _read(text: str) -> say.Stop | say.Control | say.Alive | say.Act:

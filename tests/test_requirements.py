@@ -1,0 +1,73 @@
+"""What the package needs: what it imports, what it declares, and what the lock holds are one."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+from packaging.markers import Marker
+from packaging.requirements import Requirement
+from packaging.version import Version
+
+ROOT = Path(__file__).resolve().parent.parent
+DECLARED = [
+    Requirement(line)
+    for line in tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
+        "dependencies"
+    ]
+]
+OLDEST = {"python_full_version": "3.11.0", "python_version": "3.11"}
+"""The oldest Python that is supported."""
+COME_WITH = {
+    "h11": "uvicorn",
+    "markupsafe": "jinja2",
+    "pydantic_core": "pydantic",
+    "starlette": "fastapi",
+}
+"""What is imported and belongs to a package that is declared."""
+
+
+def imported(file: Path) -> set[str]:
+    """Return the packages that a file imports, anywhere in it."""
+    names: list[str] = []
+    for node in ast.walk(ast.parse(file.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names.append(str(node.module))
+    return {name.partition(".")[0] for name in names}
+
+
+def locked(name: str) -> list[Requirement]:
+    text = (ROOT / "requirements" / f"{name}.txt").read_text("utf-8")
+    return [Requirement(found) for found in re.findall(r"^([a-z].*?) \\$", text, re.M)]
+
+
+def for_the_oldest(marker: Marker | None) -> bool:
+    return marker is None or marker.evaluate(dict(OLDEST))
+
+
+def test_all_that_is_imported_is_declared_and_the_other_way_round() -> None:
+    used = set().union(*map(imported, (ROOT / "src").rglob("*.py")))
+    used -= {"threadline", *sys.stdlib_module_names}
+    declared = {requirement.name for requirement in DECLARED}
+    # The server reads the websocket by the package that its option ``ws`` names.
+    assert {COME_WITH.get(name, name) for name in used} | {"websockets"} == declared
+
+
+def test_the_lower_bounds_are_the_releases_of_the_lock() -> None:
+    """To the feature release: of 2.4.6 it is 2.4."""
+    held = {one.name: one.specifier for one in locked("run") if for_the_oldest(one.marker)}
+    for requirement in DECLARED:
+        (bound,), (lock,) = requirement.specifier, held[requirement.name]
+        assert bound.operator == ">=", requirement
+        assert Version(bound.version).release == Version(lock.version).release[:2], requirement
+
+
+def test_every_lock_holds_what_the_package_needs() -> None:
+    for name in ("run", "dev", "bench"):
+        held = {one.name for one in locked(name)}
+        assert {requirement.name for requirement in DECLARED} <= held, name
