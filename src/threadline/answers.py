@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -156,9 +157,13 @@ class Found:
     of
         The result of the search in ``threadline.search``, with every try; its type depends on the
         job (``docs/api.md``).
+    best_options
+        The options of planning with which ``prove`` plans the best: ``tl.prove(job, machine,
+        **best_options)``. None where nothing is in spec, or where only a move list can say it.
     """
 
     best: float | None
     unit: str
     limited_by: str
     of: Any
+    best_options: Mapping[str, Any] | None = None

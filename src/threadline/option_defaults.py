@@ -20,6 +20,8 @@ stitcher have to keep. The rest is for what the plan does not contain: encoder c
 DAC, friction, and the spread from run to run."""
 NO_CONTOUR = "none"
 """What ``--contour`` says for no limit."""
+UNSHAPED_WORD = "none"
+"""What ``--shaper`` says for no shaper."""
 DEFAULT_TOLERANCE_M = 1e-4
 """Default of ``--tolerance``, m: largest deviation from the programmed path."""
 DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"

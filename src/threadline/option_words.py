@@ -7,7 +7,7 @@ import re
 
 from threadline.errors import OptionError, UnitError
 from threadline.jobs.operations import Feed, FeedMode
-from threadline.option_defaults import NO_CONTOUR
+from threadline.option_defaults import NO_CONTOUR, UNSHAPED_WORD
 from threadline.typed_number import parse_number
 from threadline.units import parse_quantity, same_dimension, split_quantity
 
@@ -198,6 +198,39 @@ def parse_robust(text: str) -> float:
             remedy='All of them are "100 %", the machine as its file says is "0 %".',
         )
     return value
+
+
+def parse_yield(text: str) -> float:
+    """Return a wished yield such as ``"99 %"`` as a share.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and below 100 %: no number of machines proves 100 %.
+    """
+    value = parse_number("yield", text, "", "99 %")
+    if not 0.0 < value < 1.0:
+        raise OptionError(
+            f"yield {text!r} must be above 0 % and below 100 %",
+            remedy='99 of 100 machines in spec is "99 %"; no number of machines proves 100 %.',
+        )
+    return value
+
+
+def parse_damping(given: str | float) -> float:
+    """Return a damping ratio, a number or a text such as ``"0.17"`` or ``"17 %"``.
+
+    Raises
+    ------
+    OptionError
+        If the text is no number without a unit.
+    """
+    return parse_number("--damping", given, "", "20 %") if isinstance(given, str) else float(given)
+
+
+def parse_shaper_text(text: str) -> str | None:
+    """Return the text of a shaper as it is; None where it is ``none``, which shapes nothing."""
+    return None if text == UNSHAPED_WORD else text
 
 
 def parse_width_s(text: str) -> float:

@@ -3,37 +3,37 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from threadline.errors import OptionError
+from threadline.foreign_messages import nearest
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.machine.radii import written_out
 from threadline.option_defaults import (
     AUTO,
     DEFAULT_CONTOUR_M,
     DEFAULT_INTERPOLATION,
-    DEFAULT_LIMITS,
     DEFAULT_TOLERANCE_M,
     FEED_FORWARD,
     OPTIMAL_FEED_FORWARD,
+    UNSHAPED_WORD,
     USUAL,
 )
-from threadline.option_words import (
-    parse_contour_m,
-    parse_feed,
-    parse_robust,
-    parse_share,
-    parse_tolerance_m,
-    parse_width_s,
+from threadline.option_form import Group, Word
+from threadline.option_table import (
+    RECORDED,
+    TABLE,
+    option,
+    planned_by,
 )
+from threadline.option_words import parse_feed, parse_width_s
 from threadline.path.interpolations import BY_LAW, CHORDS, FIRMWARE, OPTIMAL
 from threadline.plan import Following
 from threadline.trajectory import Pace
 
-OF_AXES = (
-    "interpolation", "feed", "dialect", "feed-mode", "radius", "offset", "tolerance", "limits"
-)  # fmt: skip
+_OF_SWITCHES = planned_by("switches")
+OF_AXES = tuple(known.key for one, known in RECORDED if one.name not in _OF_SWITCHES)
 """Keys of ``describe`` that have a meaning only for machines with axes."""
 
 
@@ -118,6 +118,8 @@ class Options:
     offset
         Text of where the zero of a part program lies on the machine, ``"X=12 mm, A=30 deg"``; None
         is the machine's zero.
+    needle
+        Text of the needle speed that replaces the speed of a seam; None keeps the seam's.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
     limit_share
@@ -147,6 +149,7 @@ class Options:
     feed_mode: str | None = None
     radius: str | None = None
     offset: str | None = None
+    needle: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M
     limit_share: float = 1.0
     shaper: str | None = None
@@ -224,47 +227,88 @@ class Options:
 
 
 def options_of(
-    interpolation: str,
-    feed: str | None,
-    tolerance: str,
-    limits: str = DEFAULT_LIMITS,
-    shaper: str | None = None,
-    feed_forward: bool = False,
-    smoothing: str | None = None,
-    feed_mode: str | None = None,
-    law: str | None = None,
-    dialect: str | None = None,
-    radius: str | None = None,
-    contour: str | None = None,
-    robust: str | None = None,
-    offset: str | None = None,
+    interpolation: Word = None, feed: Word = None, tolerance: Word = None, **words: Word
 ) -> Options:
-    """Return the planning options, read from their text.
+    """Return the planning options, read from their words as ``option_table`` declares them.
+
+    Parameters
+    ----------
+    interpolation, feed, tolerance, **words
+        By the words of the options; one that is left out, or None, has its default.
 
     Raises
     ------
     OptionError
-        If one is unreadable, a smoothing is given without feed-forward, a meaning of F with a
-        feed that replaces it, a law with another interpolation, or a contour with any but
+        If one is unknown or unreadable, a smoothing is given without feed-forward, a meaning of F
+        with a feed that replaces it, a law with another interpolation, or a contour with any but
         ``optimal`` followed by the motors.
     """
-    if law is not None:
-        if interpolation not in USUAL:
-            raise OptionError(
-                f"--law {law!r} is an interpolation of its own, and --interpolation "
-                f"{interpolation!r} another",
-                remedy="Leave one of them out.",
-            )
-        interpolation = f"{BY_LAW}{law}"
-    if smoothing is not None and not feed_forward:
+    for word in words:
+        if word not in _PLANNING:
+            raise OptionError(f"unknown option {word!r}", remedy=nearest(word, tuple(_PLANNING)))
+    words |= {"interpolation": interpolation, "feed": feed, "tolerance": tolerance}
+    given: dict[str, Word] = {word: one.default for word, one in _PLANNING.items()}
+    given |= {word: value for word, value in words.items() if value is not None}
+    given["interpolation"] = _interpolation(given)
+    _refuse_pairs(given)
+    read = {
+        one.attribute: one.parse(given[word])
+        for word, one in _PLANNING.items()
+        if one.parse is not None and given[word] is not None
+    }
+    if given["feed_forward"]:
+        width = given["smoothing"]
+        if width is None or given["robust"] is not None:
+            of_optimal = given["interpolation"] == OPTIMAL
+            width = OPTIMAL_FEED_FORWARD if of_optimal else FEED_FORWARD
+        read["feed_forward_s"] = parse_width_s(str(width))
+    if given["smoothing"] is not None and given["robust"] is not None:
+        read["change_s"] = parse_width_s(str(given["smoothing"]))
+    return Options(**read)
+
+
+_PLANNING = {one.word: one for one in TABLE if one.group is Group.PLAN}
+
+
+def _interpolation(given: Mapping[str, Word]) -> str:
+    """Return the interpolation; a motion law is one of its own.
+
+    Raises
+    ------
+    OptionError
+        If a law and another interpolation are given.
+    """
+    law, interpolation = given["law"], str(given["interpolation"])
+    if law is None:
+        return interpolation
+    if interpolation not in USUAL:
+        raise OptionError(
+            f"--law {law!r} is an interpolation of its own, and --interpolation "
+            f"{interpolation!r} another",
+            remedy="Leave one of them out.",
+        )
+    return f"{BY_LAW}{law}"
+
+
+def _refuse_pairs(given: Mapping[str, Word]) -> None:
+    """Refuse options that do not go together.
+
+    Raises
+    ------
+    OptionError
+        Naming the pair.
+    """
+    interpolation, forward = given["interpolation"], given["feed_forward"]
+    smoothing, contour, robust = given["smoothing"], given["contour"], given["robust"]
+    if smoothing is not None and not forward:
         raise OptionError(
             f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
         )
-    given = None if feed is None else parse_feed(feed)
-    by_f = given is None or given.mode in {FeedMode.F_WORD, FeedMode.OVERRIDE}
-    if not by_f and feed_mode is not None:
+    feed, rule = given["feed"], given["feed_mode"]
+    both = feed is not None and rule is not None
+    if both and parse_feed(str(feed)).mode not in {FeedMode.F_WORD, FeedMode.OVERRIDE}:
         raise OptionError(
-            f"--feed-mode {feed_mode!r} says what F means, and --feed {feed!r} replaces every F",
+            f"--feed-mode {rule!r} says what F means, and --feed {feed!r} replaces every F",
             remedy='Leave one of them out, or give the feed as an F, like "F 3000".',
         )
     if contour is not None and interpolation != OPTIMAL:
@@ -273,55 +317,42 @@ def options_of(
             f"{interpolation}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
         )
-    if robust is not None and (not feed_forward or interpolation not in USUAL):
+    if robust is not None and (not forward or interpolation not in USUAL):
         raise OptionError(
             f"--robust {robust!r} is of feed-forward along the programmed chords and times",
             remedy="Give --feed-forward too, and no other --interpolation.",
         )
-    change = smoothing if robust is not None else None
-    if smoothing is None or robust is not None:
-        smoothing = OPTIMAL_FEED_FORWARD if interpolation == OPTIMAL else FEED_FORWARD
-    return Options(
-        interpolation=interpolation,
-        feed=given,
-        dialect=dialect,
-        feed_mode=feed_mode,
-        radius=None if radius is None else written_out(radius),
-        offset=offset,
-        tolerance_m=parse_tolerance_m(tolerance),
-        limit_share=parse_share(limits),
-        shaper=shaper,
-        feed_forward_s=parse_width_s(smoothing) if feed_forward else None,
-        contour_m=None if contour is None else parse_contour_m(contour),
-        robust_share=None if robust is None else parse_robust(robust),
-        change_s=None if change is None else parse_width_s(change),
-    )
+    shaped = given["shaper"] not in (None, UNSHAPED_WORD)
+    if not shaped and (given["mode"] is not None or given["damping"] is not None):
+        raise OptionError(
+            "--mode and --damping name the mode of a shaper", remedy="Give --shaper too."
+        )
 
 
-def robust_plan(ends: str | None, interpolation: str, feed_forward: bool) -> str | None:
-    """Return the share of tolerances over which a search plans, given at whose ``ends`` it judges.
-
-    None where the plan has no averages to choose: then the plan for the machine as typed is judged.
-    """
-    return ends if feed_forward and interpolation in USUAL else None
+def foreign_options(kind: str, machine: Machine, options: Options) -> list[str]:
+    """Return the options that are given, as typed, and have no meaning for a kind of work."""
+    options, plain, found = options.on(machine), Options().on(machine), []
+    for one in _PLANNING.values():
+        if kind in one.kinds or not one.attribute:
+            continue
+        if getattr(options, one.attribute) != getattr(plain, one.attribute):
+            found.append(one.typed)
+    if options.interpolation.startswith(BY_LAW):
+        law = kind in option("law").kinds
+        found = [("--law" if name == "--interpolation" else name) for name in found]
+        found = [name for name in found if not (law and name == "--law")]
+    return found
 
 
 def refuse_axis_options(machine: Machine, options: Options) -> None:
-    """Refuse options of machines with axes: a schedule has only those of the shaper.
+    """Refuse options of machines with axes: a schedule has only the options of the shaper.
 
     Raises
     ------
     OptionError
         If one is given.
     """
-    axes = [f.name for f in fields(Options) if not f.name.startswith("shaper")]
-    options, usual = options.on(machine), Options().on(machine)
-    given = [name for name in axes if getattr(options, name) != getattr(usual, name)]
-    if given:
-        unitless = (name.removesuffix("_m").removesuffix("_s") for name in given)
-        names = ["--" + n.replace("limit_share", "limits").replace("_", "-") for n in unitless]
-        if options.interpolation.startswith(BY_LAW):
-            names[names.index("--interpolation")] = "--law"
+    if names := foreign_options("switches", machine, options):
         raise OptionError(
             f"{', '.join(names)}: {machine.name} switches cylinders on and off, without a path, a "
             "feed or a law to choose",

@@ -7,31 +7,24 @@ from dataclasses import dataclass
 from hashlib import file_digest
 from pathlib import Path
 
+from threadline.asked import Words, chosen_machine
 from threadline.described import options_from
 from threadline.errors import OptionError
 from threadline.jobs.operations import Job
-from threadline.machine import Machine, load_machine
-from threadline.machine.par import read_parameters
+from threadline.machine import Machine
 from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
+from threadline.option_table import (
+    RECORDED,
+)
+from threadline.options import options_of
 from threadline.pipeline import open_job, plan_job, with_shaping
 from threadline.plan import Plan
 from threadline.signals import Recording
 from threadline.signals.files import read_recording
-from threadline.verdict import Spec, Verdict, judge, load_spec
+from threadline.verdict import Spec, Verdict, judge
 
 _ALWAYS_SAID = ("interpolation", "feed", "tolerance", "limits")
-_PLANNED_WITH = (
-    *_ALWAYS_SAID,
-    "dialect",
-    "feed-mode",
-    "radius",
-    "shaper",
-    "mode",
-    "damping",
-    "feed-forward",
-    "robust",
-    "change",
-)
+_PLANNED_WITH = tuple(recorded.key for _, recorded in RECORDED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,11 +39,10 @@ class Judged:
 
 def judge_files(
     recordings: Sequence[Path],
-    given: Mapping[str, str | None],
-    spec: Path | None = None,
+    words: Words,
     *,
-    feed_forward: bool = False,
-    smoothing: str | None = None,
+    job: Path | None = None,
+    machine: str | None = None,
     read_one: Callable[[Path], Recording] = read_recording,
 ) -> Judged:
     """Judge recordings of one and the same job.
@@ -59,13 +51,11 @@ def judge_files(
     ----------
     recordings
         Their files.
-    given
-        Options of the plan, by the keys of ``describe``. None takes what the recording says of
+    words
+        What was asked of ``judge``. An option that is left out is what the recording says of
         itself, else the default.
-    spec
-        The file of the specification; None is the machine's own.
-    feed_forward, smoothing
-        Whether the plan was made with feed-forward, and the time over which it smoothed.
+    job, machine
+        The job and the machine, where the recording does not name them or others are meant.
     read_one
         Reads a file.
 
@@ -78,29 +68,55 @@ def judge_files(
     """
     _refuse_copies(recordings)
     read = [read_one(path) for path in recordings]
-    given = {**given, "feed-forward": smoothing}
-    if smoothing is not None and not feed_forward and "feed-forward" not in read[0].origin:
-        raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")
-    if feed_forward and smoothing is None:
-        given["feed-forward"] = read[0].origin.get("feed-forward", FEED_FORWARD)
+    given = _given(words, job, machine, read[0].origin)
     origin = _origin(recordings[0], read[0], given)
     settings = Path(origin["par"]) if "par" in origin else None
-    chosen = _machine(origin["machine"], settings)
-    ran = _machine(origin["actual"], settings) if "actual" in origin else chosen
+    chosen = chosen_machine(origin["machine"], settings)
+    ran = chosen_machine(origin["actual"], settings) if "actual" in origin else chosen
     options = options_from(origin)
     for path, recording in zip(recordings, read, strict=True):
         _refuse_other_options(path, recording.origin, origin)
     plan = plan_job(open_job(Path(origin["job"]), chosen, options), chosen, options)
     for path, recording in zip(recordings, read, strict=True):
         _refuse_other_files(path, recording, plan.job, ran)
-    asked = with_shaping(load_spec(spec, chosen), chosen, options)
+    asked = with_shaping(words.spec(chosen), chosen, options)
     verdict = judge(read, plan, asked)
     return Judged(recordings=tuple(read), plan=plan, spec=asked, verdict=verdict)
 
 
-def _machine(reference: str, par: Path | None) -> Machine:
-    machine = load_machine(reference)
-    return machine if par is None else read_parameters(par, machine)
+def _given(
+    words: Words, job: Path | None, machine: str | None, recorded: Mapping[str, str]
+) -> dict[str, str | None]:
+    """Return the options that were given, by the keys of ``describe``.
+
+    Raises
+    ------
+    OptionError
+        If a smoothing is given to a plan without feed-forward, or two options exclude each other.
+    """
+    given: dict[str, str | None] = {
+        "job": None if job is None else str(job),
+        "machine": machine,
+        "par": words.text("par"),
+        "actual": words.text("actual"),
+    }
+    for one, known in RECORDED:
+        text = words.text(one.word)
+        read = None if text is None or one.parse is None else one.parse(text)
+        given[known.key] = read if isinstance(read, str) else text
+    if (law := words.text("law")) is not None:
+        of_law = options_of(interpolation=given["interpolation"], law=law)
+        given["interpolation"] = of_law.interpolation
+    smoothing = words.text("smoothing")
+    of_loads = words.flag("feed_forward") or "feed-forward" in recorded
+    if smoothing is not None and not of_loads:
+        raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")
+    robust = words.text("robust") is not None or "robust" in recorded
+    given["change"] = smoothing if robust else None
+    given["feed-forward"] = None if robust else smoothing
+    if words.flag("feed_forward") and given["feed-forward"] is None:
+        given["feed-forward"] = recorded.get("feed-forward", FEED_FORWARD)
+    return given
 
 
 def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.usefixtures("coarse_search")
         (["-m", "lathe-windr"], ["lathe-windr", "Did you mean 'lathe-winder'"]),
         (["-m", "lathe-winder", "--feed", "0 mm/s"], ["feed", "greater than zero"]),
         (["-m", "lathe-winder", "--feed", "fast"], ["feed 'fast'", "count/tick"]),
-        (["-m", "stitcher", "--feed", "30 stitch/s"], ['needle_speed = "30 stitch/s"']),
+        (["-m", "stitcher", "--feed", "30 stitch/s"], ['--needle "30 stitch/s"']),
         (["-m", "lathe-winder", "--tolerance", "1 deg"], ["tolerance", "0.1 mm"]),
         (["-m", "lathe-winder", "--interpolation", "liner"], ["liner", "linear"]),
         (["-m", "lathe-winder", "-s", "no-such.toml"], ["no-such.toml"]),

@@ -133,5 +133,6 @@ def test_what_is_typed_is_what_is_asked_for(browser: Browser, plant: Plant) -> N
     told = [json.loads(one) for one in page.evaluate("() => window.asked")]
     (sent,) = [one["command"] for one in told if one.get("command", {}).get("what") == "calculate"]
     assert {name: sent[name] for name in asked} == asked
-    assert (sent["interpolation"], sent["shaper"], sent["feed_forward"]) == ("auto", None, False)
+    assert (sent["interpolation"], sent["feed_forward"]) == ("default", False)
+    assert "shaper" not in sent
     page.close()

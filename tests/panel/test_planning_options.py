@@ -14,6 +14,10 @@ from threadline.errors import OptionError
 from threadline.kinds import kind_of
 from threadline.machine import load_machine
 from threadline.option_defaults import DEFAULT_CONTOUR_M, DEFAULT_TOLERANCE
+from threadline.option_form import Door
+from threadline.option_table import (
+    options_for,
+)
 from threadline.options import options_of
 from threadline.panel.calculating import calculate
 from threadline.panel.protocol import Calculate
@@ -24,7 +28,7 @@ GIVEN: dict[str, Any] = {
     "interpolation": "optimal", "law": "cycloidal", "feed": "100 stitch/min", "radius": "A=40 mm",
     "offset": "X=12 mm", "tolerance": "0.05 mm", "contour": "0.45 mm", "limits": "90 %",
     "shaper": "zv:12Hz:0.02", "feed_forward": True, "smoothing": "50 ms", "robust": "100 %",
-    "feed_mode": "path", "dialect": "grbl",
+    "feed_mode": "path", "dialect": "grbl", "needle": "20 stitch/s",
 }  # fmt: skip
 """A text for each option; what some of them need is given with them."""
 WITH = {
@@ -87,6 +91,11 @@ def test_the_page_tells_the_defaults_of_the_command_line() -> None:
     assert told["tolerance"] == DEFAULT_TOLERANCE
     assert told["contour"] == f"{DEFAULT_CONTOUR_M * 1e3:g} mm, of optimal"
     fields = set(re.findall(r'data-option="([a-z-]+)"', page))
-    known = {one for name in ("lathe-winder", "letter-placer", "schiffli-frame")
-             for one in kind_of(load_machine(name)).planned_by}  # fmt: skip
-    assert fields == known - {"limits", "dialect", "feed-mode"}  # the machine file says those
+    names = re.findall(r' id="([^"]+)"', page)
+    assert len(names) == len(set(names))
+    labelled = {one.name for one in options_for("panel", Door.PANEL) if one.label}
+    assert fields == labelled
+    asked = Calculate(what="calculate", program="a.prg").model_dump()
+    assert set(asked) == {"what", "program", "priority"} | {
+        one.word for one in options_for("panel", Door.PANEL)
+    }

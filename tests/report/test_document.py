@@ -267,8 +267,12 @@ def test_a_comparison_lists_every_case_it_was_made_from(tmp_path) -> None:
     job = tmp_path / "a.prg"
     job.write_text("G91 G1 X 5 F 600\nX -5\nM30\n")
     read, spec = read_job(job, machine), load_spec(None, machine)
-    feeds = [None, parse_feed("20 count/tick")]
-    found = compare(read, machine, spec, ["linear", "auto"], feeds, Options(), with_fastest=False)
+    planned = [
+        Options(interpolation=name, feed=feed)
+        for name in ("linear", "auto")
+        for feed in (None, parse_feed("20 count/tick"))
+    ]
+    found = compare(read, machine, spec, planned, with_fastest=False)
     page = write_comparison(found, tmp_path / "report", []).read_text(encoding="utf-8")
     facts = dict(
         re.findall(

@@ -12,7 +12,7 @@ from tests.search.test_design import CORNER, NO_REGION, PLACE, two_parameters
 
 from threadline import pipeline
 from threadline.arrays import FloatArray, IntArray
-from threadline.cli.level import trials_of
+from threadline.asked import trials_of
 from threadline.cli.main import main
 from threadline.errors import OptionError
 from threadline.jobs import read_job
@@ -76,9 +76,9 @@ def test_no_more_machines_are_tried_than_say_that_it_fails(asked: tuple[Plan, Sp
 @pytest.mark.parametrize("text", ["100 %", "0 %", "99", "-1 %", "many"])
 def test_a_yield_is_a_share_below_the_whole(text: str) -> None:
     with pytest.raises(OptionError, match="yield"):
-        trials_of(False, None, False, text)
+        trials_of(yield_=text)
     with pytest.raises(OptionError, match="different levels"):
-        trials_of(True, None, False, "99 %")
+        trials_of(nominal=True, yield_="99 %")
 
 
 @pytest.mark.usefixtures("coarse_search")

@@ -5,10 +5,11 @@ import type { Criterion, Figures, Proven, State } from "./messages";
 import type { Session } from "./session";
 import { say, toldRun, unitOf } from "./session";
 
-/** What is typed and chosen for a calculation, besides the program; priority and feed with it. */
-const FIELDS = ["interpolation", "priority", "feed", "law", "tolerance", "contour", "shaper", "radius", "smoothing", "robust", "offset"];
-/** What is typed into a field, where the machine has it. */
-const typed = (id: string): string | null => by(id).closest<HTMLElement>("[data-option]")!.hidden ? null : value(id) || null;
+type Field = HTMLInputElement | HTMLSelectElement;
+/** The fields of the options, as the table of options has put them onto the page; an option has the name of its field. */
+const optionFields = (): Field[] => [...document.querySelectorAll<Field>("[data-option] input, [data-option] select")].filter((one) => one.id !== "priority");
+const filled = (one: Field): string | boolean | null => one instanceof HTMLInputElement && one.type === "checkbox" ? one.checked : one.value || null;
+const shown = (one: HTMLElement): boolean => !one.closest<HTMLElement>("[data-option]")!.hidden;
 /** Factors and units in which a verdict is shown, as the reports have them; a number without a unit is a share. */
 const UNITS: Record<string, [number, string]> = { m: [1000, "mm"], "m/s": [1000, "mm/s"], s: [1000, "ms"], "": [100, "%"] };
 const EXISTS = 412; // status of an upload over a file that is there
@@ -37,7 +38,7 @@ export class Program {
     void this.list();
   }
 
-  private fields(): string { return JSON.stringify([...FIELDS.map(value), by<HTMLInputElement>("feed-forward").checked]); }
+  private fields(): string { return JSON.stringify([value("priority"), ...optionFields().map(filled)]); }
 
   /** Whether program or fields are others than those of what was calculated, so that something else would run than is chosen. */
   changed(state: State): boolean {
@@ -46,13 +47,10 @@ export class Program {
 
   private calculate(): void {
     this.asked = this.fields();
-    const priority = typed("priority") ?? "programmed", tolerance = typed("tolerance");
-    this.session.link.act({
-      what: "calculate", program: value("program"), priority, interpolation: typed("interpolation") ?? "default",
-      feed: priority === "programmed" ? typed("feed") : null, law: typed("law"), ...(tolerance === null ? {} : { tolerance }), contour: typed("contour"),
-      shaper: typed("shaper"), radius: typed("radius"), offset: typed("offset"),
-      feed_forward: typed("feed-forward") !== null && by<HTMLInputElement>("feed-forward").checked, smoothing: typed("smoothing"), robust: typed("robust"),
-    });
+    const priority = (shown(by("priority")) && value("priority")) || "programmed";
+    const given = optionFields().filter((one) => shown(one) && filled(one) !== null && (one.id !== "feed" || priority === "programmed"));
+    const options = Object.fromEntries(given.map((one) => [one.id.replaceAll("-", "_"), filled(one)]));
+    this.session.link.act({ what: "calculate", program: value("program"), priority, ...options });
   }
 
   /** The machine was moved by hand to where the program's zero is to be. */

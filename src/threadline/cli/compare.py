@@ -9,23 +9,16 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.chosen import machine_from, options_of
+from threadline.asked import Words, with_radii_of
+from threadline.cli import option_parameters
 from threadline.cli.found import AXES_ALONE, command_line, limit_words
-from threadline.cli.level import NominalOption, TolerancesOption, trials_of
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    ContourOption,
-    DialectOption,
-    FeedModeOption,
     JobArgument,
     JsonOption,
     MachineOption,
-    ParOption,
-    RadiusOption,
     ReportOption,
-    SpecOption,
-    ToleranceOption,
 )
 from threadline.cli.told import warning
 from threadline.cli.warn import warn
@@ -33,16 +26,13 @@ from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
 from threadline.kinds import kind_of
-from threadline.machine.radii import with_radii
-from threadline.option_defaults import AUTO, DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
-from threadline.option_words import parse_feed
-from threadline.path.interpolations import FIRMWARE, OPTIMAL
+from threadline.option_defaults import AUTO, DEFAULT_INTERPOLATION, UNSHAPED_WORD
+from threadline.path.interpolations import FIRMWARE
 from threadline.pipeline import Proof, open_job
 from threadline.report import write_comparison
 from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job
-from threadline.targets.schedule_options import UNSHAPED_WORD
-from threadline.verdict import in_a_word, load_spec, verdict_json
+from threadline.verdict import in_a_word, verdict_json
 
 COLUMNS = (
     ("tracking_error", "tracking mm"),
@@ -67,33 +57,8 @@ STITCH_COLUMNS = (
 def compare(
     job: JobArgument,
     machine: MachineOption,
-    interpolation: Annotated[
-        str | None,
-        typer.Option(
-            help="Names, separated by commas; linear,b-spline,b-spline-pulled unless given, and "
-            "firmware,auto where the machine file names a motion planner."
-        ),
-    ] = None,
-    feed: Annotated[
-        str | None, typer.Option(help="Feeds, separated by commas; default: as programmed.")
-    ] = None,
-    shaper: Annotated[
-        str | None,
-        typer.Option(
-            help="Shapers, separated by commas, as prove takes one; of an on/off machine "
-            "none,zv,um-zv,um-zvd unless given."
-        ),
-    ] = None,
-    spec: SpecOption = None,
-    dialect: DialectOption = None,
-    feed_mode: FeedModeOption = None,
-    radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
-    contour: ContourOption = None,
-    par: ParOption = None,
+    words: Words,
     fastest: Annotated[bool, typer.Option(help="Also find the fastest of each.")] = True,
-    nominal: NominalOption = False,
-    tolerances: TolerancesOption = False,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -111,39 +76,30 @@ def compare(
     Of an on/off machine: threadline compare examples/letter-cycle.toml -m letter-placer
     --shaper none,zv,um-zv
     """
-    trials = trials_of(nominal, None, tolerances)
+    trials = words.trials()
     check_outputs(folder=report)
-    chosen = with_radii(machine_from(machine, par), radius)
-    defaults = kind_of(chosen).compared
-    if interpolation is None and chosen.planner is not None:
+    named = words.machine(machine)
+    defaults = kind_of(named).compared
+    feed, shaper = words.text("feed"), words.text("shaper")
+    interpolation = words.text("interpolation")
+    if interpolation is None and named.planner is not None and not words.flag("feed_forward"):
         interpolation = f"{FIRMWARE},{AUTO}"
     names = _values(interpolation, defaults, "interpolation", DEFAULT_INTERPOLATION)
     shapers = _values(shaper, defaults, "shaper", UNSHAPED_WORD)
     shown = ["shaper"] if "shaper" in defaults else ["interpolation", "feed"]
     if shaper is not None and "shaper" not in shown:
         shown.append("shaper")
-    feeds = [None] if feed is None else [parse_feed(text) for text in _listed(feed, "--feed")]
-    options = options_of(
-        _of_contour(names, contour),
-        None,
-        tolerance,
-        feed_mode=feed_mode,
-        dialect=dialect,
-        radius=radius,
-        contour=contour,
-    )
-    read = open_job(job, chosen, options)
-    own = any(one is None or one.mode is FeedMode.OVERRIDE for one in feeds)
-    warn(chosen, read, own_feed=own)
+    feeds = [] if feed is None else _listed(feed, "--feed")
+    planned = words.each_options(names, feeds, shapers)
+    chosen = with_radii_of(named, planned[0])
+    read = open_job(job, chosen, planned[0])
+    warn(chosen, read, own_feed=any(one.own_feeds for one in planned))
     with progress_bar(not json) as progress:
         found = compare_job(
             read,
             chosen,
-            load_spec(spec, chosen),
-            names,
-            feeds,
-            options,
-            shapers=[None if text == UNSHAPED_WORD else text for text in shapers],
+            words.spec(chosen),
+            planned,
             with_fastest=fastest,
             progress=progress,
             trials=trials,
@@ -292,11 +248,6 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
     }
 
 
-def _of_contour(names: Sequence[str], contour: str | None) -> str:
-    """Return the interpolation to read options for: ``optimal`` where it takes the contour."""
-    return OPTIMAL if contour is not None and OPTIMAL in names else names[0]
-
-
 def _label(proof: Proof, key: str) -> str:
     """Return the value of the option ``key`` with which a compared proof was planned."""
     if key == "interpolation":
@@ -338,4 +289,4 @@ def _listed(text: str, option: str) -> list[str]:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    app.command("compare")(compare)
+    option_parameters.add(app, "compare", compare)

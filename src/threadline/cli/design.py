@@ -3,42 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.chosen import options_of
+from threadline.asked import Words, level_option
+from threadline.cli import option_parameters
 from threadline.cli.found import command_line, typed
-from threadline.cli.level import (
-    NominalOption,
-    RepeatsOption,
-    TolerancesOption,
-    YieldOption,
-    level_option,
-    trials_of,
-)
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    ContourOption,
-    FeedForwardOption,
-    FeedOption,
-    InterpolationOption,
     JobArgument,
     JsonOption,
-    LawOption,
     MachineOption,
     ReportOption,
-    ShaperOption,
-    SpecOption,
-    ToleranceOption,
     keep_inputs,
 )
 from threadline.errors import OptionError
-from threadline.jobs.seam import SUFFIXES as SEAM_SUFFIXES
-from threadline.machine import load_machine
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
+from threadline.option_defaults import FEED_FORWARD
 from threadline.option_words import parse_width_s
 from threadline.pipeline import with_shaping
 from threadline.report.design import (
@@ -52,46 +36,26 @@ from threadline.report.design import (
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
 from threadline.search.design_result import Candidate, DesignResult
-from threadline.verdict import Verdict, closing, load_spec, verdict_rows
+from threadline.verdict import Verdict, closing, verdict_rows
 from threadline.writing import together
 
 _MOST_WIDTHS = 6
 
 
-def design(
-    job: JobArgument,
-    machine: MachineOption,
-    spec: SpecOption = None,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
-    contour: ContourOption = None,
-    feed: FeedOption = None,
-    shaper: ShaperOption = None,
-    law: LawOption = None,
-    nominal: NominalOption = False,
-    repeats: RepeatsOption = None,
-    tolerances: TolerancesOption = False,
-    wished: YieldOption = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seeking:
+    """What a design found by ``threadline design`` must hold for, and where it is written."""
+
     corners: Annotated[
         bool,
         typer.Option(
             "--corners",
             help="It must hold at every corner of the tolerances of [design], too.",
         ),
-    ] = False,
-    needle: Annotated[
-        str | None, typer.Option(help='Replaces the needle speed of a seam: "75 stitch/s".')
-    ] = None,
-    feed_forward: FeedForwardOption = False,
-    smoothing: Annotated[
-        str | None,
-        typer.Option(
-            help=f'Smoothing times of feed-forward to try: "36 ms, 50 ms"; default {FEED_FORWARD}.'
-        ),
-    ] = None,
+    ] = False
     plot: Annotated[
         str | None, typer.Option(help='Two parameters to draw the region in: "belt,load".')
-    ] = None,
+    ] = None
     output: Annotated[
         Path | None,
         typer.Option(
@@ -100,7 +64,14 @@ def design(
             "-o",
             help="Write the machine here (.toml), and its specification beside it (.spec.toml).",
         ),
-    ] = None,
+    ] = None
+
+
+def design(
+    job: JobArgument,
+    machine: MachineOption,
+    words: Words,
+    seeking: Seeking,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -114,8 +85,9 @@ def design(
 
     Example: threadline design examples/stitcher-test-path.seam.toml -m stitcher -o found.toml
     """
-    trials = trials_of(nominal, repeats, tolerances, wished)
-    chosen = load_machine(machine)
+    trials = words.trials()
+    chosen = words.machine(machine)
+    output = seeking.output
     if output is not None:
         if output.suffix != ".toml" or output.name.endswith(".spec.toml"):
             raise OptionError(
@@ -123,28 +95,27 @@ def design(
                 remedy="Give one that ends in .toml and not in .spec.toml.",
             )
         for file in (output, spec_file(output)):
-            keep_inputs(file, job, chosen.file, spec)
+            keep_inputs(file, job, chosen.file, *words.files())
     check_outputs(file=output, folder=report)
-    if needle is not None and not job.name.lower().endswith(SEAM_SUFFIXES):
-        raise OptionError(f"{job.name} is no seam and has no needle speed")
-    plotted = _plotted(plot, tuple(chosen.design.parameters) if chosen.design else None)
-    smoothing_s = _widths_s(feed_forward, smoothing)
-    if feed_forward and contour is not None:
+    plotted = _plotted(seeking.plot, tuple(chosen.design.parameters) if chosen.design else None)
+    forward, contour = words.flag("feed_forward"), words.text("contour")
+    smoothing_s = _widths_s(forward, words.text("smoothing"))
+    if forward and contour is not None:
         raise OptionError(
             f"--contour {contour!r} bounds how far motors leave their path, and with "
             "--feed-forward the loads follow the path, not the motors",
             remedy="Leave one of them out.",
         )
-    options = options_of(interpolation, feed, tolerance, shaper=shaper, law=law, contour=contour)
+    # The search tries each smoothing; the rest of the plan is the same for all of them.
+    options = words.options(feed_forward=False, smoothing=None)
     with progress_bar(not json) as progress:
         result = search_design(
             job,
             chosen,
-            with_shaping(load_spec(spec, chosen), chosen, options),
+            with_shaping(words.spec(chosen), chosen, options),
             options,
             trials=trials,
-            corners=corners,
-            needle_speed=needle,
+            corners=seeking.corners,
             plotted=plotted,
             smoothing_s=smoothing_s,
             progress=progress,
@@ -154,15 +125,8 @@ def design(
         if output is not None and result.found is not None:
             written = write_design(result, result.found, output)
         page = None if report is None else write_design_report(result, report)
-    words = {
-        "--interpolation": None if interpolation == DEFAULT_INTERPOLATION else interpolation,
-        "--tolerance": None if tolerance == DEFAULT_TOLERANCE else tolerance,
-        "--contour": contour,
-        "--feed": feed,
-        "--shaper": shaper,
-        "--law": law,
-    }
-    again = _again(job, written, result, {**words, **level_option(trials)})
+    as_typed = words.typed(spec=None, feed_forward=False, smoothing=None)
+    again = _again(job, written, result, {**as_typed, **level_option(trials)})
     if json:
         print_json(_content(result, [str(p) for p in written], page) | {"command": again})
     else:
@@ -170,17 +134,14 @@ def design(
         for path in written:
             say(f"Wrote {path}")
         if result.found is not None:
-            first = (
-                "" if needle is None else f'write needle_speed = "{needle}" in {job.name}, then '
-            )
-            say(f"To prove it: {first}{again or 'write the machine with -o FILE.toml first'}")
+            say(f"To prove it: {again or 'write the machine with -o FILE.toml first'}")
         if page is not None:
             say(f"Report: {page}")
     raise typer.Exit(0 if result.found is not None else 1)
 
 
 def _again(
-    job: Path, written: list[Path], result: DesignResult, words: Mapping[str, str | None]
+    job: Path, written: list[Path], result: DesignResult, words: Mapping[str, str | Path | None]
 ) -> str | None:
     """Return the command that proves what was found and written; None where nothing was."""
     if result.found is None or not written:
@@ -295,4 +256,4 @@ def _candidate(candidate: Candidate) -> dict[str, Any]:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    app.command("design")(design)
+    option_parameters.add(app, "design", design)

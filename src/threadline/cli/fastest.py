@@ -3,110 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
-from threadline.cli.chosen import machine_from, options_of
+from threadline.asked import Words
+from threadline.cli import option_parameters
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_by_feed import fastest_by_feed
 from threadline.cli.fastest_cycle import fastest_moves
 from threadline.cli.fastest_optimal import fastest_optimal
 from threadline.cli.fastest_seam import fastest_seam
 from threadline.cli.fastest_shaft import fastest_design
-from threadline.cli.level import NominalOption, TolerancesOption, YieldOption, trials_of
 from threadline.cli.shared_options import (
-    ActualOption,
-    ContourOption,
-    DialectOption,
-    FeedForwardOption,
-    FeedModeOption,
-    InterpolationOption,
     JobArgument,
     JsonOption,
-    LawOption,
     MachineOption,
-    ParOption,
-    RadiusOption,
-    SmoothingOption,
-    SpecOption,
-    ToleranceOption,
     named_folder,
 )
 from threadline.errors import OptionError
 from threadline.jobs.operations import Pace
-from threadline.machine.radii import with_radii
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE
-from threadline.option_words import parse_margin
-from threadline.options import robust_plan
 from threadline.path.interpolations import OPTIMAL
-from threadline.pipeline import open_job
+from threadline.search.by_pace import Question, refuse_for_pace
 from threadline.search.until import Until
 from threadline.typed_number import parse_number
-from threadline.verdict import load_spec
 
 
 def fastest(
     job: JobArgument,
     machine: MachineOption,
-    spec: SpecOption = None,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
-    law: LawOption = None,
-    dialect: DialectOption = None,
-    feed_mode: FeedModeOption = None,
-    radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
-    contour: ContourOption = None,
-    feed_forward: FeedForwardOption = False,
-    smoothing: SmoothingOption = None,
-    par: ParOption = None,
-    actual: ActualOption = None,
-    low: Annotated[
-        str | None, typer.Option(help='Lowest feed to try; of a seam "5 stitch/s".')
-    ] = None,
-    high: Annotated[str | None, typer.Option(help="Highest feed to try.")] = None,
-    margin: Annotated[
-        str,
-        typer.Option(
-            help='Share of every limit of the specification to keep free: "20 %"; the machine\'s '
-            "own limits stay."
-        ),
-    ] = "0 %",
-    band: Annotated[
-        str | None,
-        typer.Option(
-            help="Of an on/off machine: the shortest cycle that is in spec with every mode within "
-            'this share of its frequency: "20 %".',
-        ),
-    ] = None,
-    robust: Annotated[
-        str | None,
-        typer.Option(
-            help="One plan for all machines with loads and springs at the ends of this share of "
-            'their tolerances, each judged in one run: "100 %"; and what that costs. With '
-            "--feed-forward it is planned for all of them.",
-        ),
-    ] = None,
-    mismatch: Annotated[
-        bool,
-        typer.Option(
-            "--mismatch",
-            help="Search again with masses and stiffnesses at the ends of their tolerances, "
-            "planned for the machine as its file says.",
-        ),
-    ] = False,
-    nominal: NominalOption = False,
-    tolerances: TolerancesOption = False,
-    wished: YieldOption = None,
-    within: Annotated[
-        str | None,
-        typer.Option(
-            help='How long the search may take, "5 min"; then the best so far is told. Ctrl-C '
-            "asks for it at once."
-        ),
-    ] = None,
+    words: Words,
     report: Annotated[
         Path | None,
         typer.Option(
@@ -146,68 +73,28 @@ def fastest(
     Of an on/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer
     -o best.toml
     """
-    trials = trials_of(nominal, None, tolerances, wished, robust)
-    planned = robust_plan(robust, interpolation, feed_forward)
-    chosen, kept_free = with_radii(machine_from(machine, par), radius), parse_margin(margin)
-    options = options_of(
-        interpolation,
-        None,
-        tolerance,
-        feed_forward=feed_forward,
-        smoothing=smoothing,
-        law=law,
-        dialect=dialect,
-        feed_mode=feed_mode,
-        radius=radius,
-        contour=contour,
-        robust=planned,
-    ).on(chosen)
-    read = open_job(job, chosen, options)
+    question = Question.of(words, job, machine)
+    refuse_for_pace(question.job, {"--out": out})
+    law = words.text("law")
+    typed = words.typed(robust=question.words.get("robust"))
     asked = Asked(
-        file=job,
-        job=read,
-        machine=chosen,
-        actual=None if actual is None else machine_from(actual, par),
-        spec=load_spec(spec, chosen).with_margin(kept_free),
-        margin=kept_free,
-        options=options,
+        question=question,
         words={
             "-m": machine,
-            "-s": spec,
-            "--par": par,
-            "--actual": actual,
-            "--interpolation": None if law is not None else options.interpolation,
-            "--law": law,
-            "--dialect": dialect,
-            "--feed-mode": feed_mode,
-            "--radius": radius,
-            "--tolerance": None if tolerance == DEFAULT_TOLERANCE else tolerance,
-            "--feed-forward": "" if feed_forward else None,
-            "--smoothing": smoothing,
-            "--contour": contour,
-            "--robust": planned,
+            **typed,
+            "--interpolation": None if law is not None else question.options.interpolation,
         },
-        low=low,
-        high=high,
-        until=Until.within(_seconds(within)),
-        band=band,
+        low=words.text("low"),
+        high=words.text("high"),
+        until=Until.within(_seconds(words.text("within"))),
+        band=words.text("band"),
         out=out,
-        mismatch=mismatch,
+        mismatch=words.flag("mismatch"),
         report=report,
-        trials=trials,
         json=json,
     )
-    answer = ANSWERS[read.paced_by]
-    given = {"--low": low, "--high": high, "--band": band, "--out": out, "--robust": robust}
-    for name, value in given.items():
-        if value is not None and name not in answer.takes:
-            raise OptionError(
-                f"{name} {str(value)!r} does not apply to {read.name}, of which "
-                f"{answer.searched} searched",
-                remedy=f"Leave it out{_INSTEAD.get(name, '')}.",
-            )
     with asked.until.with_answer():
-        answer.tell(asked)
+        ANSWERS[question.job.paced_by](asked)
 
 
 def _seconds(within: str | None) -> float | None:
@@ -229,41 +116,15 @@ def _by_feed(asked: Asked) -> NoReturn:
     fastest_by_feed(asked)
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
-    """How ``threadline fastest`` answers for jobs of one pace.
-
-    Parameters
-    ----------
-    tell
-        Searches, prints what was found, and ends the program.
-    searched
-        What is searched, with its verb, for a message.
-    takes
-        Which of the options that not every search has it takes.
-    """
-
-    tell: Callable[[Asked], NoReturn]
-    searched: str
-    takes: frozenset[str]
-
-
-_SPAN = frozenset({"--low", "--high", "--robust"})
-ANSWERS: Mapping[Pace, _Answer] = {
-    "feed": _Answer(_by_feed, "the feed is", _SPAN),
-    "needle": _Answer(fastest_seam, "the speed of the needle is", _SPAN),
-    "shaft": _Answer(fastest_design, "the speed of the shaft is", _SPAN),
-    "switchings": _Answer(fastest_moves, "commands and waits are", frozenset({"--band", "--out"})),
+ANSWERS: Mapping[Pace, Callable[[Asked], NoReturn]] = {
+    "feed": _by_feed,
+    "needle": fastest_seam,
+    "shaft": fastest_design,
+    "switchings": fastest_moves,
 }
 """By pace, as ``search.by_pace`` has the searches: how they are told."""
-_INSTEAD = {
-    "--robust": "; --band finds commands for every mode within a share of its frequency",
-    "--band": "; prove --tolerances judges other machines",
-    "--out": "; the command that proves the answer is printed",
-}
-"""What there is instead of an option that not every search has."""
 
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    app.command("fastest")(fastest)
+    option_parameters.add(app, "fastest", fastest)

@@ -1,4 +1,4 @@
-"""What ``threadline fastest`` was asked: the question as typed, before a job's pace is known."""
+"""What ``threadline fastest`` was asked: the question, and how its answer is told."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from threadline.jobs import Job
 from threadline.machine import Machine
 from threadline.options import Options
 from threadline.pipeline import Trials
+from threadline.search.by_pace import Question
 from threadline.search.until import Until
 from threadline.verdict import Spec
 
@@ -20,14 +21,8 @@ class Asked:
 
     Parameters
     ----------
-    file, job
-        The file, and the job in it.
-    machine, actual
-        The machine that plans are made for; the one that runs them, None where it is the same.
-    spec, margin
-        What is asked, with ``margin``, a share of every limit, kept free.
-    options
-        How to plan.
+    question
+        The job, the machine, what is asked of them, and how to plan.
     words
         The options that a command of the shell needs to ask for the same plan, as typed.
     low, high, band
@@ -38,19 +33,11 @@ class Asked:
         Where the move list of the fastest is written; None to write none.
     mismatch, report
         Whether to search at the ends of the tolerances as well; the folder of pictures.
-    trials
-        Which runs every verdict is made of.
     json
         Whether a machine reads the answer.
     """
 
-    file: Path
-    job: Job
-    machine: Machine
-    actual: Machine | None
-    spec: Spec
-    margin: float
-    options: Options
+    question: Question
     words: Mapping[str, str | Path | None]
     low: str | None
     high: str | None
@@ -59,8 +46,47 @@ class Asked:
     out: Path | None
     mismatch: bool
     report: Path | None
-    trials: Trials
     json: bool
+
+    @property
+    def file(self) -> Path:
+        """The file of the job."""
+        return self.question.file
+
+    @property
+    def job(self) -> Job:
+        """The job in it."""
+        return self.question.job
+
+    @property
+    def machine(self) -> Machine:
+        """The machine that plans are made for."""
+        return self.question.machine
+
+    @property
+    def actual(self) -> Machine | None:
+        """The machine that runs them; None where it is the same."""
+        return self.question.actual
+
+    @property
+    def spec(self) -> Spec:
+        """What is asked, with ``margin`` kept free."""
+        return self.question.spec
+
+    @property
+    def margin(self) -> float:
+        """Share of every limit to keep free."""
+        return self.question.margin
+
+    @property
+    def options(self) -> Options:
+        """How to plan."""
+        return self.question.options
+
+    @property
+    def trials(self) -> Trials:
+        """Which runs every verdict is made of."""
+        return self.question.trials
 
     @property
     def title(self) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, NoReturn
 
 import typer
 
+from threadline.asked import level_option
 from threadline.cli.certainty import certainty_of
 from threadline.cli.controller_settings import settings_words
 from threadline.cli.fastest_asked import Asked
@@ -15,6 +16,7 @@ from threadline.cli.found import (
     AXES_ALONE,
     END,
     alone_words,
+    as_typed,
     command_line,
     forbidden_words,
     limit_words,
@@ -24,7 +26,6 @@ from threadline.cli.found import (
     typed,
     until_words,
 )
-from threadline.cli.level import level_option
 from threadline.cli.mismatch import (
     ABOVE,
     check_mismatch,
@@ -41,7 +42,7 @@ from threadline.jobs import Job
 from threadline.jobs.gcode.f_words import as_f_words
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.option_words import feed_words, parse_feed, share_words
+from threadline.option_words import parse_feed, share_words
 from threadline.options import Options
 from threadline.pipeline import plan_job
 from threadline.plan import Following
@@ -52,6 +53,7 @@ from threadline.search import (
     fastest_job,
     feed_over_tolerances,
 )
+from threadline.search.by_pace import job_words
 from threadline.search.feed import search_range, searched_by
 from threadline.search.forbidden import joined
 from threadline.search.mismatch import F_WORDS, FEED, OVERRIDE
@@ -127,7 +129,7 @@ def fastest_by_feed(asked: Asked) -> NoReturn:
     drawn = drawn_of(cells, f"{asked.title}{free}", searched, asked)
     if drawn is None and found:
         drawn = report_of(plan, asked)
-    again = _command(result, asked) if found else None
+    again = proving(asked, job_words(result))
     if asked.json:
         said = {"margin": asked.margin, "command": again}
         said |= {} if sure is None else sure.json()
@@ -154,19 +156,18 @@ def best_of(found: FastestJob) -> tuple[float | None, float | None]:
     return found.best.found.best, found.best.duration_s
 
 
-def _command(result: FastestJob, asked: Asked) -> str:
-    best = result.best
-    assert best.found.best is not None
-    feed = Feed(result.by, best.found.best)
+def proving(asked: Asked, words: Mapping[str, str] | None) -> str | None:
+    """Return the command that proves what a search found; None where nothing is in spec.
+
+    Parameters
+    ----------
+    words
+        The planning options that the search found.
+    """
+    if words is None:
+        return None
     return command_line(
-        "prove",
-        asked.file,
-        {
-            **asked.words,
-            "--feed": feed_words(feed),
-            "--limits": None if best.share == 1.0 else share_words(best.share),
-            **level_option(asked.trials),
-        },
+        "prove", asked.file, {**asked.words, **as_typed(words), **level_option(asked.trials)}
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.asked import level_option
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_robust import (
     beside_json,
@@ -16,8 +17,7 @@ from threadline.cli.fastest_robust import (
     robust_table,
     show_robust,
 )
-from threadline.cli.found import command_line, limit_words, margin_words, until_words
-from threadline.cli.level import level_option
+from threadline.cli.found import as_typed, command_line, limit_words, margin_words, until_words
 from threadline.cli.mismatch import check_mismatch, drawn_of, mismatch_json, show_mismatch
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -25,6 +25,7 @@ from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.report.document import Printed
 from threadline.report.switching import write_switching
+from threadline.search.by_pace import cycle_words
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
 from threadline.search.cycle_beside import cycles_beside
 from threadline.search.cycle_forecast import MoveChoice
@@ -33,7 +34,6 @@ from threadline.search.fastest import RANGE
 from threadline.search.mismatch import CYCLE, cycle_over_tolerances
 from threadline.search.move_list import move_list
 from threadline.search.studied import studied
-from threadline.targets.schedule_options import UNSHAPED_WORD
 from threadline.verdict import closing, criteria_json, verdict_rows
 from threadline.writing import together
 
@@ -41,7 +41,7 @@ from threadline.writing import together
 def fastest_moves(asked: Asked) -> NoReturn:
     """Search the commands and waits of a move list, print the result, and end the program."""
     read, machine, spec, actual = asked.job, asked.machine, asked.spec, asked.actual
-    words = {name: asked.words[name] for name in ("-m", "-s", "--par", "--actual")}
+    words = {name: asked.words.get(name) for name in ("-m", "-s", "--par", "--actual")}
     words |= level_option(asked.trials)
     band = None if asked.band is None else parse_band(asked.band)
     check_outputs(file=asked.out)
@@ -131,18 +131,10 @@ def _command(
     """Return the command that proves the fastest; None where only a move list can say it."""
     if found.job is None:
         return None
-    overlaps = cycle_s(found.base) < cycle_s(found.unshaped)
     if written is not None:
         return command_line("prove", written, words)
-    by_axis: dict[str, set[str]] = {}
-    for move in found.moves:
-        by_axis.setdefault(move.axis, set()).add(move.how)
-    one_each = all(len(how) == 1 for how in by_axis.values())
-    if overlaps or not one_each or any(move.wait_s or " for " in move.how for move in found.moves):
-        return None
-    shaper = ", ".join(f"{axis}={next(iter(how))}" for axis, how in by_axis.items())
-    plain = all(how == {UNSHAPED_WORD} for how in by_axis.values())
-    return command_line("prove", file, {**words, "--shaper": None if plain else shaper})
+    planned = cycle_words(found)
+    return None if planned is None else command_line("prove", file, {**words, **as_typed(planned)})
 
 
 def _content(found: FastestCycle) -> dict[str, Any]:

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 
 from threadline.cli.certainty import certainty_of
 from threadline.cli.fastest_asked import Asked
-from threadline.cli.fastest_by_feed import best_of, metres_per_second
-from threadline.cli.found import command_line, limit_words, margin_words, typed, until_words
-from threadline.cli.level import level_option
+from threadline.cli.fastest_by_feed import best_of, metres_per_second, proving
+from threadline.cli.found import limit_words, margin_words, typed, until_words
 from threadline.cli.mismatch import report_of
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
@@ -26,6 +23,7 @@ from threadline.pipeline import plan_job, with_shaping
 from threadline.report.strips import binding_lines, binding_of
 from threadline.search import FastestJob, Rung, fastest_job
 from threadline.search.allowance import options_at
+from threadline.search.by_pace import job_words
 from threadline.verdict import closing, criteria_json, verdict_rows
 
 
@@ -83,19 +81,11 @@ def fastest_optimal(asked: Asked) -> NoReturn:
             ),
         )
     best = found.best
-    again = None
-    if best.found.best is not None:
-        words: dict[str, str | Path | None] = {
-            "--feed": f"{best.found.best!r} m/s",
-            "--limits": None if best.share == 1.0 else share_words(best.share),
-            **({} if best.contour_m is None else {"--contour": contour_text(best.contour_m)}),
-            **level_option(asked.trials),
-        }
-        again = command_line("prove", asked.file, {**asked.words, **words})
+    again = proving(asked, job_words(found))
     plan = plan_job(read, machine, options_at(machine, options, best, highest_m_s))
     bound = binding_of(plan)
     binds = {} if bound is None else bound.binds
-    page = report_of(plan, replace(asked, spec=spec))
+    page = report_of(plan, asked, spec)
     if asked.json:
         told = {"report": str(page)} if page is not None else {}
         said = {"margin": asked.margin, "command": again, "binds": binds}
@@ -112,11 +102,6 @@ def fastest_optimal(asked: Asked) -> NoReturn:
         if page is not None:
             say(f"Report: {page}")
     raise typer.Exit(0 if best.found.best is not None else 1)
-
-
-def contour_text(contour_m: float) -> str:
-    """Return the allowance ``contour_m`` in metres as ``--contour`` takes it."""
-    return NO_CONTOUR if math.isinf(contour_m) else f"{contour_m!r} m"
 
 
 def _content(found: FastestJob) -> dict[str, Any]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NoReturn
 
 import typer
 
 from threadline.cli.certainty import certainty_of
 from threadline.cli.fastest_asked import Asked
+from threadline.cli.fastest_by_feed import proving
 from threadline.cli.found import (
     alone_words,
     forbidden_words,
@@ -17,7 +19,6 @@ from threadline.cli.found import (
     typed,
     until_words,
 )
-from threadline.cli.level import level_words
 from threadline.cli.mismatch import (
     ABOVE,
     check_mismatch,
@@ -30,10 +31,10 @@ from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
 from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError, UnitError
-from threadline.jobs import read_job
 from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
-from threadline.pipeline import plan_job
+from threadline.pipeline import open_job, plan_job
 from threadline.search import Fastest, Mismatch, fastest_needle, needle_over_tolerances
+from threadline.search.by_pace import needle_words
 from threadline.search.mismatch import NEEDLE
 from threadline.units import parse_quantity
 from threadline.verdict import closing, criteria_json, verdict_rows
@@ -87,12 +88,13 @@ def fastest_seam(asked: Asked) -> NoReturn:
     title = f"{file.name} on {machine.name}{margin_words(asked.margin)}"
     drawn = drawn_of(cells, title, NEEDLE, asked)
     if found.best is not None:
-        sewn = read_job(file, machine, needle_speed=f"{found.best!r} stitch/s")
-        plan = plan_job(sewn, machine, options)
+        at_best = replace(options, needle=f"{found.best!r} stitch/s")
+        plan = plan_job(open_job(file, machine, at_best), machine, at_best)
         tell(tolerance_warnings(plan))
         drawn = drawn or report_of(plan, asked)
+    again = proving(asked, needle_words(found.best))
     if asked.json:
-        said = {"margin": asked.margin, "ended": asked.until.ended}
+        said = {"margin": asked.margin, "command": again, "ended": asked.until.ended}
         said |= {} if sure is None else sure.json()
         print_json(_content(found) | said | mismatch_json(cells, drawn))
     else:
@@ -101,11 +103,8 @@ def fastest_seam(asked: Asked) -> NoReturn:
         _show(found, title)
         if sure is not None:
             say(sure.line())
-        if found.best is not None:
-            say(
-                f'To prove it: write needle_speed = "{found.best!r} stitch/s" in {file.name}, then '
-                f"threadline prove with the same options {level_words(asked.trials)}".rstrip()
-            )
+        if again is not None:
+            say(f"To prove it: {again}")
         if cells:
             show_mismatch(cells, title, NEEDLE)
         if drawn is not None:

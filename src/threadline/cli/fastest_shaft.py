@@ -7,17 +7,18 @@ from typing import Any, NoReturn
 
 import typer
 
+from threadline.asked import level_option
 from threadline.cli.certainty import certainty_of
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.found import (
     alone_words,
+    as_typed,
     command_line,
     limit_words,
     margin_words,
     resolution_words,
     until_words,
 )
-from threadline.cli.level import level_option
 from threadline.cli.mismatch import (
     ABOVE,
     check_mismatch,
@@ -30,9 +31,10 @@ from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode
-from threadline.option_words import parse_feed, tolerance_words
+from threadline.option_words import parse_feed
 from threadline.pipeline import plan_job
 from threadline.plan import Plan
+from threadline.search.by_pace import shaft_words
 from threadline.search.mismatch import SHAFT, shaft_over_tolerances
 from threadline.search.shaft import FastestShaft, fastest_shaft
 from threadline.verdict import closing, criteria_json, verdict_rows
@@ -132,16 +134,11 @@ def _stitches_per_second(text: str) -> float:
 
 
 def _command(found: FastestShaft, asked: Asked) -> str | None:
-    file, level = asked.file, level_option(asked.trials)
-    words = {name: asked.words[name] for name in ("-m", "-s", "--par", "--actual", "--law")}
-    words |= level
-    if found.duration_s is None:
+    words = shaft_words(found)
+    if words is None:
         return None
-    if found.schedule is not None and found.schedule.plan.duration_s == found.duration_s:
-        return command_line(
-            "prove", file, {**words, "--tolerance": tolerance_words(found.tolerance_m)}
-        )
-    return command_line("prove", file, {**words, "--feed": f"{found.constant.best!r} stitch/s"})
+    typed = {**asked.words, "--interpolation": None, **as_typed(words)}
+    return command_line("prove", asked.file, {**typed, **level_option(asked.trials)})
 
 
 def _content(found: FastestShaft) -> dict[str, Any]:

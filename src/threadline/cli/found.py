@@ -143,6 +143,15 @@ def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None])
     return shlex.join(words)
 
 
+def as_typed(words: Mapping[str, str]) -> dict[str, str]:
+    """Return planning options by their names on the command line.
+
+    >>> as_typed({"feed": "1 mm/s"})
+    {'--feed': '1 mm/s'}
+    """
+    return {f"--{word.replace('_', '-')}": text for word, text in words.items()}
+
+
 def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:
     """Join neighbouring rows that differ in their first cell alone.
 

@@ -16,6 +16,7 @@ from threadline.plan import Plan
 from threadline.report import write_report
 from threadline.search.mismatch import Mismatch, Searched
 from threadline.search.studied import studied
+from threadline.verdict import Spec
 
 ABOVE = 1.1
 """Highest feed that is tried, over the nominal best: other machines are rarely faster."""
@@ -45,11 +46,11 @@ def drawn_of(
     return write_mismatch(cells, f"{title}\n(nominal: one run each)", searched, asked.report)
 
 
-def report_of(plan: Plan, asked: Asked) -> Path | None:
+def report_of(plan: Plan, asked: Asked, spec: Spec | None = None) -> Path | None:
     """Prove the fastest again, and return the page of its report; None where none is asked for."""
     if asked.report is None:
         return None
-    proof = prove_plan(plan, asked.spec, trials=asked.trials, actual=asked.actual)
+    proof = prove_plan(plan, spec or asked.spec, trials=asked.trials, actual=asked.actual)
     return write_report(studied(proof), asked.report)
 
 

@@ -6,7 +6,6 @@ import difflib
 import os
 import re
 import shlex
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -27,7 +26,7 @@ from threadline.cli.from_settings import (
     still_asked,
 )
 from threadline.cli.operator_keys import somebody_at_the_keys
-from threadline.cli.output import print_json, print_table, say
+from threadline.cli.output import ask, print_json, print_table, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import JsonOption
 from threadline.errors import InputError, OptionError
@@ -223,9 +222,7 @@ def _asked(
 def _until_right(question: str, default: str, read: Callable[[str], Said]) -> Said:
     """Ask until the answer can be read; an empty one is the one in brackets."""
     while True:
-        sys.stdout.write(f"{question} [{default}]: ")
-        sys.stdout.flush()
-        line = sys.stdin.readline()
+        line = ask(f"{question} [{default}]: ")
         if not line:
             raise OptionError(
                 "the questions were not answered to the end", remedy="Nothing was made."

@@ -34,6 +34,14 @@ def say(text: str) -> None:
         sys.stdout.write(plain(text) + "\n")
 
 
+def ask(question: str) -> str:
+    """Print a question, and return the line that is typed behind it; empty where none comes."""
+    with _to_stdout():
+        sys.stdout.write(plain(question))
+        sys.stdout.flush()
+    return sys.stdin.readline()
+
+
 @contextmanager
 def _to_stdout() -> Iterator[None]:
     """Name standard output in an ``OSError`` of writing to it, such as that of a full disk."""

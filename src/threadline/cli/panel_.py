@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.chosen import machine_from
+from threadline.asked import chosen_machine
 from threadline.cli.interrupt import TerminatedError
 from threadline.cli.output import say
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
@@ -73,7 +73,7 @@ def panel(
     """
     if not folder.is_dir():
         raise OptionError(f"{str(folder)!r} is no folder", remedy="Name the project folder.")
-    chosen = machine_from(machine, par)
+    chosen = chosen_machine(machine, par)
     check_machine(chosen)
     load_spec(spec, chosen)
     check_folder(store)

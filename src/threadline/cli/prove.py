@@ -7,47 +7,24 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.chosen import key_of, machine_from, options_of
-from threadline.cli.level import (
-    EndsOption,
-    NominalOption,
-    RepeatsOption,
-    TolerancesOption,
-    YieldOption,
-    trials_of,
-)
+from threadline.asked import Words
+from threadline.cli import option_parameters
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    ActualOption,
-    ContourOption,
-    DialectOption,
-    FeedForwardOption,
-    FeedModeOption,
-    FeedOption,
-    InterpolationOption,
     JobArgument,
     JsonOption,
-    LawOption,
-    LimitsOption,
     MachineOption,
-    ParOption,
-    RadiusOption,
     RecordingOption,
     ReportOption,
-    RobustOption,
-    ShaperOption,
     SignOption,
-    SmoothingOption,
-    SpecOption,
-    ToleranceOption,
     keep_inputs,
+    key_of,
 )
 from threadline.cli.warn import tell
 from threadline.doubts import doubts
 from threadline.kinds.watched import WRITING, Share
 from threadline.machine import Machine
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.pipeline import Proof, with_shaping
 from threadline.pipeline import prove as prove_job
 from threadline.proof_file import write_proof
@@ -57,7 +34,6 @@ from threadline.verdict import (
     Verdict,
     closing,
     happened_lines,
-    load_spec,
     step_rows,
     verdict_json,
     verdict_rows,
@@ -68,22 +44,7 @@ from threadline.writing import together
 def prove(
     job: JobArgument,
     machine: MachineOption,
-    spec: SpecOption = None,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
-    law: LawOption = None,
-    feed: FeedOption = None,
-    dialect: DialectOption = None,
-    feed_mode: FeedModeOption = None,
-    radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
-    contour: ContourOption = None,
-    limits: LimitsOption = DEFAULT_LIMITS,
-    shaper: ShaperOption = None,
-    feed_forward: FeedForwardOption = False,
-    smoothing: SmoothingOption = None,
-    robust: RobustOption = None,
-    par: ParOption = None,
-    actual: ActualOption = None,
+    words: Words,
     report: ReportOption = None,
     recording: RecordingOption = None,
     proof_file: Annotated[
@@ -95,11 +56,6 @@ def prove(
         ),
     ] = None,
     sign: SignOption = None,
-    nominal: NominalOption = False,
-    repeats: RepeatsOption = None,
-    tolerances: TolerancesOption = False,
-    wished: YieldOption = None,
-    ends: EndsOption = None,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
@@ -117,31 +73,16 @@ def prove(
     On an on/off machine: threadline prove examples/letter-cycle.toml
     -m letter-placer+whole-scans+own-damping --shaper zv
     """
-    trials = trials_of(nominal, repeats, tolerances, wished, ends)
+    trials = words.trials()
     key = key_of("--sign", sign, proof_file)
-    chosen = machine_from(machine, par)
+    chosen = words.machine(machine)
     for output in (recording, proof_file):
-        keep_inputs(output, job, chosen.file, par, spec, sign)
+        keep_inputs(output, job, chosen.file, *words.files(), sign)
         check_outputs(file=output, folder=report)
-    options = options_of(
-        interpolation,
-        feed,
-        tolerance,
-        limits,
-        shaper,
-        feed_forward,
-        smoothing,
-        feed_mode,
-        law,
-        dialect,
-        radius,
-        contour,
-        robust,
-    )
-    asked = with_shaping(load_spec(spec, chosen), chosen, options)
+    options = words.options()
+    asked = with_shaping(words.spec(chosen), chosen, options)
     with progress_bar(not json) as progress:
-        other = None if actual is None else machine_from(actual, par)
-        proof = prove_job(job, chosen, asked, options, progress, trials, other)
+        proof = prove_job(job, chosen, asked, options, progress, trials, words.actual())
         with together(recording, proof_file):
             if recording is not None:
                 # A recording is a recipe: to write it is to simulate that run again.
@@ -198,4 +139,4 @@ def show_steps(verdict: Verdict, how: str = "") -> None:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    app.command("prove")(prove)
+    option_parameters.add(app, "prove", prove)

@@ -7,12 +7,14 @@ from typing import Annotated
 
 import typer
 
+from threadline.asked import Words
 from threadline.cli.output import print_json, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import show_proof
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import JsonOption, SpecOption, named_folder
 from threadline.errors import StoreError
+from threadline.option_form import Door
 from threadline.pipeline import Proof
 from threadline.proof_file import read_proof, spec_sha256
 from threadline.recorded import judge_files
@@ -72,9 +74,8 @@ def report(
     check_outputs(file=csv, folder=pages)
     _check_samples(folder, record)
     known = read_proof(folder / PROOF)
-    judged = judge_files(
-        [folder / TRACE], {}, known.spec_path if spec is None else spec, read_one=whole_recording
-    )
+    words = Words.of("judge", Door.LINE, {"spec": known.spec_path if spec is None else spec})
+    judged = judge_files([folder / TRACE], words, read_one=whole_recording)
     if spec is None and spec_sha256(judged.spec) != known.sha256("spec"):
         raise StoreError(
             f"the specification that run {folder.name} was proved by, {known.name('spec')!r}, "

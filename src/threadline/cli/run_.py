@@ -6,13 +6,15 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import closing as closed
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from threadline.arrays import finite
-from threadline.cli.chosen import key_of, machine_from, options_of
+from threadline.asked import Words
+from threadline.cli import option_parameters
 from threadline.cli.continued import (
     AtOption,
     ConfirmedOption,
@@ -20,34 +22,19 @@ from threadline.cli.continued import (
     check_continued,
     continued_run,
 )
-from threadline.cli.level import NominalOption, RepeatsOption, TolerancesOption, trials_of
 from threadline.cli.operator_keys import at_the_keys, somebody_at_the_keys
 from threadline.cli.output import as_far_as_possible, print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.prove import plot_every
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.cli.shared_options import (
-    ContourOption,
-    DialectOption,
-    FeedForwardOption,
-    FeedModeOption,
-    FeedOption,
-    InterpolationOption,
     JobArgument,
     JsonOption,
     KeyOption,
-    LawOption,
-    LimitsOption,
     MachineOption,
-    ParOption,
-    RadiusOption,
     RecordingOption,
-    RobustOption,
-    ShaperOption,
-    SmoothingOption,
-    SpecOption,
-    ToleranceOption,
     keep_inputs,
+    key_of,
 )
 from threadline.cli.told import note, warning
 from threadline.cli.warn import tell
@@ -65,7 +52,6 @@ from threadline.live.supervised import (
     check_runnable,
 )
 from threadline.live.ways import way_of
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
 from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.plan import Plan
 from threadline.proof_file import read_proof, write_proof
@@ -79,7 +65,6 @@ from threadline.verdict import (
     closing,
     happened_lines,
     judge,
-    load_spec,
     verdict_json,
     verdict_rows,
 )
@@ -101,10 +86,10 @@ def _checked_speed(speed: float) -> float:
     return speed
 
 
-def run(
-    job: JobArgument,
-    machine: MachineOption,
-    spec: SpecOption = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Execution:
+    """How ``threadline run`` executes: the link, where it keeps the run, and what may go on."""
+
     link: Annotated[
         str,
         typer.Option(
@@ -113,15 +98,15 @@ def run(
             "grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
             "hal:plant are LinuxCNC's HAL without a machine."
         ),
-    ] = "sim",
+    ] = "sim"
     speed: Annotated[
         float,
         typer.Option(
             callback=_checked_speed,
             help="Of sim: simulated seconds a second; 1 is real time, 0 as fast as possible.",
         ),
-    ] = REAL_TIME,
-    store: StoreOption = DEFAULT_STORE,
+    ] = REAL_TIME
+    store: StoreOption = DEFAULT_STORE
     proof_file: Annotated[
         Path | None,
         typer.Option(
@@ -129,22 +114,22 @@ def run(
             help="Run by this proof (prove --proof FILE), which must hold for the files as they "
             "are now; default: the job is proved first.",
         ),
-    ] = None,
-    key: KeyOption = None,
+    ] = None
+    key: KeyOption = None
     override: Annotated[
         str | None,
         typer.Option(help="Why it is run out of specification; kept with the run."),
-    ] = None,
+    ] = None
     inject: Annotated[
         str | None,
         typer.Option(
             help="Of sim: a fault and when, to see what the guards do: stuck-encoder:X@1.2 s, "
             "switch-hit:x_high@1 s, lost-link@1 s, late-ticks@1 s, power-loss@1 s."
         ),
-    ] = None,
-    continue_: ContinueOption = None,
-    at: AtOption = None,
-    confirmed: ConfirmedOption = False,
+    ] = None
+    continue_: ContinueOption = None
+    at: AtOption = None
+    confirmed: ConfirmedOption = False
     approach: Annotated[
         bool,
         typer.Option(
@@ -152,28 +137,18 @@ def run(
             help="Of grbl: move the axes to where the program begins, one after the other at their "
             "manual feeds, linear ones first.",
         ),
-    ] = False,
+    ] = False
     pass_stops: Annotated[
         bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
-    ] = False,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
-    law: LawOption = None,
-    feed: FeedOption = None,
-    dialect: DialectOption = None,
-    feed_mode: FeedModeOption = None,
-    radius: RadiusOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
-    contour: ContourOption = None,
-    limits: LimitsOption = DEFAULT_LIMITS,
-    shaper: ShaperOption = None,
-    feed_forward: FeedForwardOption = False,
-    smoothing: SmoothingOption = None,
-    robust: RobustOption = None,
-    par: ParOption = None,
+    ] = False
+
+
+def run(
+    job: JobArgument,
+    machine: MachineOption,
+    execution: Execution,
+    words: Words,
     recording: RecordingOption = None,
-    nominal: NominalOption = False,
-    repeats: RepeatsOption = None,
-    tolerances: TolerancesOption = False,
     json: JsonOption = False,
 ) -> None:
     """Run JOB on the machine: prove it, execute it, record it, and judge the recording.
@@ -186,32 +161,20 @@ def run(
 
     Example: threadline run examples/x-180.prg -m lathe-winder --link sim --speed 0
     """
-    check_override(override)
-    secret = key_of("--key", key, proof_file)
-    trials = trials_of(nominal, repeats, tolerances)
-    chosen = machine_from(machine, par)
+    check_override(execution.override)
+    trials = words.trials()
+    chosen = words.machine(machine)
+    inject, proof_file = execution.inject, execution.proof_file
+    secret = key_of("--key", execution.key, proof_file)
     fault = None if inject is None else parse_fault(inject, chosen)
-    over = link_of(link, chosen, speed, fault, approach=approach)
+    over = link_of(execution.link, chosen, execution.speed, fault, approach=execution.approach)
+    store, confirmed = execution.store, execution.confirmed
     check_folder(store)
-    check_continued(store, continue_, at, confirmed=confirmed)
-    keep_inputs(recording, job, chosen.file, par, spec, proof_file)
+    check_continued(store, execution.continue_, execution.at, confirmed=confirmed)
+    keep_inputs(recording, job, chosen.file, *words.files(), proof_file)
     check_outputs(file=recording)
-    options = options_of(
-        interpolation,
-        feed,
-        tolerance,
-        limits,
-        shaper,
-        feed_forward,
-        smoothing,
-        feed_mode,
-        law,
-        dialect,
-        radius,
-        contour,
-        robust,
-    )
-    asked = with_shaping(load_spec(spec, chosen), chosen, options)
+    options = words.options()
+    asked = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
     if proof_file is not None:
         read_proof(proof_file, secret)  # one that cannot be read is told before any planning
@@ -221,33 +184,33 @@ def run(
         closed(over),
     ):
         plan = plan_job(open_job(job, chosen, options), chosen, options)
-        check_halts(plan, answered=pass_stops or somebody_at_the_keys())
+        check_halts(plan, answered=execution.pass_stops or somebody_at_the_keys())
         if proof_file is None:
             proof_file = Path(folder) / "proof.json"
             proof = prove_plan(plan, asked, progress, trials)
             tell(doubts(proof))
             write_proof(proof, proof_file)
-        known = check_runnable(proof_file, plan, asked, override, secret)
+        known = check_runnable(proof_file, plan, asked, execution.override, secret)
         for line in over.prepare(plan):
             note(line)
         leaves_m = way_of(chosen).hold_deviation_m(plan)
         at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
         told = {
-            "link": link,
+            "link": execution.link,
             **({"label": over.label} if over.label else {}),
-            **({"override": override} if override else {}),
+            **({"override": execution.override} if execution.override else {}),
         }
         again, known_of = continued_run(
             store,
-            continue_,
-            at,
+            execution.continue_,
+            execution.at,
             plan,
             lambda operation: over.rest(plan, operation, at_rest=at_rest),
             asks=not confirmed,
         )
         told |= known_of
         inputs = [file for file in inputs_read() if not file.samefile(proof_file)]
-        kept = RunStore(store).begin(plan, known, told, speed, inputs, over.sent)
+        kept = RunStore(store).begin(plan, known, told, execution.speed, inputs, over.sent)
         with (
             _moved(kept),
             closed(Desk()) as desk,
@@ -255,8 +218,9 @@ def run(
             kept,
         ):
             ended, text = over.run(
-                plan, desk, kept, pass_stops=pass_stops, hold_at_rest=at_rest, watch=keys.step,
-                again=again, confirmed=(lambda: True) if confirmed else keys.confirmed,
+                plan, desk, kept, pass_stops=execution.pass_stops, hold_at_rest=at_rest,
+                watch=keys.step, again=again,
+                confirmed=(lambda: True) if confirmed else keys.confirmed,
             )  # fmt: skip
         _is_over(kept, ended, text, plan, fault, keys.time_s)
     before = () if again is None else joined_with(kept.trace)
@@ -389,4 +353,4 @@ def _show(
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    app.command("run")(run)
+    option_parameters.add(app, "run", run)

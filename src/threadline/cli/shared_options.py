@@ -1,6 +1,6 @@
-"""Options that several commands share, with one name and one help text each.
+"""Arguments and outputs that several commands share, with one name and one help text each.
 
-What reads a machine and options is ``chosen``: these texts need none of that.
+The options of planning, judging and searching are declared in ``option_table``.
 """
 
 from __future__ import annotations
@@ -12,12 +12,6 @@ from typing import Annotated
 import typer
 
 from threadline.errors import OptionError
-from threadline.option_defaults import (
-    DEFAULT_CONTOUR_M,
-    FEED_FORWARD,
-    NO_CONTOUR,
-    OPTIMAL_FEED_FORWARD,
-)
 
 
 def ratio(option: str) -> Callable[[str | float], float]:
@@ -56,70 +50,22 @@ ParOption = Annotated[
     Path | None,
     typer.Option(help="FW-CNC.PAR whose settings replace those of the machine file."),
 ]
-InterpolationOption = Annotated[
-    str,
+SignOption = Annotated[
+    Path | None,
     typer.Option(
-        help="auto, optimal, firmware, point-to-point, linear, parabolic, cubic, quintic, "
-        "b-spline, b-spline-pulled, law:NAME. By default firmware where the machine file names "
-        "a motion planner, else auto; compile, which writes another program, has auto."
+        "--sign",
+        metavar="KEY",
+        help="With --proof: sign the proof with the key in this file (16 bytes and more), "
+        "HMAC-SHA256.",
     ),
 ]
-LawOption = Annotated[
-    str | None,
+KeyOption = Annotated[
+    Path | None,
     typer.Option(
-        help="Every move from rest to rest by this motion law: modified-sine, harmonic:7, "
-        "frame.csv (threadline law lists them)."
+        "--key",
+        metavar="KEY",
+        help="Refuse a proof that was not signed with the key in this file (prove --sign KEY).",
     ),
-]
-FeedOption = Annotated[
-    str | None,
-    typer.Option(
-        help='Replaces every programmed feed: "10 count/tick", "36 mm/s" '
-        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant). "120 %" '
-        "multiplies each, so that they keep their ratios."
-    ),
-]
-FeedModeOption = Annotated[
-    str | None,
-    typer.Option(
-        help="By whose rule F of a part program is a speed: cadfil, fanuc, fluidnc, grbl, "
-        "linuxcnc, marlin, rs274, fastest-axis, path, or base-axes:A and base-axes:A,X, CADFIL's "
-        "modes 1 and 2. Default: the machine file's."
-    ),
-]
-DialectOption = Annotated[
-    str | None,
-    typer.Option(
-        help="What the words of a program mean: winder, linuxcnc, grbl, fluidnc, marlin, fanuc, "
-        "x-winder. Default: the machine file's."
-    ),
-]
-RadiusOption = Annotated[
-    str | None,
-    typer.Option(
-        help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm, '
-        '"A=20 mm at X 0 mm; 50 mm at X 100 mm" for a cone, or "A=mandrel.csv". Default: the '
-        "machine file's."
-    ),
-]
-ToleranceOption = Annotated[
-    str,
-    typer.Option(
-        help="Largest deviation from the programmed path, kept by auto, optimal and parabolic: "
-        '"0.1 mm".'
-    ),
-]
-ContourOption = Annotated[
-    str | None,
-    typer.Option(
-        help=f"Of optimal: how far the loops may leave the path; default "
-        f'"{DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With '
-        "--feed-forward: how far the loads may leave their motion where its table begins and ends."
-    ),
-]
-LimitsOption = Annotated[
-    str,
-    typer.Option(help="Share of the acceleration and jerk limits that the planner uses."),
 ]
 JsonOption = Annotated[
     bool,
@@ -150,59 +96,24 @@ RecordingOption = Annotated[
         "operator.record_every ticks."
     ),
 ]
-ShaperOption = Annotated[
-    str | None,
-    typer.Option(
-        help='Shape the motion: "zv:12Hz:0.02" is kind, frequency, damping ratio; "*" convolves, '
-        '"X=..., Y=..." gives axes their own.'
-    ),
-]
-FeedForwardOption = Annotated[
-    bool,
-    typer.Option(
-        "--feed-forward",
-        help="Feed-forward by the inverses of the axes' models, so that the loads follow the path.",
-    ),
-]
-SmoothingOption = Annotated[
-    str | None,
-    typer.Option(
-        help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}", of '
-        f'optimal "{OPTIMAL_FEED_FORWARD}".'
-    ),
-]
-RobustOption = Annotated[
-    str | None,
-    typer.Option(
-        help="With --feed-forward: keep the loads from ringing wherever masses and stiffnesses are "
-        'within this share of their tolerances: "100 %". --smoothing is then the time in which '
-        "the speed may change, four turns of a seam's needle without it.",
-    ),
-]
-ActualOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Machine that runs what was planned for --machine: a file or a library name."
-    ),
-]
 
-SignOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--sign",
-        metavar="KEY",
-        help="With --proof: sign the proof with the key in this file (16 bytes and more), "
-        "HMAC-SHA256.",
-    ),
-]
-KeyOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--key",
-        metavar="KEY",
-        help="Refuse a proof that was not signed with the key in this file (prove --sign KEY).",
-    ),
-]
+
+def key_of(option: str, key: Path | None, proof: Path | None) -> bytes | None:
+    """Return the key that an option names, None without one.
+
+    Raises
+    ------
+    OptionError
+        If there is no proof that it could be of, or its file holds no key.
+    """
+    if key is None:
+        return None
+    if proof is None:
+        raise OptionError(f"{option} needs the file of a proof", remedy="Give --proof FILE.")
+    # Proofs take a while to load, and help reads none.
+    from threadline.proof_file import read_key
+
+    return read_key(key)
 
 
 def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:

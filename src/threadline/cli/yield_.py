@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import ceil, log
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,34 +13,24 @@ import typer
 
 from threadline import __version__
 from threadline.arrays import finite
+from threadline.asked import Words
+from threadline.cli import option_parameters
 from threadline.cli.cheapest import set_content, show_set, yield_words
-from threadline.cli.chosen import machine_from, options_of
 from threadline.cli.found import command_line
-from threadline.cli.level import parse_yield
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.outputs import check_outputs
 from threadline.cli.shared_options import (
-    FeedForwardOption,
-    FeedOption,
-    InterpolationOption,
     JobArgument,
     JsonOption,
-    LawOption,
-    LimitsOption,
     MachineOption,
-    ParOption,
     ReportOption,
-    RobustOption,
-    SmoothingOption,
-    SpecOption,
-    ToleranceOption,
     keep_inputs,
 )
 from threadline.cli.warn import tell, warn
 from threadline.cli.why import Why, counted, show_why, why_content, why_of
 from threadline.errors import OptionError
 from threadline.machine.variants import not_drawn
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
+from threadline.option_words import parse_yield
 from threadline.pipeline import check_machine, open_job, plan_job
 from threadline.plan import Plan
 from threadline.proof_file import spec_sha256
@@ -52,30 +43,21 @@ from threadline.search.machine_yield import (
 )
 from threadline.search.yield_rows import limited_rows, quantile
 from threadline.search.yield_state import YieldState
-from threadline.verdict import CriterionRow, Spec, load_spec
+from threadline.verdict import CriterionRow, Spec
 from threadline.verdict.binomial import CONFIDENCE, clopper_pearson
 from threadline.verdict.rendering import shown
 from threadline.verdict.types import Level
 from threadline.writing import together
 
 
-def yield_(
-    job: JobArgument,
-    machine: MachineOption,
-    spec: SpecOption = None,
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawing:
+    """How many machines ``threadline yield`` draws, and what it says and keeps of them."""
+
     variants: Annotated[
         int, typer.Option(min=1, max=10_000_000, help="How many machines are drawn.")
-    ] = 10_000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the drawn machines.")] = 1,
-    interpolation: InterpolationOption = DEFAULT_INTERPOLATION,
-    law: LawOption = None,
-    feed: FeedOption = None,
-    tolerance: ToleranceOption = DEFAULT_TOLERANCE,
-    limits: LimitsOption = DEFAULT_LIMITS,
-    feed_forward: FeedForwardOption = False,
-    smoothing: SmoothingOption = None,
-    robust: RobustOption = None,
-    par: ParOption = None,
+    ] = 10_000
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the drawn machines.")] = 1
     why: Annotated[
         bool,
         typer.Option(
@@ -83,24 +65,31 @@ def yield_(
             help="Also tell what the yield depends on: the share of each number in the variance, "
             "and the yield with its tolerance halved.",
         ),
-    ] = False,
+    ] = False
     at_least: Annotated[
         str | None,
         typer.Option(
             help='The yield wanted, "99 %": where the lower end of the interval is below it, the '
             "cheapest set of tolerances that reaches it is searched."
         ),
-    ] = None,
+    ] = None
     worst: Annotated[
         Path | None,
         typer.Option(help="Write the worst machine found to this machine file."),
-    ] = None,
+    ] = None
     resume: Annotated[
         Path | None,
         typer.Option(
             help="Keep the results of the machines in this file, and go on from those it has."
         ),
-    ] = None,
+    ] = None
+
+
+def yield_(
+    job: JobArgument,
+    machine: MachineOption,
+    words: Words,
+    drawing: Drawing,
     report: ReportOption = None,
     json: JsonOption = False,
 ) -> None:
@@ -114,22 +103,15 @@ def yield_(
 
     Example: threadline yield examples/x-180.prg -m lathe-winder --variants 1000
     """
+    variants, seed, worst, resume = drawing.variants, drawing.seed, drawing.worst, drawing.resume
+    at_least = drawing.at_least
     wished = None if at_least is None else parse_yield(at_least)
-    chosen = machine_from(machine, par)
-    _check_files(worst, resume, report, [job, chosen.file, par, spec])
-    options = options_of(
-        interpolation,
-        feed,
-        tolerance,
-        limits,
-        feed_forward=feed_forward,
-        smoothing=smoothing,
-        law=law,
-        robust=robust,
-    )
+    chosen = words.machine(machine)
+    _check_files(worst, resume, report, [job, chosen.file, *words.files()])
+    options = words.options()
     check_machine(chosen)
     plan = plan_job(open_job(job, chosen, options), chosen, options)
-    asked = load_spec(spec, chosen)
+    asked = words.spec(chosen)
     judged = MachineYield(plan, asked)
     if wished is not None:
         _check_reachable(variants, wished, at_least or "")
@@ -140,7 +122,7 @@ def yield_(
             variants, seed, counted(progress, "simulating and judging machines", variants), state
         )
         bad = judged.worst(found, counted(progress, "looking for the worst machine"))
-        hangs = why_of(judged, variants, seed, progress) if why else None
+        hangs = why_of(judged, variants, seed, progress) if drawing.why else None
         enough = found.passed == variants if wished is None else found.interval[0] >= wished
         better = None
         if wished is not None and not enough:
@@ -156,31 +138,13 @@ def yield_(
             if report is not None:
                 drawn = _drawn(found, title, report)
     again = command_line(
-        "prove",
-        job,
-        {
-            "-m": machine,
-            "--actual": worst,
-            "-s": spec,
-            "--interpolation": _unless(DEFAULT_INTERPOLATION, interpolation),
-            "--law": law,
-            "--feed": feed,
-            "--tolerance": _unless(DEFAULT_TOLERANCE, tolerance),
-            "--limits": _unless(DEFAULT_LIMITS, limits),
-            "--feed-forward": "" if feed_forward else None,
-            "--smoothing": smoothing,
-            "--robust": robust,
-            "--par": par,
-            "--nominal": "",
-        },
+        "prove", job, {"-m": machine, "--actual": worst, **words.typed(), "--nominal": ""}
     )
     if json:
-        told: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
-        if worst is not None:
-            told["command"] = again
-        if better is not None:
-            told |= {"cheapest": set_content(better, judged)}
-        print_json(_content(found, bad, judged, hangs, level) | told)
+        more: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
+        more |= {} if worst is None else {"command": again}
+        more |= {} if better is None else {"cheapest": set_content(better, judged)}
+        print_json(_content(found, bad, judged, hangs, level) | more)
     else:
         _show(found, bad, judged, hangs, title)
         say(_words(found, level))
@@ -216,11 +180,6 @@ def _drawn(found: Yield, title: str, folder: Path) -> Path:
     from threadline.report.machine_yield import write_yield  # slow to import: it draws
 
     return write_yield(found, title, folder)
-
-
-def _unless(default: str, text: str) -> str | None:
-    """Return an option's text, None where it is the default."""
-    return None if text == default else text
 
 
 def _check_reachable(variants: int, wished: float, text: str) -> None:
@@ -351,4 +310,4 @@ def _content(
 
 def register(app: typer.Typer) -> None:
     """Add the command to the program."""
-    app.command("yield")(yield_)
+    option_parameters.add(app, "yield", yield_)

@@ -44,7 +44,10 @@ class Format:
         return "an" if self.name[0] in "aeiou" else "a"
 
 
-_TYPED = {"dialect": "--dialect", "feed_mode": "--feed-mode", "base_axes": "--feed-mode"}
+_TYPED = {
+    "dialect": "--dialect", "feed_mode": "--feed-mode", "base_axes": "--feed-mode",
+    "needle_speed": "--needle",
+}  # fmt: skip
 """Options of readers as they are typed, where they are."""
 
 FORMATS: tuple[Format, ...] = (

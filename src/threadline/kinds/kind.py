@@ -10,6 +10,9 @@ import numpy as np
 from threadline.arrays import FloatArray
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
+from threadline.option_table import (
+    planned_by,
+)
 from threadline.options import Options
 from threadline.plan import Intent, Plan
 from threadline.signals import Commands, Recording
@@ -27,8 +30,6 @@ class Kind:
         Value of ``Machine.commanded_by`` for machines of this kind.
     takes
         Names of the formats of jobs that its machines do (``jobs/reading.py``).
-    planned_by
-        Options of planning that have a meaning for it, as a command line names them.
     commands, intent
         Type of the commands that its controllers take, and type of what its plans intend. By the
         type of the intent the judge knows how to read a recording (``verdict/intended_runs.py``)
@@ -62,7 +63,6 @@ class Kind:
 
     name: str
     takes: tuple[str, ...]
-    planned_by: tuple[str, ...]
     commands: type[Commands]
     intent: type[Intent]
     check: Callable[[Machine], None]
@@ -76,3 +76,8 @@ class Kind:
     release: Callable[[Plan], None]
     compared: Mapping[str, tuple[str, ...]]
     targets: Mapping[str, Target]
+
+    @property
+    def planned_by(self) -> tuple[str, ...]:
+        """Options of planning that have a meaning for it, as a command line names them."""
+        return planned_by(self.name)

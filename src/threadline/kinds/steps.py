@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -15,9 +14,7 @@ from threadline.kinds.kind import Kind
 from threadline.kinds.retold import one_by_one
 from threadline.machine import Machine
 from threadline.machine.vary import DAMPING_OF_DAYS, vary
-from threadline.option_defaults import AUTO
-from threadline.options import Options
-from threadline.path.interpolations import BY_LAW
+from threadline.options import Options, foreign_options
 from threadline.plan import Plan, Stitched
 from threadline.shaping.law_named import law_named
 from threadline.signals import Commands, Recording, StepPlay, played
@@ -34,20 +31,12 @@ def _check(machine: Machine) -> None:
 
 
 def _check_options(machine: Machine, options: Options) -> None:
-    options = options.on(machine)
-    of_law = options.interpolation.startswith(BY_LAW)
-    kept = replace(
-        Options().on(machine),
-        interpolation=options.interpolation if of_law else AUTO,
-        feed=options.feed,
-        tolerance_m=options.tolerance_m,
-    )
-    if options != kept:
+    if foreign_options(STEPS.name, machine, options):
         raise OptionError(
             f"{machine.name} moves between its stitches by a law: it has no path, shaper or "
             "feed-forward to choose",
-            remedy='Choose the law, the speed and the tolerance: --law cycloidal --feed "100 '
-            'stitch/min" --tolerance "0.05 mm".',
+            remedy="Leave it out; a law and a tolerance may be given: --law cycloidal --tolerance "
+            '"0.05 mm".',
         )
     if options.feed is not None and options.feed.mode is not FeedMode.SHAFT:
         raise OptionError(
@@ -110,7 +99,6 @@ def _release(plan: Plan) -> None:
 STEPS = Kind(
     name="steps",
     takes=("embroidery design",),
-    planned_by=("law", "feed", "tolerance"),
     commands=StepPlay,
     intent=Stitched,
     check=_check,

@@ -80,7 +80,6 @@ def _release(plan: Plan) -> None:
 SWITCHES = Kind(
     name="switches",
     takes=("move list",),
-    planned_by=("shaper",),
     commands=SwitchSchedule,
     intent=Scheduled,
     check=_check,

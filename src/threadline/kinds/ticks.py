@@ -77,7 +77,7 @@ def _check_options(machine: Machine, options: Options) -> None:
         text = f"{options.feed.value:g} stitch/s"
         raise OptionError(
             f"feed {text!r}: {machine.name} has no shaft that turns a stitch at a time",
-            remedy=f'The needle speed of a seam stands in its file: needle_speed = "{text}".',
+            remedy=f'The needle speed of a seam is --needle "{text}", or needle_speed in its file.',
         )
     if options.following is Following.LOAD and machine.told_positions:
         raise OptionError(
@@ -252,22 +252,6 @@ def _of_table(writer: TableWriter) -> Target:
 TICKS = Kind(
     name="ticks",
     takes=("part program", "seam"),
-    planned_by=(
-        "interpolation",
-        "law",
-        "feed",
-        "feed-mode",
-        "dialect",
-        "radius",
-        "offset",
-        "tolerance",
-        "contour",
-        "limits",
-        "shaper",
-        "feed-forward",
-        "smoothing",
-        "robust",
-    ),
     commands=TickTable,
     intent=Motion,
     check=check_loops,

@@ -16,20 +16,18 @@ from typing import Any
 import numpy as np
 
 from threadline.arrays import FloatArray
+from threadline.asked import chosen_machine, trials_of
 from threadline.doubts import doubts
 from threadline.errors import ThreadlineError
 from threadline.input_files import noting_inputs, reading_within
 from threadline.jobs.circuit import begins_circuit
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source
 from threadline.live.ways import way_of
-from threadline.machine import Machine, load_machine
-from threadline.machine.par import read_parameters
+from threadline.machine import Machine
 from threadline.panel.priorities import PROGRAMMED, by_priority
 from threadline.panel.project_programs import planned, program_path, words_of
 from threadline.panel.wound_on import mandrel_of
 from threadline.pipeline import (
-    NOMINAL,
-    REPEATED,
     Proof,
     Trials,
     check_machine,
@@ -44,13 +42,11 @@ from threadline.verdict.rendering import criteria_json
 
 _SHOWN = 2000  # points of a plot
 _NICE = 10  # the executor comes first
-_LEVELS = {"nominal": NOMINAL, "repeated": REPEATED}
 
 
 def machine_of(told: Mapping[str, Any]) -> Machine:
     """Return the machine of a request."""
-    machine = load_machine(str(told["machine"]))
-    return machine if told["par"] is None else read_parameters(Path(told["par"]), machine)
+    return chosen_machine(str(told["machine"]), told["par"])
 
 
 def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
@@ -65,7 +61,7 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
     check_machine(machine)
     with noting_inputs():
         asked = load_spec(None if told["spec"] is None else Path(told["spec"]), machine)
-        folder, trials = Path(told["folder"]), _LEVELS[told["level"]]
+        folder, trials = Path(told["folder"]), trials_of(level=told["level"])
         with reading_within(folder):
             words = _by_priority(folder, told, machine, asked, trials)
             plan, options = planned(folder, {**told, **words}, machine)

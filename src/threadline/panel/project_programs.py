@@ -16,6 +16,10 @@ from threadline.jobs import FORMATS
 from threadline.jobs.seam.job import AXES as SEAM_AXES
 from threadline.kinds import kind_of
 from threadline.machine import Machine
+from threadline.option_form import Door, Group
+from threadline.option_table import (
+    options_for,
+)
 from threadline.options import Options, options_of
 from threadline.pipeline import open_job, plan_job
 from threadline.plan import Plan
@@ -169,20 +173,8 @@ def words_of(told: Mapping[str, Any]) -> Options:
     OptionError
         If one of them cannot be read.
     """
-    return options_of(
-        interpolation=str(told["interpolation"]),
-        feed=told["feed"],
-        tolerance=str(told["tolerance"]),
-        limits=str(told["limits"]),
-        shaper=told["shaper"],
-        feed_forward=bool(told["feed_forward"]),
-        smoothing=told["smoothing"],
-        law=told["law"],
-        radius=told["radius"],
-        contour=told["contour"],
-        robust=told["robust"],
-        offset=told["offset"],
-    )
+    words = [one.word for one in options_for("panel", Door.PANEL, [Group.PLAN])]
+    return options_of(**{word: told[word] for word in words})
 
 
 def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:

@@ -7,18 +7,20 @@ carries neither.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
 
-from threadline.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_LIMITS, DEFAULT_TOLERANCE
+from threadline.option_form import Door, Type
+from threadline.option_table import (
+    options_for,
+)
 
 PANEL_PROTOCOL = 1
 MOST_TEXT = 1 << 16
 """Longest message of a client, in bytes."""
 
-MOST_PROFILE = 20_000
-"""Longest text of the radii of a mandrel."""
 MOST_STEP = 10.0
 """Longest step of an axis, in m or rad."""
 
@@ -77,7 +79,25 @@ class Step(_Strict):
     """In m or rad; its sign is the direction."""
 
 
-class Calculate(_Strict):
+def _option_fields() -> dict[str, Any]:
+    """Return the options of a calculation as the fields of a message, from their declarations."""
+    fields: dict[str, Any] = {}
+    for one in options_for("panel", Door.PANEL):
+        kind: Any = Literal[one.choices] if one.choices else _TYPES[one.type]
+        if kind is str:
+            kind = Annotated[str, Field(max_length=one.most_text)]
+        fields[one.word] = (kind if one.default is not None else kind | None, one.default)
+    return fields
+
+
+_TYPES: Mapping[Type, type] = {Type.TEXT: str, Type.FLAG: bool}
+if TYPE_CHECKING:
+    _WithOptions = _Strict
+else:
+    _WithOptions = create_model("_WithOptions", __base__=_Strict, **_option_fields())
+
+
+class Calculate(_WithOptions):
     """Plan, simulate and judge a program of the project folder.
 
     Options have the names, the texts and the defaults of ``threadline prove``.
@@ -86,20 +106,6 @@ class Calculate(_Strict):
     what: Literal["calculate"]
     program: Text
     priority: Priority = "programmed"
-    interpolation: Text = DEFAULT_INTERPOLATION
-    law: Text | None = None
-    feed: Text | None = None
-    tolerance: Text = DEFAULT_TOLERANCE
-    contour: Text | None = None
-    limits: Text = DEFAULT_LIMITS
-    feed_forward: bool = False
-    smoothing: Text | None = None
-    robust: Text | None = None
-    shaper: Text | None = None
-    radius: Annotated[str, Field(max_length=MOST_PROFILE)] | None = None
-    offset: Text | None = None
-    """Where the zero of the program lies on the machine: ``X=12 mm, A=30 deg``."""
-    level: Literal["nominal", "repeated"] = "repeated"
 
 
 class Start(_Strict):

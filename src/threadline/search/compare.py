@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from threadline.errors import PlanError
-from threadline.jobs.operations import Feed, Job
+from threadline.jobs.operations import Job
 from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.options import Options
@@ -68,22 +68,21 @@ def compare(
     job: Job,
     machine: Machine,
     spec: Spec,
-    interpolations: Sequence[str],
-    feeds: Sequence[Feed | None],
-    options: Options,
+    planned: Sequence[Options],
     *,
-    shapers: Sequence[str | None] = (None,),
     with_fastest: bool = True,
     progress: Progress | None = None,
     trials: Trials = NOMINAL,
 ) -> Comparison:
-    """Prove ``job`` with every interpolation, feed and shaper; find the fastest feed of each.
+    """Prove ``job`` as each of ``planned``; find the fastest feed of each interpolation.
 
     A job that is paced by switchings or by a shaft has no feed to search, and a machine without
     dynamics none within criteria of placement.
 
     Parameters
     ----------
+    planned
+        How each is planned, interpolations outermost.
     trials
         Which runs each is judged by.
 
@@ -93,14 +92,15 @@ def compare(
         If a plan without a shaper fails, or those of all shapers do.
     """
     check_machine(machine)
-    named = (replace(options, interpolation=name).on(machine) for name in interpolations)
-    interpolations = list(dict.fromkeys(one.interpolation for one in named))
+    planned = list(dict.fromkeys(one.on(machine) for one in planned))
     searched = job.paced_by in ("feed", "needle") and not machine.without_dynamics
     with_fastest = with_fastest and searched
     proofs = []
     refused: list[tuple[str, str]] = []
     why: PlanError | None = None
-    steps = len(interpolations) * (len(feeds) * len(shapers) + (1 if with_fastest else 0))
+    by_interpolation = {one.interpolation: one for one in reversed(planned)}
+    by_interpolation = dict(reversed(by_interpolation.items()))
+    steps = len(planned) + (len(by_interpolation) if with_fastest else 0)
     done = 0
 
     def stepped(what: str) -> None:
@@ -109,27 +109,24 @@ def compare(
             progress(what, done / steps)
         done += 1
 
-    for interpolation in interpolations:
-        for feed in feeds:
-            for shaper in shapers:
-                stepped(shaper or interpolation)
-                chosen = replace(options, interpolation=interpolation, feed=feed, shaper=shaper)
-                try:
-                    plan = plan_job(job, machine, chosen)
-                except PlanError as error:
-                    if shaper is None:
-                        raise
-                    refused.append((shaper, error.message))
-                    why = error
-                    continue
-                proofs.append(prove_plan(plan, spec, trials=trials))
+    for options in planned:
+        stepped(options.shaper or options.interpolation)
+        try:
+            plan = plan_job(job, machine, options)
+        except PlanError as error:
+            if options.shaper is None:
+                raise
+            refused.append((options.shaper, error.message))
+            why = error
+            continue
+        proofs.append(prove_plan(plan, spec, trials=trials))
     if not proofs and why is not None:
         raise why
     fastest = {}
     if with_fastest:
-        for interpolation in interpolations:
+        for interpolation, options in by_interpolation.items():
             stepped(f"fastest {interpolation}")
-            chosen = replace(options, interpolation=interpolation)
+            chosen = replace(options, feed=None, shaper=None)
             fastest[interpolation] = fastest_job(
                 job, machine, placement_spec(spec), chosen, trials=trials
             )

@@ -10,7 +10,6 @@ import numpy as np
 
 from threadline.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, PlanError
-from threadline.jobs import read_job
 from threadline.jobs.operations import Job
 from threadline.kinds import kind_of
 from threadline.kinds.retold import retold
@@ -21,6 +20,7 @@ from threadline.options import Options
 from threadline.pipeline import (
     REPEATED,
     Trials,
+    open_job,
     plan_job,
     simulate,
     try_plan,
@@ -62,7 +62,6 @@ def design(
     *,
     trials: Trials = REPEATED,
     corners: bool = False,
-    needle_speed: str | None = None,
     plotted: tuple[str, str] | None = None,
     smoothing_s: tuple[float, ...] = (),
     effort: Effort | None = None,
@@ -79,8 +78,6 @@ def design(
         passes it.
     corners
         Whether it must hold at every corner of the tolerances of the parameters, too.
-    needle_speed
-        Replaces that of a seam: ``"75 stitch/s"``.
     plotted
         Two parameters for the region; those that cost most when None.
     smoothing_s
@@ -99,9 +96,7 @@ def design(
     space = design_space(machine, smoothing_s)
 
     def read(for_machine: Machine) -> Job:
-        if needle_speed is None:
-            return read_job(job_file, for_machine)
-        return read_job(job_file, for_machine, needle_speed=needle_speed)
+        return open_job(job_file, for_machine, options)
 
     def report(what: str, low: float, high: float) -> Callable[[float], None]:
         def at(fraction: float) -> None:

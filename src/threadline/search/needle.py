@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from threadline.errors import LimitError, OptionError
-from threadline.jobs import read_job
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
 from threadline.options import Options
-from threadline.pipeline import NOMINAL, Trials, plan_job, try_plan
+from threadline.pipeline import NOMINAL, Trials, open_job, plan_job, try_plan
 from threadline.progress_call import Progress
 from threadline.search.fastest import (
     EDGE_RELATIVE,
@@ -84,13 +84,14 @@ def fastest_needle(
     HaltError
         If the time is over before a speed was judged.
     """
-    lowest, highest = needle_range_hz(read_job(seam, machine), machine)
+    lowest, highest = needle_range_hz(open_job(seam, machine, options), machine)
     begin, end = lowest if low is None else low, highest if high is None else high
 
     def judged(speed_hz: float) -> Verdict:
-        job = read_job(seam, machine, needle_speed=f"{speed_hz!r} stitch/s")
+        at_speed = replace(options, needle=f"{speed_hz!r} stitch/s")
+        job = open_job(seam, machine, at_speed)
         try:
-            plan = plan_job(job, machine, options)
+            plan = plan_job(job, machine, at_speed)
         except LimitError as error:
             return beyond(error, machine)
         return try_plan(plan, spec, trials, actual).verdict

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from threadline.errors import OptionError, Place, PlanError
 from threadline.foreign_messages import nearest
 from threadline.machine import Machine
+from threadline.option_defaults import UNSHAPED_WORD
 from threadline.plant.pneumatic import flow_mode
 from threadline.shaping import FlexibleMode, ShaperKind, convolve, design, parse_mode_hz
 from threadline.shaping.designs import DEFAULT_TOLERANCE
 from threadline.targets.schedule_moves import AxisShaping
 
-UNSHAPED_WORD = "none"
 _REMEDY = 'Write it like "zv", "zv*um-2ei", "zv:3.04Hz:0.17" or "X=zv, Z=none".'
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from threadline.arrays import FloatArray, read_only
+from threadline.arrays import FloatArray, Locked, read_only
 from threadline.trajectory.extremes import hull_of
 from threadline.trajectory.optimal.along_path import across, true_shares
 from threadline.trajectory.optimal.motion_limits import Limits
@@ -19,7 +19,7 @@ _PARTS = 4  # of a polynomial in time: the bounds of its parts are nearer to it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Retimed(Trajectory):
+class Retimed(Locked, Trajectory):
     """A motion with what it uses of its limits.
 
     Parameters

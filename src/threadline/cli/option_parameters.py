@@ -1,0 +1,95 @@
+"""From the table of options, and from groups of a command's own, to what typer reads.
+
+A command takes its options as a few objects: ``Words`` of the table, and dataclasses whose fields
+are options of the command alone. ``add`` tells typer each of them one by one.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from threadline.asked import Words
+from threadline.option_form import Option, Type
+from threadline.option_table import (
+    options_for,
+)
+
+_NAMED: Mapping[Type, Any] = {
+    Type.TEXT: str,
+    Type.FLAG: bool,
+    Type.COUNT: int,
+    Type.RATIO: str,
+    Type.FILE: Path,
+    Type.SPEC: Path,
+    Type.MACHINE: str,
+}
+
+
+def add(app: typer.Typer, verb: str, command: Callable[..., None]) -> None:
+    """Add a command to the program.
+
+    Parameters
+    ----------
+    verb
+        Its name, and the name of the verb in the table of options.
+    command
+        Takes the options of the table as the parameter of type ``Words``, groups of its own
+        options as dataclasses, and any other option by itself.
+    """
+    signature = inspect.signature(command, eval_str=True)
+    groups: dict[str, tuple[Callable[..., object], list[str]]] = {}
+    flat: list[inspect.Parameter] = []
+    for name, parameter in signature.parameters.items():
+        kind = parameter.annotation
+        if kind is Words:
+            table = options_for(verb)
+            flat += [_parameter(one, verb) for one in table]
+            groups[name] = (partial(_words, verb), [one.word for one in table])
+        elif is_dataclass(kind) and isinstance(kind, type):
+            hints = get_type_hints(kind, include_extras=True)
+            flat += [_field(one, hints[one.name]) for one in fields(kind)]
+            groups[name] = (kind, [one.name for one in fields(kind)])
+        else:
+            flat.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
+
+    def called(**given: Any) -> None:
+        made = {
+            name: make(**{one: given.pop(one) for one in own})
+            for name, (make, own) in groups.items()
+        }
+        command(**made, **given)
+
+    called.__doc__, called.__name__ = command.__doc__, command.__name__
+    called.__signature__ = inspect.Signature(flat)  # type: ignore[attr-defined]
+    app.command(verb)(called)
+
+
+def _words(verb: str, **given: Any) -> Words:
+    return Words(verb, given)
+
+
+def _parameter(one: Option, verb: str) -> inspect.Parameter:
+    """Return an option of the table as a parameter that typer understands."""
+    kind, default = _NAMED[one.type], one.default_of(verb)
+    if default is None:
+        kind = kind | None
+    names = [one.typed, *([f"-{one.short}"] if one.short else [])]
+    told = typer.Option(*names, help=one.help_of(verb), min=one.least, max=one.most)
+    return inspect.Parameter(
+        one.word, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, told]
+    )
+
+
+def _field(one: Field[Any], annotation: Any) -> inspect.Parameter:
+    """Return a field of a group of options as a parameter."""
+    default = inspect.Parameter.empty if one.default is MISSING else one.default
+    return inspect.Parameter(
+        one.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation
+    )

@@ -1,0 +1,295 @@
+"""Every verb takes every option that means something for it, the same by Python and in a shell."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tools.options_reference import files
+
+import threadline as tl
+from threadline import face
+from threadline.cli.main import app
+from threadline.errors import InputError, OptionError
+from threadline.option_form import Door, Group, Option, Type
+from threadline.option_table import (
+    PYTHON_VERBS,
+    RECORDED,
+    TABLE,
+    options_for,
+)
+from threadline.options import Options
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = ROOT / "examples"
+WORK = {
+    "ticks": ("a.gcode", "stepper-winder"),
+    "loops": ("a.prg", "lathe-winder"),
+    "seam": (EXAMPLES / "strap.seam.toml", "stitcher-rigid"),
+    "switches": (EXAMPLES / "letter-cycle.toml", "letter-placer"),
+    "steps": (EXAMPLES / "rosette.dst", "schiffli-frame"),
+}
+"""By kind of work: a job and a machine; of axes a part program with steppers and with loops, and a
+seam."""
+GIVEN: dict[str, Any] = {
+    "interpolation": "linear", "law": "cycloidal", "feed": "36 mm/s", "dialect": "grbl",
+    "feed-mode": "linuxcnc", "radius": "A=40 mm", "offset": "X=12 mm", "needle": "20 stitch/s",
+    "tolerance": "0.05 mm", "limits": "90 %", "shaper": "zv:12Hz:0.02", "mode": "3 Hz",
+    "damping": "0.1", "feed-forward": True, "smoothing": "50 ms", "robust": "100 %",
+    "contour": "0.45 mm",
+}  # fmt: skip
+"""A value for each planning option."""
+WITH: dict[str, dict[str, Any]] = {
+    "smoothing": {"feed-forward": True}, "robust": {"feed-forward": True},
+    "contour": {"interpolation": "optimal"}, "mode": {"shaper": "zv"}, "damping": {"shaper": "zv"},
+}  # fmt: skip
+"""What some of them need beside them."""
+LINE_VERBS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", "judge")
+SEARCHED = {"fastest": {"shaper", "robust"}, "design": {"feed-forward", "smoothing"}}
+"""Options that mean something else to a verb: a share of machines to judge, times to try."""
+
+
+class PlannedError(Exception):
+    """A verb has come to where the job is read and about to be planned."""
+
+    def __init__(self, job: Any, machine: Any, options: Options) -> None:
+        moves = [repr(one) for one in job]
+        axes = {name: (axis.radius, axis.profile) for name, axis in machine.axes.items()}
+        super().__init__("planned")
+        self.asked = (options.on(machine), moves, axes, machine.name)
+
+
+def planned(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> None:
+    raise PlannedError(job, machine, options)
+
+
+@pytest.fixture
+def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """Stop every verb where it would plan what it has read; return a folder with the jobs."""
+    from threadline import pipeline, recorded
+    from threadline.cli import compile_, design, fastest, run_, yield_
+    from threadline.machine.radii import with_radii
+    from threadline.search import by_pace
+
+    compared = importlib.import_module("threadline.search.compare")  # its name is a function's
+    for module in (pipeline, recorded, compile_, run_, yield_, compared):
+        monkeypatch.setattr(module, "plan_job", seen)
+    searched = lambda asked: planned(asked.job, asked.machine, asked.options)  # noqa: E731
+    for pace, search in by_pace.SEARCHES.items():
+        monkeypatch.setitem(by_pace.SEARCHES, pace, replace(search, find=searched))
+        monkeypatch.setitem(fastest.ANSWERS, pace, lambda asked: searched(asked.question))
+
+    def designed(file: Path, machine: Any, spec: Any, options: Options, **_: Any) -> None:
+        planned(pipeline.open_job(file, machine, options), with_radii(machine, options.radius),
+                options)  # fmt: skip
+
+    monkeypatch.setattr(design, "search_design", designed)
+    (tmp_path / "a.prg").write_text("G91 G1 X5 A10 F600\nX-5\nM30\n")
+    (tmp_path / "a.gcode").write_text("G21 G91\nG1 X5 A10 F600\nX-5\nM2\n")
+    (tmp_path / "trace.csv").write_text("time [s];X.load [m]\n0;0\n0.1;0\n0.2;0\n")
+    return tmp_path
+
+
+def seen(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> None:
+    """Stand in for ``plan_job``, which gives the machine the radii of the options."""
+    from threadline.machine.radii import with_radii
+
+    planned(job, with_radii(machine, options.radius), options)
+
+
+def outcome(ask: Callable[[], object]) -> tuple[Any, ...] | str:
+    """Return what a verb is about to plan, or why it refuses."""
+    try:
+        ask()
+    except PlannedError as reached:
+        return reached.asked
+    except InputError as error:
+        return str(error)
+    raise AssertionError("neither planned nor refused")
+
+
+def by_line(verb: str, folder: Path, work: str, words: dict[str, Any]) -> tuple[Any, ...] | str:
+    file, machine = WORK[work]
+    typed = [
+        part
+        for name, value in words.items()
+        for part in (f"--{name}", *([] if value is True else [str(value)]))
+    ]
+    job = folder / file
+    target = {"switches": "st", "steps": "steps"}.get(work, "csv")
+    more = {
+        "compile": ["--target", target, "-o", str(folder / "out")],
+        "compare": ["--no-fastest"],
+        "run": ["--speed", "0", "--store", str(folder / "runs"), "--pass-stops"],
+    }.get(verb, [])
+    if verb == "compare" and "interpolation" not in words:
+        more += ["--interpolation", "auto"]
+    if verb == "compare" and "shaper" not in words:
+        more += ["--shaper", "none"]
+    of = [str(folder / "trace.csv"), "--job", str(job)] if verb == "judge" else [str(job)]
+    line = [verb, *of, "-m", machine, *typed, *more]
+    return outcome(lambda: app(args=line, standalone_mode=False))
+
+
+def by_python(verb: str, folder: Path, work: str, words: dict[str, Any]) -> tuple[Any, ...] | str:
+    file, machine = WORK[work]
+    job = folder / file
+    given = {name.replace("-", "_"): value for name, value in words.items()}
+    if verb == "compare":
+        lists = {"interpolation": "interpolations", "feed": "feeds", "shaper": "shapers"}
+        given = {lists.get(word, word): [value] if word in lists else value
+                 for word, value in given.items()}  # fmt: skip
+    if verb == "judge":
+        return outcome(lambda: tl.judge(folder / "trace.csv", job=job, machine=machine, **given))
+    target = {"switches": "st", "steps": "steps"}.get(work, "csv")
+    more = [target, folder / "out"] if verb == "compile" else []
+    return outcome(lambda: getattr(tl, verb)(job, machine, *more, **given))
+
+
+PLANNING = [one for one in TABLE if one.group is Group.PLAN]
+
+
+def given_to(one: Option, work: str) -> dict[str, Any]:
+    value = GIVEN[one.name]
+    if work == "steps" and one.name == "feed":
+        value = "100 stitch/min"
+    if work == "switches" and one.name == "shaper":
+        value = "zv"
+    return {**WITH.get(one.name, {}), one.name: value}
+
+
+def test_every_planning_option_is_walked() -> None:
+    assert set(GIVEN) == {one.name for one in PLANNING}
+
+
+@pytest.mark.parametrize("work", WORK)
+def test_every_verb_reads_and_plans_alike_by_both_doors(stopped: Path, work: str) -> None:
+    """Verb by option by kind: the same job, read alike, with the same options, or one refusal."""
+    kind = "ticks" if work in {"loops", "seam"} else work
+    told = 0
+    for one in PLANNING:
+        words = given_to(one, work)
+        wanted = by_python("prove", stopped, work, words)
+        if kind not in one.kinds:
+            assert isinstance(wanted, str), one.name
+        for verb in LINE_VERBS:
+            if verb not in one.verbs or one.name in SEARCHED.get(verb, ()):
+                continue
+            if any(name not in {o.name for o in options_for(verb)} for name in words):
+                continue
+            found = by_line(verb, stopped, work, words)
+            assert found == wanted, (verb, one.name)
+            told += not isinstance(found, str)
+            if verb in PYTHON_VERBS:
+                assert by_python(verb, stopped, work, words) == wanted, (verb, one.name)
+    assert told > 5
+
+
+def test_an_option_changes_what_is_read(stopped: Path) -> None:
+    """The walk would not see a verb that ignores dialect, rule of F, radius, offset or needle."""
+    plain = by_python("prove", stopped, "ticks", {})
+    for name in ("dialect", "feed-mode", "radius", "offset"):
+        assert by_python("prove", stopped, "ticks", {name: GIVEN[name]}) != plain
+    sewn = by_python("prove", stopped, "seam", {})
+    assert by_python("prove", stopped, "seam", {"needle": "20 stitch/s"})[1] != sewn[1]
+
+
+@pytest.mark.parametrize("verb", ["compare", "fastest"])
+def test_a_nonsense_dialect_is_refused_by_every_function(stopped: Path, verb: str) -> None:
+    job, machine = stopped / "a.gcode", "stepper-winder"
+    with pytest.raises(OptionError, match="nonsense"):
+        getattr(tl, verb)(job, machine, dialect="nonsense")
+
+
+def test_a_robust_search_is_refused_by_its_own_name_and_may_be_none(stopped: Path) -> None:
+    for ask in (by_line, by_python):
+        refused = ask("fastest", stopped, "loops", {"robust": "300 %"})
+        assert "robust '300 %' must be at least 0 % and at most 200 %" in refused
+        options = ask("fastest", stopped, "loops", {"robust": "0 %", "feed-forward": True})[0]
+        assert options.robust_share == 0.0
+        assert ask("fastest", stopped, "loops", {"robust": "0 %"})[0].robust_share is None
+
+
+def test_the_searches_refuse_what_they_find_themselves(stopped: Path) -> None:
+    """A move list has shapers found for every move."""
+    for ask in (by_line, by_python):
+        refused = ask("fastest", stopped, "switches", {"shaper": "zv"})
+        assert "--shaper 'zv' does not apply to letter-cycle" in refused
+
+
+def test_a_mode_is_refused_where_no_shaper_is_compared(stopped: Path) -> None:
+    for ask in (by_line, by_python):
+        refused = ask("compare", stopped, "ticks", {"mode": "3 Hz"})
+        assert "--mode and --damping name the mode of a shaper" in refused
+
+
+@pytest.mark.usefixtures("coarse_search")
+@pytest.mark.parametrize(
+    ("job", "machine", "found"),
+    [
+        ("a.prg", "lathe-winder", {"feed", "limits"}),
+        ("a.seam.toml", "stitcher", {"needle"}),
+        ("rosette.dst", "table-embroiderer", {"tolerance"}),
+    ],
+)
+def test_the_fastest_is_proved_by_the_options_that_it_tells(
+    job: str, machine: str, found: set[str], tmp_path: Path
+) -> None:
+    (tmp_path / "a.prg").write_text("G91 G1 X60 F600\nX-60\nX60\nM30\n")
+    (tmp_path / "a.seam.toml").write_text(
+        '[stitching]\nstitch_length = "0.1 in"\nneedle_speed = "75 stitch/s"\n'
+        'motion = "discrete"\n[[contour]]\nunit = "mm"\npoints = [[0, 0], [20, 0]]\n'
+    )
+    file = tmp_path / job if job.startswith("a.") else EXAMPLES / job
+    words = {"level": "nominal"}
+    if machine == "stitcher":
+        words["spec"] = str(EXAMPLES / "stitcher-place.spec.toml")
+    best = tl.fastest(file, machine, **words)
+    assert best.best_options is not None
+    assert set(best.best_options) <= found | {"feed"}
+    proof = tl.prove(file, machine, **words, **best.best_options)
+    assert proof.passed
+    if job == "a.prg":
+        assert proof.plan.duration_s == best.of.best.duration_s
+    elif job.endswith(".dst"):
+        assert proof.plan.duration_s == best.best
+    else:
+        assert proof.plan.options["needle"] == f"{best.best!r} stitch/s"
+    assert [r.measured for r in proof.verdict.results] == [
+        r.measured for r in _verdict(best.of).results
+    ]
+
+
+def _verdict(found: Any) -> Any:
+    return found.best.found.verdict if hasattr(found, "rungs") else found.verdict
+
+
+def test_what_is_made_from_the_table_is_current() -> None:
+    """``python -m tools.options_reference`` writes the page, the types and the panel's fields."""
+    for file, content in files().items():
+        assert file.read_text(encoding="utf-8") == content, file.name
+
+
+def test_functions_have_the_options_of_the_table_by_name() -> None:
+    """And each function says them all where a shell of Python asks for its signature."""
+    for verb in PYTHON_VERBS:
+        signature = inspect.signature(getattr(face, verb))
+        listed = {one.word: one.default_of(verb) for one in options_for(verb, Door.PYTHON)}
+        own = {name: one.default for name, one in signature.parameters.items() if name in listed}
+        assert own == listed
+
+
+def test_the_table_and_the_options_of_a_plan_fit() -> None:
+    """Every option that a recording says is an attribute of ``Options``, and the reverse."""
+    names = {one.name for one in inspect.signature(Options).parameters.values()}
+    assert {one.attribute for one, _ in RECORDED} == names
+    for one in TABLE:
+        assert one.help and one.verbs and one.doors
+        assert set(one.helps) <= set(one.verbs)
+        assert one.type is Type.FLAG or not isinstance(one.default, bool)
+        assert one.parse is None or one.attribute
