@@ -362,6 +362,16 @@ FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         lambda c: c["options"]["given"].update(feed="1 count/tick"),
         "the sha256 of its options is not the one of the options in it",
     ),
+    "twice": (
+        lambda c: c["verdict"]["criteria"].append(
+            {**c["verdict"]["criteria"][0], "measured": 0.0, "status": "passed"}
+        ),
+        "stands in it 2 times",
+    ),
+    "measured on no simulation": (
+        lambda c: c["verdict"].update(simulated=False),
+        "were not simulated",
+    ),
     "out of specification for no reason": (
         lambda c: [
             one.update(measured=0.0, status="passed")

@@ -60,8 +60,8 @@ _MOVED, _COUNTS = 0.1, 1e-4
 """Share of a value, and m or rad, by which a path that lies elsewhere between counts may differ."""
 _OF_THE_PLACE = ("travel", "settling_time", "residual_vibration", "current_peak", "current_rms")
 """Where the work lies on the machine, and what hangs on a count or two."""
-_NOISE = ((-300.0, -170.0), (-140.0, -12.0))
-"""Decades; the squares of what lies between them are numbers without digits."""
+_NOISE = (-300.0, -12.0)
+"""Decades: the squares of many are numbers without digits, or nothing."""
 _BITS = (ChannelKind.INPUT, ChannelKind.OUTPUT, ChannelKind.OPERATION)
 _NAMELESS = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD, ChannelKind.FRAME)
 """Channels that are known by kind and axis, whatever their name."""
@@ -173,7 +173,7 @@ def noisy(rng: random.Random, kept: Kept) -> dict[str, np.ndarray]:
         runs = 1 if kinds[name] is ChannelKind.COMMANDED else kept.runs  # the same of all runs
         values = np.repeat(kept.samples[name][:, None], runs, axis=1)
         for run in range(min(1, runs - 1), runs if name in chosen else 0):
-            size = 10.0 ** draw.uniform(*_NOISE[draw.integers(len(_NOISE))])
+            size = 10.0 ** draw.uniform(*_NOISE)
             first = int(draw.integers(len(values))) if draw.random() < 0.5 else 0
             stop = first + int(draw.integers(1, 9)) if draw.random() < 0.3 else len(values)
             part = values[first:stop, run]

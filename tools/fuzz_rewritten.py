@@ -49,7 +49,7 @@ def style_of(rng: random.Random, moves: list[Move], dialect: str) -> Style:
     """Return a random way to write moves; F of a move of A alone is no length everywhere."""
     turns = "A" in moves[0][1]
     chances = {field.name: rng.random() < 0.4 for field in dataclasses.fields(Style)}
-    chances["inches"] &= not turns
+    chances["inches"] &= not turns and dialect != "marlin"  # its G20 is an option of the build
     chances["numbers"] &= dialect != "marlin"  # a number asks for a checksum there
     return Style(**chances)
 

@@ -16,7 +16,6 @@ FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
 """Units of the feeds that are not speeds of the fastest axis."""
 F_UNIT = "mm/min"
 """The unit of a feed that is written as an F word without one."""
-_PERCENT = re.compile(r"\s*([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*%\s*")
 _F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
 LEAST_SHARE = 1e-3
 """Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
@@ -34,9 +33,9 @@ def parse_feed(text: str) -> Feed:
         If it is not a positive feed of a known kind.
     """
     try:
-        word, percent = _F_WORD.match(text), _PERCENT.fullmatch(text)
-        if percent is not None:
-            feed = Feed(FeedMode.OVERRIDE, float(percent[1]) / 100.0)
+        word = _F_WORD.match(text)
+        if text.rstrip().endswith("%"):
+            feed = Feed(FeedMode.OVERRIDE, parse_quantity(text, "%") / 100.0)
         elif word is not None:
             number, written = split_quantity(text[word.end() :])
             value = parse_quantity(f"{number} {written or F_UNIT}", "m/s")

@@ -109,8 +109,13 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
         yield f"it is of {runs} runs and {machines} other machines"
     if not criteria:
         yield "it has no criteria"
-    for criterion in criteria:
+    if not verdict["simulated"]:
+        yield "it says that its runs were not simulated"
+    rows = [tuple(c.get(key) or "" for key in ("name", "axis", "step")) for c in criteria]
+    for criterion, row in zip(criteria, rows, strict=True):
         yield _of_criterion(criterion)
+        if rows.count(row) > 1:
+            yield f"{_name(criterion)} stands in it {rows.count(row)} times"
     wished = [c["limit"] for c in criteria if c["name"] == REJECTS]
     if level != Level.LIMITS:
         reached = level_of(runs, machines, wished[0] if wished else None)

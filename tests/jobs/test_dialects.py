@@ -18,6 +18,7 @@ from threadline.jobs import Dwell, FeedMode, Job, Move, Stop, ToolEvent
 from threadline.jobs.gcode.plain_reader import PlainReader
 from threadline.jobs.programmed_time import programmed_time_s
 from threadline.machine import Machine
+from threadline.targets.carried_words import working_words
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +160,17 @@ def test_marlin_homes_and_waits(tmp_path: Path, xyza: Machine) -> None:
     worked = [(e.words, e.value) for e in job if isinstance(e, ToolEvent)]
     assert worked == [("G28 X", 0.0), ("M109 S200", 200.0), ("M3 S9", 9.0), ("M5", 0.0)]
     assert any("waits for a temperature" in w for w in job.warnings)
+
+
+def test_marlin_has_one_tool(tmp_path: Path, xyza: Machine) -> None:
+    """T0 selects the tool that is there; another, or one beside a move, is refused."""
+    job = read(tmp_path, xyza, "T0\nG1 X5 F60\n", "marlin")
+    assert list(working_words(job)) == [(1, "T0")]
+    assert [p[0] for p in millimetres(job)] == [5.0]
+    with pytest.raises(JobError, match="T1 is no word of a machine with one tool"):
+        read(tmp_path, xyza, "G1 X5 F60\nT1\nG1 X7\n", "marlin")
+    with pytest.raises(JobError, match=r"first command of a line alone \(T0\), and not G1"):
+        read(tmp_path, xyza, "T0 G1 X5 F60\n", "marlin")
 
 
 def test_grbl_goes_home_where_g28_1_says(tmp_path: Path, xyza: Machine) -> None:

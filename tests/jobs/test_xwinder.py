@@ -33,6 +33,13 @@ def read(folder: Path, machine: Machine, *lines: str) -> Job:
     return read_job(path, machine)
 
 
+def test_a_program_is_known_by_its_first_line(tmp_path: Path, winder: Machine) -> None:
+    """Whatever the end of its name: .X4G of four axes, .X2G of two."""
+    for name in ("a.X4G", "b.X2G", "c.x2g", "d.nc"):
+        (tmp_path / name).write_text(HEAD + "G1 F1 Z8\n")
+        assert ends(read_job(tmp_path / name, winder)) == [pytest.approx((8.0, 0.0))]
+
+
 def ends(job: Job) -> list[tuple[float, float]]:
     """Carriage in inches and mandrel in degrees behind each move."""
     found = [m.target for m in job if isinstance(m, Move)]

@@ -153,3 +153,25 @@ def test_what_is_found_is_typed_back(
     proved = json.loads(capsys.readouterr().out)
     assert not stopped.value.code
     assert proved["duration_s"] == pytest.approx(said["duration_s"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ("0 %", "must be greater than zero"),
+        ("-5 %", "must be greater than zero"),
+        ("abc %", "is not a number"),
+        ("nan %", "is not a number"),
+        ("5 mm %", "unit"),
+        ("1e400 %", "finite"),
+    ],
+)
+def test_a_wrong_percentage_is_named(typed: str, said: str) -> None:
+    with pytest.raises(OptionError, match=said):
+        parse_feed(typed)
+
+
+def test_a_percentage_is_a_number_as_any_other() -> None:
+    for typed in ("120 %", "120%", "+120 %", "1.2e2 %"):
+        assert parse_feed(typed) == parse_feed("120 %")
+        assert feed_words(parse_feed(typed)) == "120 %"

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.errors import MachineError, OptionError
+from threadline.errors import MachineError, OptionError, RecordingError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.numbers import with_numbers
@@ -23,7 +23,7 @@ from threadline.plan import Plan
 from threadline.plant.values import Values
 from threadline.search import judge_runs
 from threadline.search.judge_runs import RunsJudge
-from threadline.signals import tick_table
+from threadline.signals import ChannelKind, Recording, tick_table
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Judge, Spec, judge, load_spec
 from threadline.verdict.measure import MeasureKind, OfPlan, RunReading
@@ -119,6 +119,42 @@ def test_every_run_has_the_figures_that_it_has_alone(made) -> None:
             continue
         assert mine.measured == pytest.approx(theirs.measured, rel=WITHIN, abs=WITHIN)
         assert replace(mine, measured=None) == replace(theirs, measured=None)
+
+
+def of_several(kinds: tuple[ChannelKind, ...], columns: int | None = None) -> Recording:
+    """Return three runs side by side; channels of ``kinds`` are given once, or with ``columns``."""
+    machine = load_machine("lathe-winder")
+    plan = plan_job(read_job(EXAMPLES / "x-180.prg", machine), machine, Options())
+    one = simulate(tick_table(plan.commands), machine)
+    given = {c.name for c in one.channels if c.kind in kinds}
+    alike = {ChannelKind.COMMANDED, ChannelKind.OPERATION, ChannelKind.OUTPUT}
+    kept = {c.name for c in one.channels if c.kind in alike}
+    blocks = []
+    for block in one:
+        samples = {}
+        for name, values in block.samples.items():
+            count = columns if name in given else 3
+            once = name in kept or count is None
+            samples[name] = values if once else np.repeat(values[:, None], count, axis=1)
+        blocks.append(replace(block, samples=samples))
+    return replace(one, blocks=blocks, runs=3)
+
+
+@pytest.mark.parametrize(
+    "kinds", [(ChannelKind.LOAD,), (ChannelKind.LOAD, ChannelKind.INPUT), tuple(ChannelKind)]
+)
+def test_a_channel_that_all_runs_share_counts_for_each(kinds) -> None:
+    plan, spec = winder()
+    apart = judge([of_several(())], plan, spec)
+    shared = judge([of_several(kinds)], plan, spec)
+    assert shared.runs == 3
+    assert [r.measured for r in shared.results] == [r.measured for r in apart.results]
+
+
+def test_another_number_of_columns_than_of_runs_is_refused() -> None:
+    plan, spec = winder()
+    with pytest.raises(RecordingError, match=r"'A\.load' has samples of shape .*holds 3 runs"):
+        judge([of_several((ChannelKind.LOAD,), columns=2)], plan, spec)
 
 
 def test_any_part_and_any_thread_gives_the_same(monkeypatch) -> None:

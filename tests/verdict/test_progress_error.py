@@ -53,6 +53,17 @@ def test_trailing_within_the_lag_is_free_and_what_is_beyond_it_is_not(by, expect
     assert result.note == ("behind" if expected else "")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("size_m", [1e-300, 1e-162, 1e-155, 1e-154, 1e-100])
+def test_a_command_that_moves_by_next_to_nothing_stands(size_m) -> None:
+    """The square of the way is 0, a number without digits, or one whose inverse is infinite."""
+    command, operation = follow(LINE, PER_MOVE, standstill=60)
+    off = command.copy()
+    off[-30, 1] = size_m
+    plain = progress(LINE, late(command, 30), operation, command=command)
+    assert progress(LINE, late(command, 30), operation, command=off) == plain
+
+
 def test_running_ahead_is_not_free() -> None:
     """3 mm too far in the middle of the stroke: on the path, and 3 mm ahead of the command."""
     command, operation = follow(LINE, PER_MOVE)

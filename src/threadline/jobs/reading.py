@@ -53,7 +53,20 @@ _TYPED = {
 FORMATS: tuple[Format, ...] = (
     Format(
         "part program",
-        (".prg", ".nc", ".ngc", ".gcode", ".gco", ".g", ".cnc", ".tap", ".iso", ".txt", ".x4g"),
+        (
+            ".prg",
+            ".nc",
+            ".ngc",
+            ".gcode",
+            ".gco",
+            ".g",
+            ".cnc",
+            ".tap",
+            ".iso",
+            ".txt",
+            ".x4g",
+            ".x2g",
+        ),
         read_program,
         ("dialect", "feed_mode", "base_axes"),
     ),

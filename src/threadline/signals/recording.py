@@ -32,6 +32,10 @@ class ChannelKind(StrEnum):
     OPERATION = "operation"  # index of the operation of the job that was under way
 
 
+_SHARED = (ChannelKind.COMMANDED, ChannelKind.OPERATION, ChannelKind.OUTPUT)
+"""Kinds of channels that are the same in all runs of the same commands."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Channel:
     """One signal of a recording.
@@ -120,7 +124,33 @@ class Recording:
         object.__setattr__(self, "_by_kind", first)
 
     def __iter__(self) -> Iterator[RecordingBlock]:
-        return iter(self.blocks)
+        """Yield the blocks; of several runs, with a column for each run.
+
+        Commands and operations, which are the same in all runs, and outputs stay as they are.
+
+        Raises
+        ------
+        RecordingError
+            If a channel has another number of columns than there are runs.
+        """
+        return iter(self.blocks) if self.runs == 1 else map(self._side_by_side, self.blocks)
+
+    def _side_by_side(self, block: RecordingBlock) -> RecordingBlock:
+        """Return a block with a column for each run."""
+        samples = dict(block.samples)
+        for channel in self.channels:
+            values = samples.get(channel.name)
+            if values is None or channel.kind in _SHARED:
+                continue
+            if values.ndim == 1:
+                samples[channel.name] = np.repeat(values[:, np.newaxis], self.runs, axis=1)
+            elif values.shape[1:] != (self.runs,):
+                raise RecordingError(
+                    f"channel {channel.name!r} has samples of shape {values.shape}, and the "
+                    f"recording holds {self.runs} runs",
+                    remedy="Give one column of samples for each run, or one for all runs.",
+                )
+        return replace(block, samples=samples)
 
     def find(self, kind: ChannelKind, axis: str = "") -> Channel | None:
         """Return the channel of ``kind`` and ``axis``, or None when the machine has none.

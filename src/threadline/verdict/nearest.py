@@ -41,11 +41,12 @@ weighed_to_segment = njit(nogil=True)(_weighed_to_segment)
 def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the (m, axes) way of each chord, and (m,) its squared length; 1 of a mere point.
 
-    Chord c ends at vertex c; row 0 is nothing.
+    Chord c ends at vertex c; row 0 is nothing. A chord so short that its squared length has lost
+    digits, or that one over it is infinite, is a mere point.
     """
     way = np.diff(vertices, axis=0, prepend=vertices[:1])
     squared = lengths_squared(way)
-    return way, np.where(squared > 0.0, squared, 1.0)
+    return way, np.where(squared > np.finfo(np.float64).tiny, squared, 1.0)
 
 
 def lengths_squared(ways: FloatArray) -> FloatArray:

@@ -250,6 +250,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
         elif letter in _CURVE and 20 in dialect.g:
             curve = (*curve, (letter, value))
         elif letter in dialect.idle_letters:
+            if dialect.one_command and value:
+                refuse_word(letter, number, -1, line, reading)
             idle, acts = (*idle, letter), (*acts, f"{letter}{number}")
             power = value / ONE if letter == "S" else power
         else:

@@ -73,7 +73,8 @@ class Dialect:
     m
         Effect of each M word.
     idle_letters
-        Letters of words for spindle and tool magazine, which have no effect on motion.
+        Letters of words for spindle and tool magazine, which have no effect on motion. With one
+        command a line T is that command, and T0 the one tool.
     streams
         Whether the lines behind M2 or M30 are run, too: grbl ends no file, whose sender does.
     idle_groups
@@ -181,6 +182,7 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "M420": "the compensation of the bed by a mesh, which changes the path",
         "M502": "what sets the steps, limits and jerks of the firmware anew",
         "M810": "a macro, whose moves only the firmware knows",
+        "T": "no word of a machine with one tool, which is T0 on a line of its own",
     },
 }
 """What words are that the control alone makes something else of, by dialect and word."""
@@ -219,6 +221,7 @@ DIALECTS: Mapping[str, Dialect] = {
             540: "system", 800: "motion",
         },
         m=_MARLIN_M,
+        idle_letters="T",
         needs_end=False,
         rapid_is_feed=True,
         each_g=True,

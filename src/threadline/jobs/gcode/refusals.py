@@ -67,7 +67,8 @@ def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading
             place=place,
             remedy="Have the program written without it, or take it out if it changes nothing.",
         )
-    why = WHY_IN.get(dialect.name, {}).get(f"{letter}{code / 10 if letter == 'G' else code:g}")
+    whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
+    why = WHY_IN.get(dialect.name, {}).get(f"{letter}{whole}")
     if why is not None:
         raise JobError(
             f"{letter}{_short(number)} is {why}",
