@@ -22,6 +22,18 @@ velocity = "0.4 m/s exact, assumed"
 acceleration = "40 m/s^2 exact, assumed"
 jerk = "none"
 travel = ["-1 m exact, assumed", "10 m exact, assumed"]
+
+[inputs.x_low]
+at = "-1.1 m exact, assumed"
+
+[inputs.x_high]
+at = "10.1 m exact, assumed"
+
+[inputs.y_low]
+at = "-1.1 m exact, assumed"
+
+[inputs.y_high]
+at = "10.1 m exact, assumed"
 """
 
 

@@ -220,7 +220,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
         test_grbl.test_a_stop_while_it_homes_resets_it_at_once,
     ),
     "a spindle that ran": (
-        attribute(grbl_program, "_SPINDLE", re.compile(rb"(?!)")),
+        attribute(grbl_program, "_SWITCHES", re.compile(rb"(?!)")),
         with_folder(test_continued_grbl.test_a_spindle_that_ran_runs_again_before_anything_moves),
     ),
     "counts that come back from HAL": (

@@ -234,7 +234,7 @@ def acting(job: Job) -> list[str]:
         ("grbl", "M3 S9\nG1 X5 F600\nM30\nX9\n", "M3 S9,5,M5 M9,9,end"),
         # The zero is where the job begins, and in which system, is said once.
         ("grbl", "G55\nG92 X7\nG1 X9 F600\nG92 X0\nX1\n", "G92 X0,G55,2,3,end"),
-        ("marlin", "N4 M280 P0 S90*31\nG28 X\nG1 X5 F600\n", "M280 P0 S90,0,G28 X,5,end"),
+        ("marlin", "M280 P0 S90\nG28 X\nG1 X5 F600\n", "M280 P0 S90,0,G28 X,5,end"),
         ("marlin", "M117 M3\nM105\nG1 X5 F600\nM109 S60\nG1 X6\n", "5,M109 S60,6,end"),
         ("linuxcnc", "#1=7\nM62 P1\nG1 X5 F600 S#1\nM2\n", "M62 P1,S7,5,end"),
     ],
