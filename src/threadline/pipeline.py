@@ -94,7 +94,7 @@ class Trials:
         return level_of(self.repeats, self.machines, self.wished)
 
 
-NOMINAL = Trials()
+NOMINAL: Trials = Trials()
 REPEATED = Trials(repeats=REPEATED_RUNS)
 TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
 from threadline.plant import margins
@@ -15,7 +15,7 @@ from threadline.plant.controllers import DigitalFilter
 from threadline.plant.delayed import closed_poles
 from threadline.plant.linear import StateSpace
 from threadline.plant.locus import root_locus
-from threadline.plant.loop import ComplexArray, Loop, axis_loop, axis_loops
+from threadline.plant.loop import Loop, axis_loop, axis_loops
 from threadline.plant.margins import loop_margins, margins_of, refined_grid
 from threadline.plant.nyquist import unstable_count
 from threadline.plant.zeros import zeros_of

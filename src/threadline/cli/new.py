@@ -34,7 +34,7 @@ from threadline.machine import library_file
 from threadline.machine.firmware import check_answers, parse_answers
 from threadline.writing import staging_folder
 
-Said = TypeVar("Said")
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +219,7 @@ def _asked(
     return wanted
 
 
-def _until_right(question: str, default: str, read: Callable[[str], Said]) -> Said:
+def _until_right(question: str, default: str, read: Callable[[str], Answer]) -> Answer:
     """Ask until the answer can be read; an empty one is the one in brackets."""
     while True:
         line = ask(f"{question} [{default}]: ")

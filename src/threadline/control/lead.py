@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import OptionError
 from threadline.machine.controllers import COEFFICIENT_HIGH, COEFFICIENT_LOW
-from threadline.plant.loop import ComplexArray, Loop
+from threadline.plant.loop import Loop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

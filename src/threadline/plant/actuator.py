@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from threadline.arrays import ComplexArray
 from threadline.machine import Machine
 from threadline.plant.boundaries import swinging
 from threadline.plant.linear_model import linear_model
-from threadline.plant.loop import ComplexArray
 from threadline.plant.rigid import current_needed, drive_rate, rigid_motion
 
 _SINGULAR = 1e-12

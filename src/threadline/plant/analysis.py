@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.plant.actuator import Actuator, actuator_of
 from threadline.plant.boundaries import off_the_circle
 from threadline.plant.delayed import closed_poles
-from threadline.plant.loop import ComplexArray, Loop, Model, axis_loop, axis_loops
+from threadline.plant.loop import Loop, Model, axis_loop, axis_loops
 from threadline.plant.margins import Margins, bandwidth_rad_s, loop_grid, margins_of
 from threadline.plant.modes import Oscillation, free_modes, locked_modes
 from threadline.plant.nyquist import unstable_count

@@ -9,15 +9,10 @@ which states of different units have equal weight.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import matrix_balance
 
-from threadline.arrays import FloatArray
-
-ComplexArray: TypeAlias = NDArray[np.complex128]
+from threadline.arrays import ComplexArray, FloatArray
 
 SIMPLE = 1e-11
 """Share of the norm to which a simple eigenvalue is known: 5e4 roundings."""

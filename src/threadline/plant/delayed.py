@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import MachineError
 from threadline.plant.controllers import DigitalFilter
-from threadline.plant.loop import ComplexArray, Loop
+from threadline.plant.loop import Loop
 
 _NODES = 32
 _NEWTON = 25

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.plant.delayed import closed_poles
-from threadline.plant.loop import ComplexArray, Loop
+from threadline.plant.loop import Loop
 from threadline.plant.margins import loop_margins
 from threadline.plant.nyquist import open_loop_poles
 from threadline.plant.zeros import zeros_of

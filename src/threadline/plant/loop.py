@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import MachineError, OptionError
 from threadline.machine import Machine
 from threadline.plant.controllers import DigitalFilter, digital_filter
@@ -26,7 +25,6 @@ from threadline.plant.sampled import ClosedLoop, SampledPlant, close_loop, sampl
 from threadline.plant.values import Values
 
 Model: TypeAlias = Literal["sampled", "continuous"]
-ComplexArray: TypeAlias = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,8 +14,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.plant.loop import ComplexArray, Loop, Model
+from threadline.arrays import ComplexArray, FloatArray
+from threadline.plant.loop import Loop, Model
 
 Response: TypeAlias = Callable[[FloatArray], ComplexArray]
 

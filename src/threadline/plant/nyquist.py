@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.plant.loop import ComplexArray, Loop
+from threadline.arrays import ComplexArray, FloatArray
+from threadline.plant.loop import Loop
 from threadline.plant.margins import loop_grid
 
 _FARTHEST = 0.25

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import MachineError
 from threadline.plant.linear import StateSpace
-from threadline.plant.loop import ComplexArray
 
 _ZERO = 1e-11
 

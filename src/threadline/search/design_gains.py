@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.control import lead_deg, lead_from_response
 from threadline.errors import MachineError
 from threadline.machine.controllers import COEFFICIENT_HIGH, COEFFICIENT_LOW
 from threadline.plant.elements import working_rates
-from threadline.plant.loop import ComplexArray
 from threadline.plant.network import PiecewiseLinear, piecewise_linear
 from threadline.plant.values import Values
 from threadline.search.design_space import Space

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import ComplexArray, FloatArray, IntArray
 from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.plant.loop import ComplexArray
 from threadline.signals import Recording, Stream, TickBlock, TickTable
 from threadline.twin import simulate
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import OptionError
 from threadline.shaping.apart import check_apart, groups
 from threadline.shaping.closed import Train
@@ -25,7 +25,6 @@ from threadline.shaping.linear_program import minimise
 from threadline.shaping.newton import newton
 from threadline.shaping.oscillator import prove
 from threadline.shaping.response import (
-    ComplexArray,
     Rows,
     pole,
     response,

@@ -16,13 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import OptionError
 from threadline.shaping.direct import Requirement
 from threadline.shaping.direct_unit import switchings_of
 from threadline.shaping.linear_program import minimise
 from threadline.shaping.oscillator import prove
-from threadline.shaping.response import ComplexArray, pole
+from threadline.shaping.response import pole
 from threadline.shaping.types import Shaper, ShaperError
 from threadline.shaping.vibration import residual_vibration
 

@@ -16,10 +16,9 @@ from math import ceil, pi, sqrt
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 from threadline.errors import OptionError
 from threadline.laws import Law, gauss
-from threadline.shaping.response import ComplexArray
 from threadline.shaping.types import FlexibleMode
 
 _RADIANS, _POINTS = 6.0, 16  # of the mode in a panel of so many nodes: right to rounding

@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray
+from threadline.arrays import ComplexArray, FloatArray
 
-ComplexArray: TypeAlias = NDArray[np.complex128]
 ZeroOf: TypeAlias = tuple[float, complex, int]
 """A constraint H = 0: relative frequency, pole, order of the derivative."""
 

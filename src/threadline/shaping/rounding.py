@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.shaping.response import ComplexArray, pole
+from threadline.arrays import ComplexArray, FloatArray, IntArray
+from threadline.shaping.response import pole
 from threadline.shaping.types import FlexibleMode
 
 _SHIFTS = np.array([-2, -1, 1, 2])

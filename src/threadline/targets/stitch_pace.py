@@ -13,7 +13,7 @@ from math import pi
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.arrays import ComplexArray, FloatArray, IntArray
 from threadline.compiled import njit
 from threadline.laws import Law
 from threadline.machine import Machine
@@ -22,7 +22,6 @@ from threadline.machine.vary import DAMPING_OF_DAYS, vary
 from threadline.plant.without_loop import analyse_told
 from threadline.shaping import FlexibleMode
 from threadline.shaping.law_residual import lasting_windows_s, swing
-from threadline.shaping.response import ComplexArray
 
 Modes = dict[str, tuple[FlexibleMode, ...]]
 """Modes of each axis, the slowest first."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
 from typing import Protocol
 
 import numpy as np
@@ -15,7 +15,7 @@ NEEDLE_COLUMNS = ("needle_down [s]", "needle_up", "trim")
 """Columns of text: time from the tick to needle-down, whether the needle must be up, trim."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NeedleRows:
     """The needle beside the rows of a block.
 
