@@ -323,7 +323,9 @@ def test_kill_hal(tick: int, tmp_path: Path) -> None:
             os.kill(killed_it[0], signal.SIGKILL)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
-        executor, kept = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+        executor, kept = execute(
+            far.end, winder(), table_of_counts(ROWS), at_tick, may_stand_still=True
+        )
     assert killed_it, executor.ended  # or HAL was kept off the processor before
     assert executor.state is State.FAULT
     assert executor.ended is not None
@@ -345,7 +347,9 @@ def test_an_underrun_is_seen(tmp_path: Path) -> None:
             slept.append(True)
 
     with bridge(winder(), ZERO, tmp_path / "box", plant=False) as far:
-        executor, _ = execute(far.end, winder(), table_of_counts(ROWS), at_tick)
+        executor, _ = execute(
+            far.end, winder(), table_of_counts(ROWS), at_tick, may_stand_still=True
+        )
     assert executor.ended == (
         Ended.FAULT,
         "refills came too late: the machine has braked by itself",
