@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
 from threadline.machine.parts import DcMotor
-from threadline.signals import Stream, TickBlock, TickTable
 
 H, COUNTS, R, KT = 5e-3, 4000 / (2 * np.pi), 0.4, 0.082
 KE = 8.6 / (1000 * 2 * np.pi / 60)

@@ -14,15 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.dynamics.values import Values
+from threadline.files import ChannelKind, tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import options_of
-from threadline.pipeline import plan_job
-from threadline.plan import Plan
-from threadline.plant.values import Values
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import plan_job
 from threadline.search.judge_runs import AT_ONCE, RunsJudge, kept_in_memory
-from threadline.signals import ChannelKind, tick_table
 from threadline.twin import simulate, simulate_batch, simulate_runs
 from threadline.verdict import Spec, judge, load_spec, needed_channels
 

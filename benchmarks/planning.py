@@ -20,12 +20,12 @@ from typing import Any
 
 import numpy as np
 
+from threadline.files import Stream
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, Operation, OperationStream
 from threadline.machine import load_machine
-from threadline.path import PlannedPath, path_deviation, plan_path, programmed_path
-from threadline.signals import Stream
-from threadline.trajectory import plan_trajectory
+from threadline.motion.path import PlannedPath, path_deviation, plan_path, programmed_path
+from threadline.motion.timing import plan_trajectory
 
 MACHINE = load_machine("lathe-winder")
 EXAMPLE = Path(__file__).parent.parent / "examples" / "cone-dome-cylinder.prg"

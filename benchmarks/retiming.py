@@ -1,6 +1,6 @@
 """The fastest motion beside toppra and copp-py, on the very same paths.
 
-``retime vs toppra`` compares the reachability passes of ``trajectory/profile.py`` with toppra's,
+``retime vs toppra`` compares the reachability passes of ``motion/timing/profile.py`` with toppra's,
 for the same rows of acceleration at the same grid points of a cubic spline through random points
 of seven axes: the durations must be equal; ``retime vs copp`` does so with copp-py's, at 10 000
 stations. ``optimal`` keeps its limits between the grid points, too, and can limit the jerk: beside
@@ -19,14 +19,14 @@ import numpy as np
 from numba import njit
 
 from benchmarks.planning import entry
-from threadline.path.auto import auto_pieces
-from threadline.path.polygon import QUARTIC
-from threadline.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
-from threadline.signals import Stream
-from threadline.trajectory.optimal import Limits
-from threadline.trajectory.optimal.fastest_motion import limited_blocks
-from threadline.trajectory.profile import largest_end, largest_start
-from threadline.trajectory.retime import checked_points, path_through, vertex_blocks
+from threadline.files import Stream
+from threadline.motion.path.auto import auto_pieces
+from threadline.motion.path.polygon import QUARTIC
+from threadline.motion.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
+from threadline.motion.timing.optimal import Limits
+from threadline.motion.timing.optimal.fastest_motion import limited_blocks
+from threadline.motion.timing.profile import largest_end, largest_start
+from threadline.motion.timing.retime import checked_points, path_through, vertex_blocks
 
 POINTS, AXES = 50, 7
 STATIONS = 10_000

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from threadline.shaping import (
+from threadline.motion.shaping import (
     FlexibleMode,
     Requirement,
     Shaper,

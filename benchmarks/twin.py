@@ -40,9 +40,9 @@ from benchmarks._twin_cases import (
     table_of,
 )
 from benchmarks._twin_peers import control_run, scipy_run
+from threadline.dynamics.linear_model import linear_model
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
-from threadline.plant.linear_model import linear_model
 from threadline.twin import simulate, simulate_batch
 
 SUBSTEPS = (1, 2, 4, 8, 16, 32, 64, 128, 256)

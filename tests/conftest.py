@@ -172,7 +172,7 @@ def pytest_collection_finish() -> None:
     Looking took a twentieth of the time of the tests; nothing in them waits for it. Freed memory is
     kept, as where many machines are judged: every second page was asked for anew.
     """
-    from threadline.search.kept_memory import keep_freed_memory
+    from threadline.search.judge_runs import keep_freed_memory
 
     keep_freed_memory()
     gc.freeze()
@@ -197,7 +197,7 @@ def pytest_runtest_makereport(
 @pytest.fixture(autouse=True, scope="session")
 def nothing_said_of_compiling() -> Iterator[None]:
     """Tests count lines: which of them has machine code compiled hangs on their order."""
-    from threadline.cli import told
+    from threadline.cli import messages as told
 
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(told, "_COMPILING_S", math.inf)
@@ -210,7 +210,8 @@ def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
 
     For tests of what is made of its answer; ``tests/search`` tests the answer itself.
     """
-    from threadline.search import edges, fastest
+    from threadline.search import fastest
+    from threadline.search import forbidden as edges
 
     spaced: Any = fastest._spaced
     finer: Any = fastest._finer
@@ -223,7 +224,7 @@ def coarse_scan(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def coarse_search(coarse_scan: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """Have such a search try two shares of the limits, besides."""
-    from threadline.search import gentle
+    from threadline.search import least_limits as gentle
 
     monkeypatch.setattr(gentle, "_LADDER", (1.0, 0.25))
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.integrate import ode
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 
 
 def state_after(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
-from threadline.signals import Recording
+from threadline.files import Recording
 
 
 class Made:

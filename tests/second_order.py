@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 
 
 def states_of(a: FloatArray, b: FloatArray, u: FloatArray, step_s: float) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.arrays import read_only, read_only_int
+from threadline.base.arrays import read_only, read_only_int
 
 
 @pytest.mark.parametrize("lock", [read_only, read_only_int])

@@ -6,16 +6,15 @@ import numpy as np
 import pytest
 
 from tests.path.builders import job_of
-from threadline.described import describe, options_from
+from threadline.commands.plan import Following
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.options import Options, options_of
-from threadline.path import CHORDS, chord_path, plan_path, programmed_path
-from threadline.path.interpolations import KEEPING_TOLERANCE, interpolation_names
-from threadline.pipeline import plan_job
-from threadline.plan import Following
-from threadline.trajectory import Pace, plan_trajectory
+from threadline.motion.path import CHORDS, chord_path, plan_path, programmed_path
+from threadline.motion.path.interpolations import KEEPING_TOLERANCE, interpolation_names
+from threadline.motion.timing import Pace, plan_trajectory
+from threadline.proof.options import Options, describe, options_from, options_of
+from threadline.proof.pipeline import plan_job
 
 MACHINE = load_machine("lathe-winder")
 POINTS = [[0.0], [0.012], [0.02], [0.004]]

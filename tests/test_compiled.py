@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from threadline.compiled import CacheFile, njit
+from threadline.base.compiled import CacheFile, njit
 
 
 def cache(folder: Path, stamp: str) -> CacheFile:
@@ -134,9 +134,9 @@ def test_a_function_is_compiled_anew_when_one_that_it_calls_has_changed(
     tmp_path: Path, change: str
 ) -> None:
     """numba's own cache looks at the file of the caller alone."""
-    inner = "from threadline.compiled import njit\nFACTOR = 3.0\n@njit()\ndef inner(x):\n    "
+    inner = "from threadline.base.compiled import njit\nFACTOR = 3.0\n@njit()\ndef inner(x):\n    "
     (tmp_path / "outer.py").write_text(
-        "from inner import inner\nfrom threadline.compiled import njit\n\n"
+        "from inner import inner\nfrom threadline.base.compiled import njit\n\n"
         "@njit()\ndef outer(x):\n    return inner(x) + 0.5\n"
     )
     found = []
@@ -157,8 +157,8 @@ def test_it_divides_as_numpy_does() -> None:
 def test_of_processes_that_want_the_same_one_compiles_and_the_others_wait(tmp_path: Path) -> None:
     """Each writes down when it compiles, and how long that took it."""
     (tmp_path / "wanted.py").write_text(
-        "import sys\nfrom threadline.compiled import njit\n"
-        "from threadline.compiling import COMPILING\n"
+        "import sys\nfrom threadline.base.compiled import njit\n"
+        "from threadline.base.progress import COMPILING\n"
         "@njit()\ndef inner(x):\n    return 2.0 * x\n"
         "@njit()\ndef outer(x):\n    return inner(x) + 0.5\n"
         "print(flush=True)\nsys.stdin.readline()\nprint(outer(1.0), COMPILING.done_s > 0.0)\n"
@@ -186,7 +186,7 @@ def test_who_waited_long_enough_compiles_for_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The process that was to make it may have been stopped."""
-    monkeypatch.setattr("threadline.compiled._WAITS_S", 0.1)
+    monkeypatch.setattr("threadline.base.compiled._WAITS_S", 0.1)
     stopped = cache(tmp_path, "file")
     assert stopped.load("a float") is None
     other = cache(tmp_path, "file")

@@ -16,14 +16,9 @@ import threadline as tl
 from threadline import face
 from threadline.cli.main import app
 from threadline.errors import InputError, OptionError
-from threadline.option_form import Door, Group, Option, Type
-from threadline.option_table import (
-    PYTHON_VERBS,
-    RECORDED,
-    TABLE,
-    options_for,
-)
-from threadline.options import Options
+from threadline.proof.option_form import Door, Group, Option, Type
+from threadline.proof.option_table import PYTHON_VERBS, RECORDED, TABLE, options_for
+from threadline.proof.options import Options
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = ROOT / "examples"
@@ -71,9 +66,9 @@ def planned(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> Non
 @pytest.fixture
 def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Stop every verb where it would plan what it has read; return a folder with the jobs."""
-    from threadline import pipeline, recorded
     from threadline.cli import compile_, design, fastest, run_, yield_
     from threadline.machine.radii import with_radii
+    from threadline.proof import pipeline, recorded
     from threadline.search import by_pace
 
     compared = importlib.import_module("threadline.search.compare")  # its name is a function's

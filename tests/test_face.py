@@ -22,7 +22,7 @@ from threadline import face
 from threadline.cli.fastest import ANSWERS
 from threadline.errors import InputError, OptionError
 from threadline.jobs.operations import Pace
-from threadline.pipeline import Trials
+from threadline.proof.pipeline import Trials
 from threadline.search.by_pace import SEARCHES
 from threadline.verdict import load_spec
 

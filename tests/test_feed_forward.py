@@ -12,24 +12,23 @@ import pytest
 from tests.blank_pictures import blank_pictures
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
-from threadline.described import options_from
+from threadline.commands import feedforward as targets
+from threadline.dynamics.eccentric import current_needed
 from threadline.errors import LimitError, OptionError
+from threadline.files.formats import read_recording
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
-from threadline.plant.rigid import current_needed
+from threadline.motion.timing import averaged
+from threadline.motion.timing.by_law import rapid_time_s
+from threadline.proof.options import Options, options_from
+from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.report import write_report
 from threadline.report.motion import feed_forward_lines, motion_lines
 from threadline.report.traces import collect
 from threadline.search import mismatch
 from threadline.search.fastest import Fastest
 from threadline.search.studied import studied
-from threadline.signals.files import read_recording
-from threadline.targets import feedforward as targets
-from threadline.trajectory import averaged
-from threadline.trajectory.as_programmed import rapid_time_s
 from threadline.verdict import load_spec, verdict_json
 from threadline.verdict.needle import has_stitches, planned_stitches
 

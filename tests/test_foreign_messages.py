@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from threadline.base.wording import field_fault
 from threadline.errors import MachineError
-from threadline.foreign_messages import field_fault
 from threadline.machine import load_machine
-from threadline.machine.schema import schema
+from threadline.machine.numbers import schema
 
 BASE = 'base = "lathe-winder"\n'
 

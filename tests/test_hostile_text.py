@@ -22,22 +22,22 @@ from matplotlib.figure import Figure
 
 from tests.plc.parts import read_in_parts
 from tests.plc.reading import code_of
-from threadline.escaping import json_line, nc_comment, plain, st_comment, toml_string
+from threadline.base.wording import json_line, nc_comment, plain, st_comment, toml_string
+from threadline.commands.nc import part_program_lines
+from threadline.commands.plcopen import plcopen_xml
+from threadline.commands.schedule import Scheduled, compile_schedule
+from threadline.commands.schedule_options import shaping_of
+from threadline.commands.structured_text import structured_text
+from threadline.files import Stream, TickTable, tick_table
+from threadline.files.formats import read_table, write_table_csv, write_table_npz
 from threadline.jobs import read_job
 from threadline.jobs.operations import Move
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.report.document import Document, Table
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
-from threadline.signals import Stream, TickTable, tick_table
-from threadline.signals.files import read_table, write_table_csv, write_table_npz
-from threadline.targets.nc import part_program_lines
-from threadline.targets.plcopen import plcopen_xml
-from threadline.targets.schedule import Scheduled, compile_schedule
-from threadline.targets.schedule_options import shaping_of
-from threadline.targets.structured_text import structured_text
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 HOSTILE = [

@@ -8,8 +8,9 @@ from types import ModuleType
 
 import pytest
 
-from threadline.importing import words_of
-from threadline.live import hal_process, sim_process
+from threadline.base.importing import words_of
+from threadline.live import hal_link as hal_process
+from threadline.live import sim_process
 from threadline.panel import calculation, kept_traces, owner_process
 
 _SEEN = """
@@ -27,7 +28,7 @@ def test_a_process_begins_without_looking_for_garbage() -> None:
 
     Where they are, it is looked for garbage some hundred times.
     """
-    words = words_of("threadline.pipeline", "__name__.upper")
+    words = words_of("threadline.proof.pipeline", "__name__.upper")
     found = subprocess.run(
         [sys.executable, "-c", _SEEN.format(words=words)],
         capture_output=True,
@@ -41,4 +42,4 @@ def test_a_process_begins_without_looking_for_garbage() -> None:
     "starts", [hal_process, sim_process, calculation, kept_traces, owner_process]
 )
 def test_the_processes_of_runs_and_of_the_panel_begin_so(starts: ModuleType) -> None:
-    assert starts._CHILD.startswith("from threadline.importing import imported; ")
+    assert starts._CHILD.startswith("from threadline.base.importing import imported; ")

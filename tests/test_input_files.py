@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
+from threadline.dynamics.responses import read_response
 from threadline.errors import InputError
+from threadline.files.formats import read_recording, read_table
+from threadline.files.formats.common import atomic_file
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.par import read_parameters
-from threadline.plant.measured import read_response
-from threadline.signals.files import read_recording, read_table
-from threadline.signals.files.common import atomic_file
 from threadline.verdict import load_spec
 
 READERS: dict[str, Callable[[Path], Any]] = {

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from threadline.errors import OptionError, ThreadlineError
-from threadline.kinds import KINDS, kind_of, kind_of_commands
 from threadline.machine import Machine, library_names, load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, prove, prove_plan, simulate, write
+from threadline.proof.kinds import KINDS, kind_of, kind_of_commands
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, prove, prove_plan, simulate, write
 from threadline.report.proof import REPORTS
 from threadline.search.studied import STUDIES
 from threadline.verdict import judge, load_spec
-from threadline.verdict.intended_runs import RUNS
+from threadline.verdict.judge import RUNS
 from threadline.verdict.measure import OfPlan
 from threadline.verdict.registry import MEASURES
 

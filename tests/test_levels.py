@@ -12,12 +12,15 @@ import pytest
 import threadline as tl
 from threadline.cli.main import main
 from threadline.cli.runs_ import listed
+from threadline.commands.plan import Plan
 from threadline.errors import OptionError
+from threadline.files import tick_table
+from threadline.live.store.index import RunRecord
 from threadline.machine import load_machine
 from threadline.machine.variants import uncertain, variant
 from threadline.machine.vary import vary
-from threadline.options import Options
-from threadline.pipeline import (
+from threadline.proof.options import Options
+from threadline.proof.pipeline import (
     REPEATED,
     TOLERANCES,
     Trials,
@@ -26,9 +29,6 @@ from threadline.pipeline import (
     prove_plan,
     try_plan,
 )
-from threadline.plan import Plan
-from threadline.signals import tick_table
-from threadline.store.index import RunRecord
 from threadline.twin import simulate
 from threadline.verdict import Criterion, Spec, Status, closing, judge, load_spec
 

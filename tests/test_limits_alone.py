@@ -14,11 +14,11 @@ import threadline as tl
 from tests.cli.test_commands import run
 from threadline.cli.main import main
 from threadline.errors import MachineError, OptionError
+from threadline.files import ChannelKind
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
-from threadline.options import Options
-from threadline.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
-from threadline.signals import ChannelKind
+from threadline.proof.options import Options
+from threadline.proof.pipeline import REPEATED, TOLERANCES, Proof, prove, yielding
 from threadline.verdict import Status, closing, load_spec
 from threadline.verdict.types import Level
 

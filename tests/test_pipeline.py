@@ -6,15 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from threadline.described import describe, options_from
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
-from threadline.kinds import watched
 from threadline.machine import load_machine
-from threadline.option_words import LEAST_SHARE, parse_feed, parse_share, parse_tolerance_m
-from threadline.options import Options
-from threadline.pipeline import Trials, check_loops, plan_job, prove_plan
+from threadline.proof.kinds import kind as watched
+from threadline.proof.option_words import LEAST_SHARE, parse_feed, parse_share, parse_tolerance_m
+from threadline.proof.options import Options, describe, options_from
+from threadline.proof.pipeline import Trials, check_loops, plan_job, prove_plan
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

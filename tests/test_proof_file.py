@@ -20,10 +20,10 @@ from tests.machine.test_par import PRINTED
 from threadline.cli.main import main
 from threadline.errors import ProofError
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import REPEATED, Trials, open_job, plan_job, prove
-from threadline.proof_file import (
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import REPEATED, Trials, open_job, plan_job, prove
+from threadline.proof.proof_file import (
     check_proof,
     copy_proof,
     read_proof,

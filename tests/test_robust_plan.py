@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from threadline.described import describe, options_from
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import corners, off_tolerance, vary
-from threadline.options import Options, options_of
-from threadline.pipeline import NOMINAL, plan_job, try_plan
+from threadline.proof.options import Options, describe, options_from, options_of
+from threadline.proof.pipeline import NOMINAL, plan_job, try_plan
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

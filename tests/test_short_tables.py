@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.described import describe, options_from
+from threadline.commands.plan import Plan
+from threadline.files import tick_table
 from threadline.jobs.reading import read_job
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.plan import Plan
-from threadline.signals import tick_table
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options, describe, options_from
+from threadline.proof.pipeline import plan_job
 
 FAST = parse_feed("1000 count/tick")
 AFTER_TICKS = 100  # the loops have settled by then

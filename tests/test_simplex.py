@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from threadline.simplex import solved
+from threadline.base.linear_programs import solved
 
 COST = np.array([1.0, 2.0])
 BELOW = (-np.ones((1, 2)), [-3.0])

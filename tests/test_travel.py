@@ -22,16 +22,11 @@ import threadline
 from tests.path.builders import job_of, polylines, there_and_back
 from tests.signals.makers import recording_of, table_of
 from tests.with_firmware import winder_with_grbl
+from threadline.commands import compile_ticks, followed_by_loads
+from threadline.commands.planned_job import planned_job
+from threadline.commands.schedule import compile_schedule
 from threadline.errors import JobError, LimitError, Place, RecordingError
-from threadline.jobs import read_job
-from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
-from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.path import plan_path, programmed_path
-from threadline.path.interpolations import chord_path, interpolation_names
-from threadline.pipeline import open_job, plan_job, prove_plan
-from threadline.shaping import parse_shaper, shape_trajectory
-from threadline.signals.files import (
+from threadline.files.formats import (
     read_recording,
     read_table,
     write_array,
@@ -39,10 +34,15 @@ from threadline.signals.files import (
     write_table_csv,
     write_table_npz,
 )
-from threadline.targets import compile_ticks, followed_by_loads
-from threadline.targets.planned_job import planned_job
-from threadline.targets.schedule import compile_schedule
-from threadline.trajectory import Pace, even_averages, plan_trajectory
+from threadline.jobs import read_job
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
+from threadline.machine import load_machine
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.path.interpolations import chord_path, interpolation_names
+from threadline.motion.shaping import parse_shaper, shape_trajectory
+from threadline.motion.timing import Pace, even_averages, plan_trajectory
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, prove_plan
 from threadline.twin import simulate
 from threadline.twin.switching import simulate_switching
 from threadline.verdict import load_spec

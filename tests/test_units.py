@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline import units, usual_units
+from threadline import units
+from threadline import units as usual_units
 from threadline.errors import InputError, UnitError
 from threadline.units import (
     parse_exact_time_s,
@@ -58,13 +59,14 @@ def test_factors_agree_with_pint(unit: str, target: str) -> None:
 
 def test_usual_factors_are_those_of_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the bit, and refused where the registry refuses; no two kinds have one dimension."""
+    usual = units.usual_factor
     monkeypatch.setattr(units, "usual_factor", lambda *_: None)
     asked = unit_factor.__wrapped__
     kinds = {kind: set(of_kind) for kind, of_kind in usual_units._OF_KIND.items()}
     assert len(usual_units._USUAL) > 60
     for unit, (own, _) in usual_units._USUAL.items():
         for target in kinds:
-            found = usual_units.usual_factor(unit, target)
+            found = usual(unit, target)
             if own == target:
                 assert found == asked(unit, target), (unit, target)
             else:

@@ -12,8 +12,8 @@ from tests.with_firmware import winder_with_grbl, winder_with_grbl_file
 from threadline.cli.main import main
 from threadline.errors import OptionError
 from threadline.machine import load_machine
-from threadline.options import Options, options_of, refuse_axis_options
-from threadline.pipeline import open_job, plan_job
+from threadline.proof.options import Options, options_of, refuse_axis_options
+from threadline.proof.pipeline import open_job, plan_job
 
 PROGRAM = "G21 G90 G94\nG1 X20 F3000\nG1 Y10\nG1 X0 Y0\nM30\n"
 PLAIN = "lathe-winder"

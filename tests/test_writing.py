@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from threadline.base.reading import noting_inputs, open_binary
+from threadline.base.writing import check_output, remove_with, staged_file, staging_folder, together
 from threadline.errors import OptionError
-from threadline.input_files import noting_inputs, open_binary
 from threadline.report.document import Document
 from threadline.report.publish import write_document
-from threadline.writing import check_output, remove_with, staged_file, staging_folder, together
 
 
 def write(path: Path, text: str = "new") -> None:

@@ -20,19 +20,19 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from threadline.commands.plan import Plan
+from threadline.commands.ticks import compile_ticks
 from threadline.errors import LimitError
+from threadline.files import Stream
 from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import derate
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.path import programmed_path
-from threadline.pipeline import plan_job, prove_plan
-from threadline.plan import Plan
+from threadline.motion.path import programmed_path
+from threadline.motion.timing import Trajectory, TrajectoryBlock
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.report.style import LIMIT, figure_style
-from threadline.signals import Stream
-from threadline.targets.ticks import compile_ticks
-from threadline.trajectory import Trajectory, TrajectoryBlock
 from threadline.verdict import load_spec
 
 ROOT = Path(__file__).resolve().parent.parent

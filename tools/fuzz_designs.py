@@ -20,8 +20,8 @@ import pystitch
 from threadline.errors import ThreadlineError
 from threadline.jobs import Job, read_job
 from threadline.jobs.embroidery.t15 import t15_bytes
-from threadline.laws.cam import Triangle, read_cam
 from threadline.machine import load_machine
+from threadline.motion.laws.cam import Triangle, read_cam
 
 Target = tuple[str, Callable[[random.Random], bytes], Callable[[Path], object], int]
 Mutate = Callable[[random.Random, bytes], bytes]

@@ -18,7 +18,7 @@ import lz4.frame
 import numpy as np
 import zstandard
 
-from threadline.signals import (
+from threadline.files import (
     Channel,
     ChannelKind,
     Clock,
@@ -29,7 +29,7 @@ from threadline.signals import (
     TickBlock,
     TickTable,
 )
-from threadline.signals.files import (
+from threadline.files.formats import (
     read_recording,
     read_table,
     write_array,

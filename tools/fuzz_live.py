@@ -11,7 +11,7 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from threadline.store.index import RunIndex, RunRecord
+from threadline.live.store.index import RunIndex, RunRecord
 
 Words = list[str]
 Files = dict[str, str | bytes]

@@ -40,15 +40,15 @@ from tools.fuzz_rewritten import (
 from tools.fuzz_runs import Seed, plan_measured_once, seeds
 
 from threadline.errors import Place, ThreadlineError
+from threadline.files import ChannelKind, Recording, RecordingBlock, Stream
+from threadline.files.formats import read_recording, write_recording
+from threadline.files.formats.common import in_si
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.load import library_file
-from threadline.options import Options
-from threadline.path import programmed_path
-from threadline.pipeline import Proof, prove
-from threadline.signals import ChannelKind, Recording, RecordingBlock, Stream
-from threadline.signals.files import read_recording, write_recording
-from threadline.signals.files.channel_units import in_si
+from threadline.motion.path import programmed_path
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, prove
 from threadline.verdict import Judge, Spec, Status, load_spec
 
 CLASSES = ("same-recording", "same-program", "same-machine")

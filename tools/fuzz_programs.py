@@ -14,7 +14,7 @@ from threadline.jobs import read_job
 from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.machine import Machine, load_machine
 from threadline.machine.firmware import machine_text, parse_answers, read_settings
-from threadline.machine.program_rules import Programs
+from threadline.machine.motion_planner import Programs
 from threadline.machine.quantity import parse_machine_quantity
 from threadline.machine.radii import with_radii
 

@@ -26,9 +26,9 @@ from tests.verdict.interpreter import Channel, asked, cannot_pass, refused
 from tools.fuzz_runs import Seed, plan_measured_once, seeds
 
 from threadline.errors import Place
-from threadline.signals import Recording, RecordingBlock, Stream, SwitchSchedule
-from threadline.signals.files import read_recording, write_recording
-from threadline.signals.files.channel_units import in_si
+from threadline.files import Recording, RecordingBlock, Stream, SwitchSchedule
+from threadline.files.formats import read_recording, write_recording
+from threadline.files.formats.common import in_si
 from threadline.verdict import judge, load_spec, verdict_json
 
 CLASSES = ("judge-channels", "judge-blocks", "judge-axes")

@@ -17,17 +17,17 @@ import numpy as np
 from tests.verdict.interpreter import Facts, Stitch
 from tools import short_jobs
 
+from threadline.commands.plan import Motion, Plan
+from threadline.commands.stitched import Stitched
+from threadline.files import Stream
 from threadline.jobs.operations import Move, OperationStream
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import Proof, prove
-from threadline.plan import Motion, Plan
-from threadline.signals import Stream
-from threadline.targets.stitched import Stitched
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, prove
 from threadline.verdict import judge, load_spec
 from threadline.verdict.demands import measure_demands
 from threadline.verdict.registry import MEASURES
-from threadline.verdict.stitch_measures import measure_tables
+from threadline.verdict.stitch_run import measure_tables
 
 _FOLDER = Path(tempfile.mkdtemp(prefix="threadline-fuzz-"))  # a job is read again and again
 atexit.register(shutil.rmtree, _FOLDER, ignore_errors=True)

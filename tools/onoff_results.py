@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
+from threadline.commands.schedule import compile_schedule
+from threadline.commands.schedule_options import shaping_of
 from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, REPEATED, Proof, plan_job, prove, try_plan
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, REPEATED, Proof, plan_job, prove, try_plan
 from threadline.search.broken_beam import break_sweeps, move_sweep
 from threadline.search.machine_yield import MachineYield
-from threadline.targets.schedule import compile_schedule
-from threadline.targets.schedule_options import shaping_of
 from threadline.verdict import Verdict, load_spec
 
 JOB = Path("examples/letter-cycle.toml")

@@ -14,12 +14,8 @@ from typing import Any
 
 from threadline import face
 from threadline.cli.lazy import COMMANDS, LazyGroup
-from threadline.option_form import Door, Group, Option, Type
-from threadline.option_table import (
-    PYTHON_VERBS,
-    TABLE,
-    options_for,
-)
+from threadline.proof.option_form import Door, Group, Option, Type
+from threadline.proof.option_table import PYTHON_VERBS, TABLE, options_for
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "options.md"
@@ -33,8 +29,8 @@ _KINDS = {
 _HEAD = """# Options
 
 Every option of planning, judging and searching is declared once, in
-`src/threadline/option_table.py`. The command line, Python (`import threadline as tl`), the panel,
-recordings, proofs and this page are made from the declarations. After a change of the table,
+`src/threadline/proof/option_table.py`. The command line, Python (`import threadline as tl`), the
+panel, recordings, proofs and this page are made from the declarations. After a change of the table,
 `python -m tools.options_reference` writes this page, the types of the Python functions and the
 fields of the panel again.
 
@@ -116,13 +112,13 @@ _STUB_HEAD = '''"""Types of the functions, written by python -m tools.options_re
 from collections.abc import Sequence
 from typing import Literal
 
-from threadline.answers import Answer, Found, PathLike, Proved
+from threadline.face import Answer, Found, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
-from threadline.signals.files import Written
 from threadline.verdict import Spec
 
 __version__: str

@@ -5,10 +5,8 @@ from pathlib import Path
 
 from threadline.machine import load_machine
 from threadline.panel.admission import Admission
-from threadline.panel.calculation import Calculation
-from threadline.panel.machine_guide import MachineGuide
-from threadline.panel.owner_link import OwnerLink
-from threadline.panel.owner_process import Owned, start_owner
+from threadline.panel.calculation import Calculation, MachineGuide
+from threadline.panel.owner_process import Owned, OwnerLink, start_owner
 from threadline.panel.panel import Panel
 from threadline.panel.server import make_api, schema_of
 

@@ -20,12 +20,12 @@ from time import process_time
 
 import numpy as np
 
-from threadline.path.auto import auto_pieces
-from threadline.path.polygon import QUARTIC
-from threadline.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
-from threadline.signals import Stream
-from threadline.trajectory.optimal import Limits
-from threadline.trajectory.optimal.fastest_motion import limited_blocks
+from threadline.files import Stream
+from threadline.motion.path.auto import auto_pieces
+from threadline.motion.path.polygon import QUARTIC
+from threadline.motion.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
+from threadline.motion.timing.optimal import Limits
+from threadline.motion.timing.optimal.fastest_motion import limited_blocks
 
 CHUNK = 5000
 STEP_M = 1e-4

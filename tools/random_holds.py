@@ -19,9 +19,9 @@ from tests.live.test_held_runs import SPEC, alike, plan_of
 from tests.live.test_pace import plan_ticks
 from tests.live.test_tail import PLACES, ROWS, off_path
 
+from threadline.files import Ended
 from threadline.live.states import Cause, State
-from threadline.pipeline import simulate
-from threadline.signals import Ended
+from threadline.proof.pipeline import simulate
 from threadline.verdict import judge
 
 _HALF_COUNT = 0.5 + 1e-6

@@ -20,16 +20,16 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import BudgetError, ThreadlineError
+from threadline.files import Stream
 from threadline.machine import Machine, load_machine
 from threadline.machine.model import Drive
 from threadline.machine.parts import DcMotor
 from threadline.machine.quantity import Quantity
-from threadline.path import plan_path
-from threadline.path.runs import COINCIDENT_M
-from threadline.path.types import ProgrammedPath, VertexBlock
-from threadline.signals import Stream
-from threadline.trajectory import limit_peaks, plan_trajectory, retime
-from threadline.trajectory.extremes import derivatives, farthest
+from threadline.motion.path import plan_path
+from threadline.motion.path.runs import COINCIDENT_M
+from threadline.motion.path.types import ProgrammedPath, VertexBlock
+from threadline.motion.timing import limit_peaks, plan_trajectory, retime
+from threadline.motion.timing.extremes import derivatives, farthest
 
 ALLOWED = 1.001  # of a limit, anywhere
 SLOWER = 1e-9  # of the duration: rounding

@@ -16,8 +16,8 @@ from threadline.errors import ThreadlineError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import corners
-from threadline.options import options_of
-from threadline.pipeline import NOMINAL, plan_job, try_plan
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import NOMINAL, plan_job, try_plan
 from threadline.verdict import load_spec
 
 MACHINE = "stitcher"

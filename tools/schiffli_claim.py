@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from threadline.laws import Law, law
-from threadline.laws.cam import Triangle, read_cam
-from threadline.laws.cam_study import study_cam
+from threadline.motion.laws import Law, law
+from threadline.motion.laws.cam import Triangle, read_cam
+from threadline.motion.laws.cam_study import study_cam
+from threadline.motion.shaping import FlexibleMode
+from threadline.motion.shaping.law_residual import lasting_windows_s
+from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
+from threadline.motion.shaping.shaped_law import shaped_windows
 from threadline.report.style import AXES, LIMIT, PLANNED, figure_style
-from threadline.shaping import FlexibleMode
-from threadline.shaping.law_residual import lasting_windows_s
-from threadline.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
-from threadline.shaping.shaped_law import shaped_windows
 
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "docs" / "pictures" / "schiffli-claim.png"

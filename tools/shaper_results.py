@@ -13,10 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import prove
-from threadline.shaping import (
+from threadline.motion.shaping import (
     ControllerLimits,
     FlexibleMode,
     Requirement,
@@ -32,10 +29,13 @@ from threadline.shaping import (
     specified_insensitivity,
     vibration_of,
 )
-from threadline.shaping.onoff.body_and_modes import RestToRest
-from threadline.shaping.onoff.optimal import time_optimal
-from threadline.shaping.onoff.robust import compare_shapers, robust_optimum
-from threadline.shaping.onoff.switched import residual_front
+from threadline.motion.shaping.onoff.body_and_modes import RestToRest
+from threadline.motion.shaping.onoff.optimal import time_optimal
+from threadline.motion.shaping.onoff.robust import compare_shapers, robust_optimum
+from threadline.motion.shaping.onoff.switched import residual_front
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import prove
 from threadline.verdict import Criterion, Spec
 
 PAPER = FlexibleMode(3.04, 0.17)

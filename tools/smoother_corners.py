@@ -15,9 +15,9 @@ from time import process_time
 import numpy as np
 from scipy.interpolate import BSpline
 
-from threadline.path.greville import CUT
-from threadline.trajectory.optimal import Limits, elements_of, fastest
-from threadline.trajectory.optimal.in_time import in_time
+from threadline.motion.path.greville import CUT
+from threadline.motion.timing.optimal import Limits, elements_of, fastest
+from threadline.motion.timing.optimal.in_time import in_time
 
 CUTS = {3: 1 / 6, 4: CUT, 5: 7 / 30}
 TOLERANCE_M = 1e-4

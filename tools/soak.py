@@ -25,22 +25,21 @@ from typing import Any
 from tests.live.bench import GROUP, Wire
 from tests.live.kill_bench import child
 
+from threadline.commands.plan import Plan
+from threadline.files import Ended
+from threadline.files.formats import read_recording
 from threadline.live import sim_process
-from threadline.live.desk import Desk
 from threadline.live.executor import Executor
-from threadline.live.sim_process import sim_link
-from threadline.live.simulated import simulated_of
+from threadline.live.kinds_run import way_of
+from threadline.live.sim_process import sim_link, simulated_of
+from threadline.live.states import Desk
+from threadline.live.store.run_store import INDEX, RunStore
 from threadline.live.supervised import run_commands
-from threadline.live.ways import way_of
 from threadline.live.wire import Connection, Message
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, prove_plan
-from threadline.plan import Plan
-from threadline.proof_file import ProofFile, read_proof, write_proof
-from threadline.signals import Ended
-from threadline.signals.files import read_recording
-from threadline.store.run_store import INDEX, RunStore
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, prove_plan
+from threadline.proof.proof_file import ProofFile, read_proof, write_proof
 from threadline.verdict import load_spec
 
 ROUND_S = 10.3  # of x-180 there and back, as it is planned here, about

@@ -15,14 +15,14 @@ from dataclasses import dataclass
 import matplotlib
 import numpy as np
 
+from threadline.dynamics.analysis import loop_figures
+from threadline.dynamics.loop import axis_loops
+from threadline.dynamics.values import Values
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
 from threadline.machine.model import Drive
 from threadline.machine.parts import DcMotor
-from threadline.plant.analysis import loop_figures
-from threadline.plant.loop import axis_loops
-from threadline.plant.values import Values
-from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate_batch
 
 INCH = 25.4e-3

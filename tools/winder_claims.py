@@ -11,14 +11,14 @@ from fractions import Fraction
 import numpy as np
 from scipy.signal import TransferFunction, step
 
+from threadline.dynamics.linear_model import linear_model
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import Machine
 from threadline.machine.controllers import Controller, PdController
 from threadline.machine.load import load_machine
 from threadline.machine.model import Drive
 from threadline.machine.parts import DcMotor
 from threadline.machine.quantity import Quantity
-from threadline.plant.linear_model import linear_model
-from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate
 
 DERIVATIVE_S = 0.005

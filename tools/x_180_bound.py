@@ -26,10 +26,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
+from threadline.dynamics.loop import axis_loops
 from threadline.machine import Machine, load_machine
 from threadline.machine.parts import DcMotor
-from threadline.plant.loop import axis_loops
-from threadline.trajectory.optimal.drives import RESERVE, demands_of
+from threadline.motion.timing.optimal.motion_limits import RESERVE, demands_of
 
 WAY_M, WITHIN_M, TOLERANCE_M = 0.18, 5e-4, 1e-4
 REMEMBERED, AFTER = 100, 40  # ticks: of the loop's answers, and judged after the motion

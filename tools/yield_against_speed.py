@@ -15,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from threadline.commands.plan import Plan
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
-from threadline.plan import Plan
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.report.style import figure_style
 from threadline.search.machine_yield import MachineYield
 from threadline.verdict import Spec, load_spec

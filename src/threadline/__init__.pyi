@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from threadline.answers import Answer, Found, PathLike, Proved
+from threadline.face import Answer, Found, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
+from threadline.files.formats import Written
 from threadline.machine import Machine
 from threadline.search import Comparison
-from threadline.signals.files import Written
 from threadline.verdict import Spec
 
 __version__: str

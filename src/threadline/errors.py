@@ -18,8 +18,8 @@
         CommandError       [COMMAND]        a command that a machine cannot take in its state
       LinkFaultError       [FAULT]          the machine or its link: the program exits with 3
 
-``threadline.shaping.ShaperError``, code SHAPER, is a ``PlanError``, too: an input shaper that
-cannot be designed, or that fails its own proof.
+``threadline.motion.shaping.ShaperError``, code SHAPER, is a ``PlanError``, too: an input shaper
+that cannot be designed, or that fails its own proof.
 """
 
 from __future__ import annotations

@@ -13,9 +13,9 @@ from tests.blank_pictures import blank_pictures
 
 from threadline.cli.main import main
 from threadline.face import compile as compile_job
+from threadline.files.formats import read_recording
 from threadline.machine import load_machine
-from threadline.pipeline import target_names
-from threadline.signals.files import read_recording
+from threadline.proof.pipeline import target_names
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 

@@ -13,9 +13,9 @@ import pytest
 import threadline.cli.design as command
 from threadline.cli.main import main
 from threadline.machine import load_machine
+from threadline.search.design import DesignResult
 from threadline.search.design import design as search
 from threadline.search.design_evaluate import Effort
-from threadline.search.design_result import DesignResult
 from threadline.verdict import load_spec
 
 PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from threadline.cli.main import main
-from threadline.option_words import parse_share
-from threadline.search import gentle
+from threadline.proof.option_words import parse_share
+from threadline.search import least_limits as gentle
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from threadline.cli.operator_keys import AtTheKeys
-from threadline.live.desk import Desk
-from threadline.live.states import State
+from threadline.live.states import Desk, State
 
 KEYS = "h holds, r goes on, any other key stops"
 

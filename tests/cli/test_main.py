@@ -13,9 +13,9 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
+from threadline.base.writing import staged_file
 from threadline.cli import law, prove
 from threadline.cli.main import app, main
-from threadline.writing import staged_file
 
 
 def stopped(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from tests.cli.test_commands import run
 
-from threadline.signals import ChannelKind
-from threadline.signals.files import read_recording
+from threadline.files import ChannelKind
+from threadline.files.formats import read_recording
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 

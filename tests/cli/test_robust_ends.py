@@ -12,11 +12,11 @@ from threadline.cli.main import main
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import ends_of, off_tolerance
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, Trials, plan_job, prove_plan, try_plan
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Trials, plan_job, prove_plan, try_plan
 from threadline.verdict import Result, Status, Verdict, load_spec
-from threadline.verdict.ends import worst_of
+from threadline.verdict.each_run import worst_of
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
 

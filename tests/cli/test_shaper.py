@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
-from threadline.shaping.oscillator import simulated_vibration
-from threadline.shaping.types import Shaper
+from threadline.motion.shaping.designs import simulated_vibration
+from threadline.motion.shaping.types import Shaper
 
 
 def test_a_train_that_the_controller_spoils_is_told(capsys: pytest.CaptureFixture[str]) -> None:

@@ -160,7 +160,7 @@ def test_the_machines_of_the_library_are_read_without_a_registry_of_units() -> N
     done = run(
         "import sys\n"
         "from threadline.machine.load import library_names, load_machine\n"
-        "from threadline.option_words import parse_feed\n"
+        "from threadline.proof.option_words import parse_feed\n"
         "from threadline.verdict import load_spec\n"
         "for name in library_names():\n"
         "    load_spec(None, load_machine(name))\n"
@@ -172,7 +172,7 @@ def test_the_machines_of_the_library_are_read_without_a_registry_of_units() -> N
 
 OF_STUDIES = {"matplotlib", "scipy.stats", "scipy.optimize", "scipy.interpolate"}
 FOR_FEW = OF_STUDIES | {"scipy.special", "scipy.ndimage", "scipy.signal", "sqlalchemy", "mcap"}
-FOR_FEW |= {"jinja2", "threadline.search", "threadline.store", "threadline.live"}
+FOR_FEW |= {"jinja2", "threadline.search", "threadline.live.store", "threadline.live"}
 UNUSED = {
     "panel.thinned_traces": OF_STUDIES | {"pint", "numba", "scipy.linalg"},
     "cli.prove": FOR_FEW,
@@ -215,9 +215,14 @@ def test_a_simulated_machine_is_served_without_jobs_and_judges() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-PLANNING = {"threadline.pipeline", "threadline.jobs", "threadline.path", "threadline.trajectory"}
-SIMULATING = {"threadline.twin", "threadline.verdict", "threadline.targets", "threadline.report"}
-SERVING = {"threadline.panel", "threadline.store", "threadline.live", "threadline.search"}
+PLANNING = {
+    "threadline.proof.pipeline",
+    "threadline.jobs",
+    "threadline.motion.path",
+    "threadline.motion.timing",
+}
+SIMULATING = {"threadline.twin", "threadline.verdict", "threadline.commands", "threadline.report"}
+SERVING = {"threadline.panel", "threadline.live.store", "threadline.live", "threadline.search"}
 SERVING |= {"fastapi", "uvicorn", "sqlalchemy", "mcap", "matplotlib", "jinja2"}
 OF_ARRAYS = {"scipy.linalg", "scipy.special", "scipy.optimize", "numba"}
 
@@ -225,10 +230,19 @@ OF_ARRAYS = {"scipy.linalg", "scipy.special", "scipy.optimize", "numba"}
 @pytest.mark.parametrize(
     ("given", "unused"),
     [
-        (["law", "--help"], {"threadline.machine", "threadline.shaping", "pint", "rich", "scipy"}),
-        (["law", "cubic", "--json"], {"threadline.machine", "threadline.shaping", "pint", "rich"}),
-        (["machines", "--json"], {"threadline.plant", "threadline.shaping", "threadline.laws"}),
-        (["size", "--help"], {"threadline.machine", "threadline.shaping", "rich"}),
+        (
+            ["law", "--help"],
+            {"threadline.machine", "threadline.motion.shaping", "pint", "rich", "scipy"},
+        ),
+        (
+            ["law", "cubic", "--json"],
+            {"threadline.machine", "threadline.motion.shaping", "pint", "rich"},
+        ),
+        (
+            ["machines", "--json"],
+            {"threadline.dynamics", "threadline.motion.shaping", "threadline.motion.laws"},
+        ),
+        (["size", "--help"], {"threadline.machine", "threadline.motion.shaping", "rich"}),
     ],
     ids=["law --help", "law cubic", "machines", "size --help"],
 )

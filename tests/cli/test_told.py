@@ -16,11 +16,13 @@ from pathlib import Path
 import numba
 import pytest
 
-from threadline.cli import output, prove, told
+from threadline.base.progress import COMPILING
+from threadline.cli import messages as told
+from threadline.cli import output, prove
 from threadline.cli.main import main
-from threadline.compiling import COMPILING
 from threadline.errors import PlanError
-from threadline.kinds import ticks, watched
+from threadline.proof.kinds import kind as watched
+from threadline.proof.kinds import ticks
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 PROVE = ["prove", str(EXAMPLES / "x-180.prg"), "-m", "lathe-winder"]
@@ -288,7 +290,7 @@ def test_only_one_file_writes_to_the_streams() -> None:
     cli = Path(output.__file__).parent
     for file in cli.glob("*.py"):
         text = file.read_text(encoding="utf-8")
-        if file.name not in {"output.py", "told.py", "main.py", "start.py"}:
+        if file.name not in {"output.py", "messages.py", "main.py", "start.py"}:
             assert not re.search(r"typer\.echo|sys\.std(out|err)|(?<!\w)print\(", text), file
 
 

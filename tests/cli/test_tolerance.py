@@ -12,9 +12,9 @@ from tests.with_firmware import winder_with_grbl_file
 
 from threadline.cli import fastest_seam
 from threadline.cli.main import main
-from threadline.path import interpolation_names
-from threadline.path.interpolations import KEEPING_TOLERANCE
-from threadline.search import gentle
+from threadline.motion.path import interpolation_names
+from threadline.motion.path.interpolations import KEEPING_TOLERANCE
+from threadline.search import least_limits as gentle
 from threadline.search.fastest import RANGE, Fastest, Interval
 from threadline.verdict import Verdict
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from threadline.base.progress import PLANNING
 from threadline.cli.main import main
-from threadline.cli.told import Telling
-from threadline.planning_so_far import PLANNING
+from threadline.cli.messages import Telling
 
 X_180 = str(Path(__file__).resolve().parents[2] / "examples" / "x-180.prg")
 

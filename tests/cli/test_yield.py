@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.cli import why, yield_
+from threadline.cli import yield_
+from threadline.cli import yield_tables as why
 from threadline.cli.main import main
 from threadline.machine.variants import Uncertain
 from threadline.search import machine_yield
-from threadline.search.machine_yield import Yield
-from threadline.search.yield_rows import quantile
+from threadline.search.machine_yield import Yield, quantile
 from threadline.verdict import CriterionRow, EachRun
 
 JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from threadline.control import feed_forward, inverse_of, smooth_motion
+from threadline.dynamics import feed_forward, inverse_of, smooth_motion
+from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import load_machine
-from threadline.plant.loop import axis_loop
-from threadline.plant.values import Values
-from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate
 
 INCH = 25.4e-3

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from threadline.control import design_lead, lead_deg, lead_from_response
+from threadline.dynamics import design_lead, lead_deg, lead_from_response
+from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.margins import loop_margins
+from threadline.dynamics.values import Values
 from threadline.errors import OptionError
 from threadline.machine import load_machine
 from threadline.machine.numbers import with_numbers
-from threadline.plant.loop import axis_loop
-from threadline.plant.margins import loop_margins
-from threadline.plant.values import Values
 
 PRINTED = {
     ("stitcher-rigid", "X"): (0.89, 0.976, 0.004, 178, 175),

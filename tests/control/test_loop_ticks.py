@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.control.loop_ticks import acting
+from threadline.dynamics.loop_ticks import acting
 
 
 @pytest.mark.parametrize("rounded", [-2.8e-17, 0.0, 2.8e-17])

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.control.lost_ticks import AHEAD, Levels
+from threadline.dynamics.loop_ticks import AHEAD, Levels
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import options_of
-from threadline.pipeline import REPEATED, plan_job, prove_plan
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import REPEATED, plan_job, prove_plan
 from threadline.verdict import load_spec
 
 COUNT_V = 0.01

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.control.test_feedforward import WIDTHS, load_error, trapezoid
-from threadline.control import AxisPreview, feed_forward, smooth_motion
+from threadline.dynamics import AxisPreview, feed_forward, smooth_motion
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 

@@ -12,18 +12,18 @@ from scipy.optimize import OptimizeResult, linprog
 from scipy.signal import tf2ss
 
 from tests.second_order import states_of
-from threadline.control.corner_machines import CornerResponse, corner_responses
-from threadline.control.robust_averages import (
+from threadline.dynamics.inverse import CornerResponse, corner_responses
+from threadline.dynamics.responses import answers_of
+from threadline.dynamics.robust_averages import (
     ChangeOfSpeed,
     RobustWeights,
     StepOfSpeed,
+    frequencies_rad_s,
     robust_weights,
 )
-from threadline.control.step_answers import frequencies_rad_s
 from threadline.errors import PlanError
 from threadline.machine import load_machine
 from threadline.machine.vary import corners
-from threadline.plant.closed_loop import answers_of
 
 CHANGE_S, COUNT, SAMPLES = 0.1, 43, 4096
 STEP_S = CHANGE_S / 28

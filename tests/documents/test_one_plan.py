@@ -17,11 +17,11 @@ from tests.documents.of_the_winder import WHOLE
 from tests.documents.quick import ROOT
 from tests.documents.test_results_run import has_its_figures
 from tests.path.test_interpolations_document import row_is_of
-from threadline import pipeline
+from threadline.commands.plan import Plan
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.plan import Plan
+from threadline.proof import pipeline
+from threadline.proof.options import Options
 
 MADE = pipeline.plan_job
 README = (ROOT / "README.md").read_text(encoding="utf-8")

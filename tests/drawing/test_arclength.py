@@ -7,9 +7,16 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 from scipy.special import ellipeinc
 
-from threadline.drawing.arclength import arc_table
-from threadline.drawing.curves import Pieces, join_pieces
-from threadline.drawing.shapes import bezier, bulges, chords, ellipse_arc, spline
+from threadline.geometry.arclength import arc_table
+from threadline.geometry.curves import (
+    Pieces,
+    bezier,
+    bulges,
+    chords,
+    ellipse_arc,
+    join_pieces,
+    spline,
+)
 
 NEAR_M = 1e-11  # a table is good to 1e-12 m a span; a few dozen spans add up
 

@@ -11,9 +11,9 @@ import ezdxf
 import ezdxf.tools.text
 import pytest
 
-from threadline.drawing import read_dxf
-from threadline.drawing.svg import read_svg
 from threadline.errors import JobError
+from threadline.geometry import read_dxf
+from threadline.geometry.svg import read_svg
 
 
 def saved(folder: Path, document: ezdxf.document.Drawing) -> Path:

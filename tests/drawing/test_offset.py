@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from threadline.drawing.arclength import arc_table
-from threadline.drawing.contours import Contour
-from threadline.drawing.offset import Allowance, offset_contour
-from threadline.drawing.self_crossing import crossings, flatten
-from threadline.drawing.shapes import bezier, bulges, chords, ellipse_arc
 from threadline.errors import JobError
+from threadline.geometry.arclength import arc_table
+from threadline.geometry.contours import Contour
+from threadline.geometry.curves import bezier, bulges, chords, ellipse_arc
+from threadline.geometry.offset import Allowance, offset_contour
+from threadline.geometry.self_crossing import crossings, flatten
 
 NEAR_M = 2e-6  # curves are offset as chords within 1 um
 

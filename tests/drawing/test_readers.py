@@ -9,12 +9,12 @@ from ezdxf.path import make_path
 from scipy.interpolate import BSpline
 from svgelements import Path as SvgPath
 
-from threadline.drawing.arclength import arc_table
-from threadline.drawing.contours import join_strokes
-from threadline.drawing.read_csv import read_csv
-from threadline.drawing.read_dxf import read_dxf
-from threadline.drawing.strokes import Drawing
-from threadline.drawing.svg import read_svg
+from threadline.geometry.arclength import arc_table
+from threadline.geometry.contours import join_strokes
+from threadline.geometry.read_csv import read_csv
+from threadline.geometry.read_dxf import read_dxf
+from threadline.geometry.strokes import Drawing
+from threadline.geometry.svg import read_svg
 from threadline.jobs.seam.read_toml import read_seam_file
 
 GAP = 1e-5

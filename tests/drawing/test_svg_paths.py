@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from threadline.drawing.svg import read_svg
 from threadline.errors import JobError
+from threadline.geometry.svg import read_svg
 
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="60mm" viewBox="0 0 100 60">'
 U = np.linspace(0.0, 1.0, 7)

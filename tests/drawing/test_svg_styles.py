@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.drawing.arclength import arc_table
-from threadline.drawing.strokes import Drawing
-from threadline.drawing.svg import read_svg
 from threadline.errors import JobError
+from threadline.geometry.arclength import arc_table
+from threadline.geometry.strokes import Drawing
+from threadline.geometry.svg import read_svg
 
 HEAD = '<svg xmlns="http://www.w3.org/2000/svg" width="100mm" height="60mm" viewBox="0 0 100 60">'
 SHOWN = '<path id="a" class="k other" stroke="red" d="M10 10H20"/>'

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from threadline.drawing.arclength import arc_table
-from threadline.drawing.read_dxf import read_dxf
-from threadline.drawing.strokes import Stroke
-from threadline.drawing.write_dxf import DrawnShape, ShapeKind, dxf_of, spline_controls
+from threadline.geometry.arclength import arc_table
+from threadline.geometry.read_dxf import read_dxf
+from threadline.geometry.strokes import Stroke
+from threadline.geometry.write_dxf import DrawnShape, ShapeKind, dxf_of, spline_controls
 
 QUARTER = np.array([[0.03, 0.0], [0.03 * 0.5**0.5, 0.03 * 0.5**0.5], [0.0, 0.03]])
 WAVE = np.array([[0.0, 0.0], [0.01, 0.02], [0.03, -0.01], [0.05, 0.0]])

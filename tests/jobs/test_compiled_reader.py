@@ -12,7 +12,7 @@ from tests.jobs.test_part_program import MACHINE, moves, read
 
 from threadline.errors import InputError
 from threadline.jobs import Move, read_job
-from threadline.jobs.gcode.plain_reader import PlainReader
+from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.jobs.operations import MoveRun
 
 # --- the compiled reader does what the interpreter does -----------------------------------------

@@ -17,7 +17,7 @@ from tests.jobs.made_machines import made_machine
 
 from threadline.errors import JobError
 from threadline.jobs import read_job
-from threadline.jobs.gcode.arcs import TOLERANCE_MM
+from threadline.jobs.gcode.curves import TOLERANCE_MM
 from threadline.machine import Machine
 
 CHORD_MM = 1.0001 * TOLERANCE_MM

@@ -13,12 +13,12 @@ import pytest
 from tests.jobs.in_dialects import millimetres, moves, numbered, read
 from tests.jobs.made_machines import made_machine
 
+from threadline.commands.boards import working_words
 from threadline.errors import InputError, JobError, OptionError
 from threadline.jobs import Dwell, FeedMode, Job, Move, Stop, ToolEvent
-from threadline.jobs.gcode.plain_reader import PlainReader
-from threadline.jobs.programmed_time import programmed_time_s
+from threadline.jobs.feed_times import programmed_time_s
+from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.machine import Machine
-from threadline.targets.carried_words import working_words
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import pytest
 
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import Job, Move, read_job
-from threadline.jobs.gcode.plain_reader import PlainReader
-from threadline.jobs.programmed_time import programmed_time_s
+from threadline.jobs.feed_times import programmed_time_s
+from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.machine import Machine, library_file, load_machine
-from threadline.path import programmed_path
+from threadline.motion.path import programmed_path
 
 WINDER = load_machine("lathe-winder")
 

@@ -12,7 +12,7 @@ from tests.jobs.random_blocks import random_blocks, random_commands
 
 from threadline.errors import InputError, JobError
 from threadline.jobs import Dwell, Stop
-from threadline.jobs.gcode.plain_reader import PlainReader
+from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.machine import Machine
 
 HEAD = "G21 G90 G94\nG1 X5 F600\n"

@@ -12,15 +12,15 @@ import pytest
 from tests.jobs.made_machines import made_machine
 
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import read_job
-from threadline.jobs.programmed_time import programmed_time_s
+from threadline.jobs.feed_times import programmed_time_s
 from threadline.machine import Machine, load_machine
 from threadline.machine.radii import with_radii, written_out
-from threadline.options import Options
-from threadline.path import plan_path, programmed_path
-from threadline.pipeline import plan_job
-from threadline.plan import Plan
+from threadline.motion.path import plan_path, programmed_path
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.verdict.deviation import measure_path_deviation
 
 CONE = """[axes.A.profile]

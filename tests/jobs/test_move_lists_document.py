@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from threadline.commands.schedule import compile_schedule
 from threadline.jobs import read_job
 from threadline.jobs.moves import DEFAULT_TIMEOUT_S, OPERATION_KEYS
 from threadline.machine import load_machine
 from threadline.machine.pneumatics import REST_LAGS
-from threadline.targets.schedule import compile_schedule
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "move-lists.md").read_text(encoding="utf-8")
 

@@ -15,7 +15,8 @@ from tests.jobs.made_machines import made_machine
 
 from threadline.errors import InputError
 from threadline.jobs import Dwell
-from threadline.jobs.gcode.parametric import course, survey
+from threadline.jobs.gcode.parametric import course
+from threadline.jobs.gcode.parametric import program as survey
 from threadline.machine import Machine
 
 OFFSETS = """[programs]

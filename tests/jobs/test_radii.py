@@ -12,10 +12,10 @@ from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import read_job
-from threadline.jobs.programmed_time import programmed_time_s
+from threadline.jobs.feed_times import programmed_time_s
 from threadline.machine import Machine, load_machine
 from threadline.machine.radii import with_radii
-from threadline.path import path_deviation, plan_path, programmed_path
+from threadline.motion.path import path_deviation, plan_path, programmed_path
 
 EYE = '[axes.B]\nradius = "2 mm exact, assumed: half of a band of 4 mm"\n'
 

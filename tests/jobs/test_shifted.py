@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.described import describe, options_from
 from threadline.errors import LimitError, OptionError
 from threadline.jobs.operations import Move
 from threadline.jobs.shifted import parse_offset, shifted
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
+from threadline.proof.options import Options, describe, options_from
+from threadline.proof.pipeline import open_job, plan_job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 WINDER = load_machine("lathe-winder")

@@ -11,10 +11,10 @@ from tests.jobs.made_machines import made_machine
 
 from threadline.errors import JobError
 from threadline.jobs import Job, Move, Stop, read_job
-from threadline.jobs.programmed_time import programmed_time_s
+from threadline.jobs.feed_times import programmed_time_s
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.pipeline import prove
+from threadline.proof.options import Options
+from threadline.proof.pipeline import prove
 from threadline.report import about
 from threadline.verdict import Criterion, Spec
 

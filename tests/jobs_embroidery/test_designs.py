@@ -15,8 +15,8 @@ from threadline.errors import JobError
 from threadline.jobs import Job, Move, Stop, ToolEvent, read_job
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
-from threadline.options import Options
-from threadline.pipeline import prove
+from threadline.proof.options import Options
+from threadline.proof.pipeline import prove
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")

@@ -14,8 +14,8 @@ from threadline.errors import JobError
 from threadline.jobs import Move, ToolEvent, read_job
 from threadline.jobs.embroidery.t15 import t15_bytes
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, write
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, write
 
 MACHINE = load_machine("schiffli-frame")
 SAMPLES = SHARED_SAMPLES / "embroidery"

@@ -6,8 +6,8 @@ from pathlib import Path
 import ezdxf
 import pytest
 
-from threadline.drawing import read_dxf
 from threadline.errors import InputError, JobError
+from threadline.geometry import read_dxf
 from threadline.jobs.operations import Job
 from threadline.jobs.seam import read_seam
 from threadline.machine import Machine

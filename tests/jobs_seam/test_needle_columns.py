@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.plan import Plan
+from threadline.files import tick_table
+from threadline.files.formats import read_table
 from threadline.jobs import read_job
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, write
-from threadline.plan import Plan
-from threadline.signals import tick_table
-from threadline.signals.files import read_table
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, write
 
 SEAM = """
 [stitching]

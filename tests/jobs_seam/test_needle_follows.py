@@ -8,20 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.plan import Plan
 from threadline.errors import JobError
+from threadline.files import tick_table
 from threadline.jobs.operations import Move
 from threadline.jobs.seam import read_seam
-from threadline.kinds.needle_columns import NeedleColumns
 from threadline.machine import Machine, load_machine
-from threadline.options import options_of
-from threadline.pipeline import NOMINAL, plan_job, try_plan
-from threadline.plan import Plan
-from threadline.search.needle import needle_range_hz
-from threadline.signals import tick_table
+from threadline.proof.kinds.ticks import NeedleColumns
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import NOMINAL, plan_job, try_plan
+from threadline.search.feed import needle_range_hz
 from threadline.verdict import Verdict, load_spec
+from threadline.verdict.demands import measure_needle_use
 from threadline.verdict.needle import Stitches, planned_stitches
-from threadline.verdict.needle_use import measure_needle_use
-from threadline.verdict.stitches import turn_error
+from threadline.verdict.stitch_run import turn_error
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FOLLOW = EXAMPLES / "stitcher-follow.seam.toml"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from threadline.drawing.read_csv import _KNOWN as COLUMNS
-from threadline.drawing.written import _POINT, CONTOUR_KEYS
 from threadline.errors import JobError, Place
+from threadline.geometry.contours import _POINT, CONTOUR_KEYS
+from threadline.geometry.read_csv import _KNOWN as COLUMNS
 from threadline.jobs import read_job
 from threadline.jobs.seam.read_toml import _DRAWING, _SEAM, DEFAULT_GAP_M
 from threadline.jobs.seam.settings import _SETTINGS, Stitching, stitching

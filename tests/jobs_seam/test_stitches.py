@@ -12,21 +12,13 @@ from scipy.optimize import brentq
 
 from threadline.errors import JobError
 from threadline.jobs import read_job
-from threadline.jobs.operations import (
-    Dwell,
-    FeedMode,
-    Job,
-    Move,
-    MoveRun,
-    Operation,
-    ToolEvent,
-)
+from threadline.jobs.operations import Dwell, FeedMode, Job, Move, MoveRun, Operation, ToolEvent
 from threadline.jobs.seam import read_seam
-from threadline.jobs.seam.journeys import swinging_modes
+from threadline.jobs.seam.corners import swinging_modes
 from threadline.jobs.seam.placement import stitch_count, stitch_lengths
 from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.machine import Machine, load_machine
-from threadline.path import programmed_path
+from threadline.motion.path import programmed_path
 from threadline.sizing import corner_error_m
 
 SPEED = {"stitch_length": "2.5 mm", "needle_speed": "50 stitch/s"}

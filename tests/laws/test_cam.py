@@ -11,12 +11,12 @@ import pytest
 
 from threadline.cli.main import main
 from threadline.errors import OptionError
-from threadline.laws import law
-from threadline.laws.cam import MeasuredCam, Triangle, read_cam
-from threadline.laws.cam_study import CamStudy, Fairing, study_cam
-from threadline.laws.fairing import differences, rebound
-from threadline.laws.measured_rise import noise_of
-from threadline.report.cam import law_figure, rows_figure
+from threadline.motion.laws import law
+from threadline.motion.laws.cam import MeasuredCam, Triangle, read_cam
+from threadline.motion.laws.cam_study import CamStudy, Fairing, study_cam
+from threadline.motion.laws.fairing import differences, rebound
+from threadline.motion.laws.measured_rise import noise_of
+from threadline.report.laws import law_figure, rows_figure
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "schiffli-cam.csv"
 TRIANGLE = Triangle(b_m=0.165, c_m=0.135)

@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from threadline.errors import OptionError
-from threadline.laws import law, read_law, write_law
+from threadline.motion.laws import law, read_law, write_law
 
 
 @pytest.mark.parametrize("name", ["modified-sine", "jerk-limited:1,2,1.5,3,0.5,4,2", "3-4-5"])

@@ -3,7 +3,7 @@ import pytest
 from scipy.integrate import quad
 
 from threadline.errors import OptionError
-from threadline.laws import (
+from threadline.motion.laws import (
     LAWS,
     Pieces,
     extremes,
@@ -15,9 +15,9 @@ from threadline.laws import (
     trapezoid,
     trapezoidal_acceleration,
 )
-from threadline.shaping.designs import ShaperKind, design
-from threadline.shaping.shaped_law import shaped_law
-from threadline.shaping.types import FlexibleMode
+from threadline.motion.shaping.designs import ShaperKind, design
+from threadline.motion.shaping.shaped_law import shaped_law
+from threadline.motion.shaping.types import FlexibleMode
 
 # Published table, exact: Cv, Ca, Cj; None is infinite.
 PI = np.pi

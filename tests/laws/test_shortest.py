@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threadline.errors import OptionError
-from threadline.laws import shortest_move
+from threadline.motion.laws import shortest_move
 
 SIZES = st.floats(-3.0, 3.0).map(lambda power: 10.0**power)
 

@@ -10,14 +10,13 @@ from functools import cache
 
 import numpy as np
 
-from threadline.live.desk import Desk
+from threadline.files import Event, Stream, TickBlock, TickTable
 from threadline.live.executor import Executor
-from threadline.live.kept import Kept
-from threadline.live.sim_faults import SimFault
-from threadline.live.simulated import simulated_of
+from threadline.live.sim_machine import SimFault
+from threadline.live.sim_process import simulated_of
+from threadline.live.states import Desk, Kept
 from threadline.live.wire import Message, decoded
 from threadline.machine import Machine, load_machine
-from threadline.signals import Event, Stream, TickBlock, TickTable
 
 GROUP = 5
 LONGEST_TICKS = 20_000  # no run of a test is that long

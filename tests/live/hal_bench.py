@@ -20,15 +20,23 @@ import numpy as np
 import pytest
 
 from tests.one_hal import one_hal
-from threadline.live import hal_process, hal_session
-from threadline.live.desk import Desk
+from threadline.files import Ended
+from threadline.live import hal_link as hal_process
+from threadline.live import hal_session
 from threadline.live.executor import Executor
-from threadline.live.hal_fifo import HAL_KEY, SAMPLER_KEY, HalFifo, in_use, remove_left
-from threadline.live.hal_session import HalSession, Samples, words_to_end
-from threadline.live.kept import Kept
+from threadline.live.hal_session import (
+    HAL_KEY,
+    SAMPLER_KEY,
+    HalFifo,
+    HalSession,
+    Samples,
+    in_use,
+    remove_left,
+    words_to_end,
+)
+from threadline.live.states import Desk, Kept
 from threadline.live.wire import Connection
 from threadline.machine import Machine
-from threadline.signals import Ended
 
 
 def end_hal() -> None:
@@ -116,8 +124,8 @@ def awake(test: Callable[P, None]) -> Callable[P, None]:
 @contextlib.contextmanager
 def unhurried(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let ticks come late without a fault: HAL has no real time here, and others are at work."""
-    monkeypatch.setattr("threadline.live.lateness.LATE_IN_A_ROW", 1 << 30)
-    monkeypatch.setattr("threadline.live.lateness.LATE_PERIODS", 1e9)
+    monkeypatch.setattr("threadline.live.guards.LATE_IN_A_ROW", 1 << 30)
+    monkeypatch.setattr("threadline.live.guards.LATE_PERIODS", 1e9)
     yield
 
 

@@ -21,18 +21,17 @@ from typing import Any
 import numpy as np
 
 from tests.live.bench import table_of_counts, there_and_back, winder
+from threadline.files import Commands
 from threadline.live import sim_process
-from threadline.live.desk import Desk
 from threadline.live.executor import Executor
-from threadline.live.kept import Kept
+from threadline.live.kinds_run import way_of
 from threadline.live.sim_machine import SimMachine
-from threadline.live.simulated import simulated_of
-from threadline.live.ways import way_of
+from threadline.live.sim_process import simulated_of
+from threadline.live.states import Desk, Kept
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.signals import Commands
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SEND_S = 2.0

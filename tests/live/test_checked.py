@@ -13,17 +13,17 @@ import pytest
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from tests.made import read_once
 from threadline import machine as machine_package
-from threadline import proof_file
 from threadline.cli import report_, run_
 from threadline.cli.main import main
 from threadline.errors import CommandError, LimitError, OptionError, PlanError, ProofError
+from threadline.files import Stream, TickBlock, tick_table
+from threadline.files.formats import read_recording
 from threadline.live.supervised import check_halts, check_override, check_runnable
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import Proof, open_job, plan_job, prove_plan
-from threadline.proof_file import write_proof
-from threadline.signals import Stream, TickBlock, tick_table
-from threadline.signals.files import read_recording
+from threadline.proof import proof_file
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, open_job, plan_job, prove_plan
+from threadline.proof.proof_file import write_proof
 from threadline.verdict import load_spec
 
 LIBRARY = Path(machine_package.__file__).parent / "library"

@@ -12,25 +12,23 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Wire
-from threadline.cli.continued import check_continued, continued_run
+from threadline.cli.operator_keys import check_continued, continued_run
+from threadline.commands.plan import Plan
 from threadline.errors import LimitError, OptionError, RecordingError, StoreError
+from threadline.files import Ended, Recording, played, switch_schedule, tick_table
+from threadline.files.formats import write_recording
 from threadline.live.continuing import Continued, continued, last_executed, operation_at
 from threadline.live.derived import Rest
-from threadline.live.desk import Desk
-from threadline.live.kept import Kept
-from threadline.live.sim_faults import parse_fault
+from threadline.live.kinds_run import way_of
+from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
-from threadline.live.states import Cause
+from threadline.live.states import Cause, Desk, Kept
+from threadline.live.store.run_store import RunStore
 from threadline.live.supervised import run_commands
-from threadline.live.ways import way_of
 from threadline.machine import load_machine
-from threadline.options import Options, options_of
-from threadline.pipeline import open_job, plan_job, prove_plan
-from threadline.plan import Plan
-from threadline.proof_file import read_proof, write_proof
-from threadline.signals import Ended, Recording, played, switch_schedule, tick_table
-from threadline.signals.files import write_recording
-from threadline.store.run_store import RunStore
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import open_job, plan_job, prove_plan
+from threadline.proof.proof_file import read_proof, write_proof
 from threadline.verdict import judge, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

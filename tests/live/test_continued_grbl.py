@@ -16,17 +16,15 @@ import pytest
 from tests.live.grbl_model import GrblModel
 from tests.live.test_grbl import MACHINE, patient, settings
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
+from threadline.files import Ended, tick_table
+from threadline.files.formats import read_recording
 from threadline.live.continuing import continued_by
-from threadline.live.desk import Desk
 from threadline.live.grbl_program import rest_of_program, written_program
-from threadline.live.kept import Kept
 from threadline.live.links import link_of
-from threadline.live.states import Cause
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.plan import Plan
-from threadline.signals import Ended, tick_table
-from threadline.signals.files import read_recording
+from threadline.live.states import Cause, Desk, Kept
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 
 __all__ = ["patient"]
 EXAMPLES = Path(__file__).parents[2] / "examples"

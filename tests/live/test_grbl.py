@@ -15,19 +15,16 @@ import pytest
 from tests.live.grbl_model import BLOCKS, GrblModel
 from threadline.cli.main import main
 from threadline.errors import CommandError, LinkFaultError, OptionError, PlanError
+from threadline.files import Ended
 from threadline.live import grbl_run
-from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller, units_of
-from threadline.live.grbl_port import Port
 from threadline.live.grbl_run import GrblRun
-from threadline.live.grbl_words import Program, program_of, runs_out, status_of
-from threadline.live.kept import Kept
+from threadline.live.grbl_words import Port, Program, program_of, runs_out, status_of
 from threadline.live.links import link_of
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Desk, Kept, State
 from threadline.machine import Machine, load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.signals import Ended
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 MACHINE: Machine = load_machine("stepper-winder")

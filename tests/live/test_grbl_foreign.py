@@ -14,14 +14,11 @@ import pytest
 from tests.live.grbl_model import GrblModel
 from tests.live.test_grbl import MACHINE, go_on, meeting, program, ready, settings
 from threadline.errors import CommandError, LinkFaultError
+from threadline.files import Ended
 from threadline.live import grbl_run
-from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_port import Port
-from threadline.live.grbl_words import settings_of, status_of
-from threadline.live.kept import Kept
-from threadline.live.states import Cause, State
-from threadline.signals import Ended
+from threadline.live.grbl_words import Port, settings_of, status_of
+from threadline.live.states import Cause, Desk, Kept, State
 
 SOON_S = 60.0  # on a busy computer; without an end it would be for ever
 

@@ -14,18 +14,17 @@ from tests.live.test_grbl import EXAMPLES, MACHINE, START, go_on, meeting, progr
 from threadline.cli import operator_keys
 from threadline.cli.operator_keys import AtTheKeys
 from threadline.errors import CommandError, LinkFaultError, OptionError
-from threadline.live import grbl_controller, grbl_run, lateness
-from threadline.live.desk import Desk
+from threadline.files import Ended
+from threadline.live import grbl_controller, grbl_run
+from threadline.live import guards as lateness
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import status_of
-from threadline.live.kept import Kept
-from threadline.live.lateness import clock_s
+from threadline.live.guards import clock_s
 from threadline.live.links import link_of
 from threadline.live.sim_process import SLOWER
-from threadline.live.states import Cause, State
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.signals import Ended
+from threadline.live.states import Cause, Desk, Kept, State
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 
 
 @pytest.fixture(autouse=True)

@@ -10,16 +10,16 @@ import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline.errors import CommandError, LinkFaultError, OptionError
+from threadline.files import Ended, tick_table
 from threadline.live.executor import Executor
 from threadline.live.guards import Guards
 from threadline.live.links import link_of
-from threadline.live.sim_faults import SimFault, parse_fault
+from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.states import State
 from threadline.machine import load_machine
 from threadline.machine.model import Machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.signals import Ended, tick_table
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.twin import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -177,7 +177,7 @@ def test_after_a_fault_nothing_moves_before_reset_enable_and_home() -> None:
     ],
 )
 def test_a_sound_machine_trips_nothing(job: str, machine: str, options: dict[str, object]) -> None:
-    from threadline.option_words import parse_feed
+    from threadline.proof.option_words import parse_feed
 
     chosen: Machine = load_machine(machine)
     if "feed" in options:

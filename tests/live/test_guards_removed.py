@@ -25,24 +25,24 @@ from tests.live import (
     test_tail,
 )
 from tests.live.bench import winder
-from threadline.cli import continued
+from threadline.cli import operator_keys as continued
 from threadline.errors import CommandError, LinkFaultError
-from threadline.live import braking, continuing, executor, guards, lateness, states, supervised
+from threadline.files import Commands
+from threadline.live import braking, continuing, executor, guards, states, supervised
+from threadline.live import guards as lateness
 from threadline.live.ahead import Ahead
-from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.far_end import FarEnd
 from threadline.live.guards import Guards
 from threadline.live.jogging import JogAhead
 from threadline.live.scans_ahead import ScansAhead
+from threadline.live.sim_kinds import SimRows
 from threadline.live.sim_machine import SimMachine
-from threadline.live.sim_rows import SimRows
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Desk, State
 from threadline.live.wire import Message
-from threadline.options import Options
-from threadline.pipeline import Proof, open_job, plan_job, prove_plan
-from threadline.proof_file import ProofFile, write_proof
-from threadline.signals import Commands
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, open_job, plan_job, prove_plan
+from threadline.proof.proof_file import ProofFile, write_proof
 from threadline.verdict import load_spec
 
 _extend, _start, _approached = JogAhead.extend, Executor.start, supervised.approached

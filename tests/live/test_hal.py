@@ -30,20 +30,17 @@ from tests.live.test_pace import plan_ticks
 from threadline import machine as machine_package
 from threadline.cli.main import main
 from threadline.errors import LinkFaultError
+from threadline.files import Ended
 from threadline.live import hal_session
 from threadline.live.continuing import Continued
 from threadline.live.derived import rest_of_rows
-from threadline.live.desk import Desk
 from threadline.live.executor import Executor
-from threadline.live.hal_fifo import STREAMER_KEY, in_use
 from threadline.live.hal_rows import HalRows
-from threadline.live.hal_session import HalSession
-from threadline.live.kept import Kept
-from threadline.live.states import Cause, State
+from threadline.live.hal_session import STREAMER_KEY, HalSession, in_use
+from threadline.live.states import Cause, Desk, Kept, State
 from threadline.live.supervised import run_commands
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine, load_machine
-from threadline.signals import Ended
 
 ZERO = np.zeros(3, np.int64)
 ROWS = there_and_back(peak=10.0, cruise=60)  # 36 mm/s on X; 1.8 s in all

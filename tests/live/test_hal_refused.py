@@ -12,11 +12,11 @@ from tests.live.bench import winder
 from tests.live.hal_bench import awake, hal_alone, left_samples, refuse_slept
 from tests.live.test_hal import winder_at_1_ms
 from threadline.errors import LinkFaultError, OptionError
+from threadline.files import Ended
 from threadline.live.hal_link import check_hal
 from threadline.live.hal_session import HalSession
 from threadline.live.links import link_of
 from threadline.machine import load_machine
-from threadline.signals import Ended
 
 ZERO = np.zeros(3, np.int64)
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from tests.live.bench import Bench, winder
+from threadline.commands.plan import Plan
+from threadline.files import Ended, Recording, Stream
+from threadline.files.formats import read_recording, write_recording
 from threadline.jobs import read_job
 from threadline.live.states import Cause, State
-from threadline.options import Options
-from threadline.pipeline import plan_job, simulate
-from threadline.plan import Plan
-from threadline.signals import Ended, Recording, Stream
-from threadline.signals.files import read_recording, write_recording
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, simulate
 from threadline.verdict import Verdict, judge, load_spec
 
 PROGRAM = "G91\nG1 X10 F480\nM00\nX-10\nM30\n"

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back
+from threadline.commands.plan import Plan
+from threadline.files import Ended, Stream, TickBlock, tick_table
 from threadline.live.braking import MOST_PLACES, CountLimits, brake
 from threadline.live.hold_deviation import (
     hold_ahead_m,
@@ -22,10 +24,8 @@ from threadline.live.hold_deviation import (
 from threadline.live.path_window import PathWindow
 from threadline.live.states import Cause, State
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, simulate
-from threadline.plan import Plan
-from threadline.signals import Ended, Stream, TickBlock, tick_table
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, simulate
 from threadline.verdict import load_spec
 
 TICK_S = 0.005

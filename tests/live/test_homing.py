@@ -13,14 +13,12 @@ import pytest
 
 from tests.live.bench import Bench, Wire, table_of_counts, there_and_back, winder
 from tests.live.kill_bench import child
+from threadline.files import Ended
 from threadline.live import sim_process
-from threadline.live.desk import Desk
 from threadline.live.executor import Executor
-from threadline.live.kept import Kept
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Desk, Kept, State
 from threadline.live.supervised import run_commands
 from threadline.live.wire import Connection, Message
-from threadline.signals import Ended
 
 ROWS = there_and_back(cruise=40)
 

@@ -12,15 +12,13 @@ from hypothesis import strategies as st
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from threadline.errors import CommandError
+from threadline.files import Ended
 from threadline.live.braking import CountLimits
-from threadline.live.desk import Desk
 from threadline.live.executor import Executor
 from threadline.live.jogging import JogAhead, manual_feed
-from threadline.live.kept import Kept
 from threadline.live.sim_process import REAL_TIME, sim_link
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Desk, Kept, State
 from threadline.live.wire import Message
-from threadline.signals import Ended
 
 MM = 1e3 / winder().counts_per_unit[1]
 FAST = 20 * MM / 1e3 / 0.005  # 72 mm/s, the manual feed

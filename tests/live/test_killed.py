@@ -18,14 +18,12 @@ import numpy as np
 import pytest
 
 from tests.live.bench import table_of_counts, there_and_back, winder
+from threadline.files import Ended
 from threadline.live import sim_process
-from threadline.live.desk import Desk
 from threadline.live.executor import Executor
-from threadline.live.kept import Kept
-from threadline.live.sim_rows import SimRows
-from threadline.live.states import State
+from threadline.live.sim_kinds import SimRows
+from threadline.live.states import Desk, Kept, State
 from threadline.live.wire import Connection, Message
-from threadline.signals import Ended
 
 ROWS = there_and_back(peak=10.0, cruise=600)  # 36 mm/s on X for 3 s each way
 TABLE = table_of_counts(ROWS)

@@ -18,17 +18,13 @@ import pytest
 from tests.live.grbl_model import BLOCKS, GrblModel
 from tests.live.kill_bench import beside, case, child, kill_executor, kill_machine
 from tests.live.test_grbl import MACHINE, START, program, settings
+from threadline.files import Ended, played, tick_table
 from threadline.live import grbl_run
-from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_port import Port
 from threadline.live.grbl_run import GrblRun
-from threadline.live.grbl_words import runs_out
-from threadline.live.kept import Kept
-from threadline.live.sim_process import group_ticks
-from threadline.live.simulated import simulated_of
-from threadline.live.states import State
-from threadline.signals import Ended, played, tick_table
+from threadline.live.grbl_words import Port, runs_out
+from threadline.live.sim_process import group_ticks, simulated_of
+from threadline.live.states import Desk, Kept, State
 from threadline.twin.stitching import simulate_stitching
 
 DEPTH_S = 0.1

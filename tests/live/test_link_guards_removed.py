@@ -32,20 +32,19 @@ from threadline.live import (
     grbl_run,
     grbl_words,
     hal_rows,
-    lateness,
-    scan_guards,
     wire,
 )
+from threadline.live import guards as lateness
+from threadline.live import guards as scan_guards
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
 from threadline.live.grbl_words import CharacterCount, Status
+from threadline.live.guards import Lateness, ScanGuards, clock_s
 from threadline.live.hal_session import HalSession
-from threadline.live.lateness import Lateness, clock_s
-from threadline.live.scan_guards import ScanGuards
 from threadline.live.scans_ahead import ScansAhead
 from threadline.live.turns_ahead import TurnsAhead
-from threadline.twin.session_part import Part
-from threadline.twin.stitching_session import StitchingSession
+from threadline.twin.row_session import Part
+from threadline.twin.stitching import StitchingSession
 from threadline.twin.switching_session import SwitchingSession
 
 _ask_status, _ask, _guards, _hal = (

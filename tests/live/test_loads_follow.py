@@ -11,17 +11,16 @@ import pytest
 
 from tests.live.bench import Bench
 from tests.made import read_once
+from threadline.commands.plan import Plan
+from threadline.dynamics.analysis import fastest
 from threadline.errors import LimitError
-from threadline.live.desk import Desk
-from threadline.live.kept import Kept
+from threadline.files import Ended, Stream, TickBlock, TickTable, tick_table
+from threadline.live.kinds_run import way_of
 from threadline.live.links import SimLink
-from threadline.live.ways import way_of
+from threadline.live.states import Desk, Kept
 from threadline.machine import Machine, load_machine
-from threadline.options import options_of
-from threadline.pipeline import open_job, plan_job, simulate
-from threadline.plan import Plan
-from threadline.plant.actuator import fastest
-from threadline.signals import Ended, Stream, TickBlock, TickTable, tick_table
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import open_job, plan_job, simulate
 from threadline.verdict import judge, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

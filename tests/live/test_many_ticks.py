@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
+from threadline.files import Event
 from threadline.live.executor import DEPTH_S, MANY_S, Executor
 from threadline.live.guards import Guards
 from threadline.live.states import Cause, State
 from threadline.live.wire import Message
-from threadline.signals import Event
 
 TICKS = 900
 

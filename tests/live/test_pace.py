@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tests.live.bench import Bench, table_of_counts, there_and_back
+from threadline.files import Clock, Ended, RecordingBlock
 from threadline.live.pace import Pace
 from threadline.live.states import Cause
 from threadline.machine import load_machine
-from threadline.signals import Clock, Ended, RecordingBlock
-from threadline.verdict.plan_clock import PlanClock
+from threadline.verdict.progress import PlanClock
 
 ROWS = there_and_back()
 PLACES = np.concatenate([np.zeros((1, 3), np.int64), np.cumsum(ROWS, axis=0)])

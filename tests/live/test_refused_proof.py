@@ -9,9 +9,9 @@ import pytest
 from threadline.errors import ProofError
 from threadline.live.supervised import check_runnable
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, prove_plan
-from threadline.proof_file import write_proof
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, prove_plan
+from threadline.proof.proof_file import write_proof
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

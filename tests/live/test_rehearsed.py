@@ -22,15 +22,15 @@ PROGRAM = """
 import gc, socket, sys, threading
 from pathlib import Path
 from numba.core.registry import CPUDispatcher
-from threadline.live.desk import Desk
+from threadline.live.states import Desk
 from threadline.live.executor import Executor
-from threadline.live.kept import Kept
+from threadline.live.states import Kept
 from threadline.live.sim_process import serve
-from threadline.live.ways import way_of
+from threadline.live.kinds_run import way_of
 from threadline.live.wire import Connection
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 
 def loaded():
     every = [one for one in gc.get_objects() if isinstance(one, CPUDispatcher)]

@@ -13,16 +13,16 @@ import pytest
 from tests.live.bench import Bench
 from tests.made import read_once
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LimitError
-from threadline.live.sim_faults import SimFault, parse_fault
+from threadline.files import Ended, Recording, switch_schedule
+from threadline.files.formats import read_recording
+from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.states import Cause, State
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.plan import Plan
-from threadline.signals import Ended, Recording, switch_schedule
-from threadline.signals.files import read_recording
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.twin.switching import simulate_switching
 from threadline.verdict import Criterion, Result, Spec, judge
 

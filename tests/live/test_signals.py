@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from tests.live.kill_bench import child
-from threadline.store.run_store import RunStore
+from threadline.live.store.run_store import RunStore
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 STARTS = """

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from tests.live.bench import Bench, table_of_counts, there_and_back, winder
 from tests.made import read_once
+from threadline.files import ChannelKind, Ended, Recording
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import PathWindow
 from threadline.live.states import Cause, State
-from threadline.signals import ChannelKind, Ended, Recording
 from threadline.twin import simulate
 
 ROWS = there_and_back()

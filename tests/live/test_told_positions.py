@@ -14,14 +14,14 @@ from tests.made import read_once
 from tests.test_limits_alone import MACHINE as LIMITS_ALONE
 from threadline.cli.main import main
 from threadline.errors import OptionError
-from threadline.live.sim_faults import parse_fault
+from threadline.files import Ended, TickTable, tick_table
+from threadline.files.formats import read_recording
+from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
 from threadline.live.states import State
 from threadline.machine import Machine, load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.signals import Ended, TickTable, tick_table
-from threadline.signals.files import read_recording
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.twin import session_of, simulate
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

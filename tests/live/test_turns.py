@@ -13,25 +13,16 @@ import pytest
 from tests.live.bench import Bench
 from tests.made import read_once
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import LimitError
-from threadline.live.sim_faults import SimFault
+from threadline.files import Ended, Event, Recording, StepPlay, StitchBlock, Stream, played
+from threadline.files.formats import read_recording
+from threadline.live.sim_machine import SimFault
 from threadline.live.states import Cause, State
 from threadline.machine import Machine, load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.plan import Plan
-from threadline.signals import (
-    Ended,
-    Event,
-    Recording,
-    StepPlay,
-    StitchBlock,
-    Stream,
-    played,
-)
-from threadline.signals.files import read_recording
-from threadline.twin.stitching import simulate_stitching
-from threadline.twin.stitching_session import COLUMNS
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
+from threadline.twin.stitching import COLUMNS, simulate_stitching
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 TURNS = 9

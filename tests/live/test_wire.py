@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threadline.errors import LinkFaultError
+from threadline.files import Event
 from threadline.live.wire import Connection, Message, decoded, event_of, event_told
-from threadline.signals import Event
 
 HEADS = st.dictionaries(
     st.text(max_size=10),

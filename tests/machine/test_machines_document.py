@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from threadline.dynamics.analysis import unstable_loops
+from threadline.dynamics.suspicions import suspicions
 from threadline.machine import load_machine
+from threadline.machine.numbers import field_node, plain_node
 from threadline.machine.quantity import Provenance
-from threadline.machine.schema import field_node, plain_node
-from threadline.plant.analysis import unstable_loops
-from threadline.plant.suspicions import suspicions
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "machines.md"
 TEXT = DOCUMENT.read_text(encoding="utf-8")

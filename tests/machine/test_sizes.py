@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.dynamics.analysis import analyse_axis
+from threadline.dynamics.linear_model import locked_modes
+from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 from threadline.machine.quantity import LEAST_SI, MOST_SI
-from threadline.plant.analysis import analyse_axis
-from threadline.plant.loop import axis_loop
-from threadline.plant.modes import locked_modes
-from threadline.plant.suspicions import suspicions
-from threadline.plant.values import Values
 from threadline.twin.prescribed import advances_of
 from threadline.twin.switching import SAMPLE_S
-from threadline.twin.switching_tables import cylinders_of
+from threadline.twin.switching_cylinder import cylinders_of
 
 PLACER = {
     "bodies.head.inertia": "1e-300 kg",

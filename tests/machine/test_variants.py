@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from threadline.dynamics.prescribed import prescribed
 from threadline.errors import MachineError, OptionError
 from threadline.machine import library_names, load_machine
 from threadline.machine.numbers import number_at
@@ -20,7 +21,6 @@ from threadline.machine.variants import (
     variant,
     variant_of,
 )
-from threadline.plant.prescribed import prescribed
 
 RULES = """base = "lathe-winder"
 [tolerances]

@@ -8,8 +8,8 @@ import pytest
 
 from tests.onoff.cycles import TRIMMED
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import Proof, prove
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, prove
 from threadline.verdict import load_spec
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.made import Made
 from threadline.cli.main import main
-from threadline.signals import Recording, RecordingBlock
+from threadline.files import Recording, RecordingBlock
 
 TRIMMED = "letter-placer+whole-scans+own-damping"
 

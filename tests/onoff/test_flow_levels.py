@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from threadline.search.levels import time_optimal_s
-from threadline.shaping.onoff.flow_levels import (
+from threadline.motion.shaping.onoff.flow_levels import (
     FlowMove,
     flow_command,
     least_scans,
     shortest_flow_command,
 )
-from threadline.shaping.onoff.valves import Valves
+from threadline.motion.shaping.onoff.switched import Valves
+from threadline.search.move_commands import time_optimal_s
 
 SCAN_S = 0.01
 POLE = -0.154 + 18.27j

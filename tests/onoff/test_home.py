@@ -15,13 +15,13 @@ from tests.plc.parts import read_in_parts
 from tests.plc.pistons import Cell
 from tests.plc.stuck import forbidden
 from threadline.cli.main import main
+from threadline.commands.plc_watch import home_order, home_places
+from threadline.commands.schedule_moves import home_stage
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, write
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, write
 from threadline.search.move_list import move_list
-from threadline.targets.homing import home_stage
-from threadline.targets.plc_home import home_order, home_places
 from threadline.twin.switching import simulate_switching
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"

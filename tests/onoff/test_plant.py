@@ -12,18 +12,18 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
+from threadline.dynamics.pneumatic import (
+    cylinder_equations,
+    flow_mode,
+    frame_mode,
+    network_of,
+    step_ringing,
+)
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import Quantity
-from threadline.plant.cylinders import cylinder_equations, network_of
-from threadline.plant.pneumatic import (
-    flow_mode,
-    frame_mode,
-    step_ringing,
-)
-from threadline.plant.values import Values
-from threadline.twin.switching_cylinder import advance
-from threadline.twin.switching_tables import cylinders_of
+from threadline.twin.switching_cylinder import advance, cylinders_of
 
 M1, MC, M2, K1, K2, B1, B2 = 19.78 + 53.76, 1.0, 6.0, 2.7e4, 1e8, 24.0, 1.5
 """Table 1 of the paper; Mc is what reproduces its eigenvalues."""

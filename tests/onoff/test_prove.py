@@ -12,14 +12,14 @@ import pytest
 
 from tests.onoff.cycles import TRIMMED, altered, run
 from threadline.cli.prove import show_proof
+from threadline.dynamics.pneumatic import step_ringing
 from threadline.errors import OptionError, RecordingError, SpecError
+from threadline.files import SwitchSchedule
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import Proof, plan_job
-from threadline.plant.pneumatic import step_ringing
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, plan_job
 from threadline.report.switching import shaping_rows
-from threadline.signals import SwitchSchedule
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 from threadline.verdict import Status, judge, load_spec, verdict_json
 

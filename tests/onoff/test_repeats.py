@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 
 from tests.blank_pictures import blank_pictures
-from threadline import pipeline
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
+from threadline.files import Recording
 from threadline.jobs import read_job
-from threadline.kinds import kind_of
-from threadline.kinds.retold import retold
 from threadline.machine import load_machine
 from threadline.machine.variants import uncertain, variant
-from threadline.options import Options
-from threadline.pipeline import Trials, plan_job, prove_plan, simulate
-from threadline.plan import Plan
-from threadline.signals import Recording
+from threadline.proof import pipeline
+from threadline.proof.kinds import kind_of
+from threadline.proof.kinds.variants import retold
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Trials, plan_job, prove_plan, simulate
 from threadline.verdict import Criterion, Spec, Status, judge, load_spec
 
 CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"

@@ -9,15 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.plc_watch import home_places
+from threadline.commands.schedule import Scheduled, ScheduledMove, compile_schedule
+from threadline.commands.schedule_options import shaping_of
+from threadline.dynamics.pneumatic import flow_mode, step_ringing
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import prove
-from threadline.plant.pneumatic import flow_mode, step_ringing
+from threadline.motion.shaping import FlexibleMode
+from threadline.proof.options import Options
+from threadline.proof.pipeline import prove
 from threadline.report import write_report
-from threadline.report.onoff import break_figure
-from threadline.report.petri_net import petri_figures
 from threadline.report.style import figure_style
+from threadline.report.switching import break_figure, petri_figures
 from threadline.report.switching_figures import cycle_figure, frame_figure, residual_figure
 from threadline.search.broken_beam import (
     break_on_twin,
@@ -27,10 +30,6 @@ from threadline.search.broken_beam import (
     train_of,
 )
 from threadline.search.studied import studied
-from threadline.shaping import FlexibleMode
-from threadline.targets.plc_home import home_places
-from threadline.targets.schedule import Scheduled, ScheduledMove, compile_schedule
-from threadline.targets.schedule_options import shaping_of
 from threadline.verdict import load_spec
 
 TRIMMED = "letter-placer+whole-scans+own-damping"

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.plc_net import petri_net
+from threadline.commands.schedule import Scheduled, compile_schedule
+from threadline.commands.schedule_options import shaping_of
+from threadline.dynamics.pneumatic import step_ringing
 from threadline.errors import JobError, PlanError, RecordingError
+from threadline.files import SwitchSchedule
 from threadline.jobs import read_job
 from threadline.jobs.operations import WaitInput
 from threadline.machine import load_machine
-from threadline.plant.pneumatic import step_ringing
-from threadline.signals import SwitchSchedule
-from threadline.targets.plc_net import petri_net
-from threadline.targets.schedule import Scheduled, compile_schedule
-from threadline.targets.schedule_options import shaping_of
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 
 TRIMMED = "letter-placer+whole-scans+own-damping"

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from threadline.dynamics.pneumatic import cylinder_equations
 from threadline.errors import MachineError
+from threadline.files import Clock, Event, SwitchSchedule
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import number_at
 from threadline.machine.variants import drawn, numbers_at, variant
-from threadline.options import Options
-from threadline.pipeline import prove
-from threadline.plant.cylinders import cylinder_equations
-from threadline.signals import Clock, Event, SwitchSchedule
+from threadline.proof.options import Options
+from threadline.proof.pipeline import prove
 from threadline.twin.switching import SwitchOptions, simulate_switching, simulate_switchings
 from threadline.verdict import load_spec
 

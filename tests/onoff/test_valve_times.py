@@ -12,23 +12,22 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.onoff.test_twin import plain, schedule
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.cli.main import main
+from threadline.commands.schedule import compile_schedule
+from threadline.commands.schedule_moves import valves_of
+from threadline.dynamics.pneumatic import cylinder_equations, step_ringing
 from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import Quantity
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.plant.cylinders import cylinder_equations
-from threadline.plant.pneumatic import step_ringing
+from threadline.motion.shaping.onoff.flow_levels import FlowMove, flow_command, least_scans
+from threadline.motion.shaping.onoff.switched import Valves
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.search.cycle_robust import robust_cycle
-from threadline.search.levels import left_ringing
+from threadline.search.move_commands import left_ringing
 from threadline.search.move_list import move_list
-from threadline.shaping.onoff.flow_levels import FlowMove, flow_command, least_scans
-from threadline.shaping.onoff.valves import Valves
-from threadline.targets.schedule import compile_schedule
-from threadline.targets.schedule_moves import valves_of
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 from threadline.verdict import load_spec
 

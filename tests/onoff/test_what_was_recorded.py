@@ -12,11 +12,11 @@ import pytest
 
 from tests.onoff.cycles import TRIMMED, altered, run
 from threadline.errors import RecordingError
+from threadline.files import Recording, RecordingBlock, Stream
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import Proof, plan_job, prove, prove_plan
-from threadline.signals import Recording, RecordingBlock, Stream
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, plan_job, prove, prove_plan
 from threadline.verdict import Criterion, Status, judge, load_spec
 from threadline.verdict.switch_run import SwitchRun
 

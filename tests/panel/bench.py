@@ -20,21 +20,19 @@ from starlette.testclient import TestClient, WebSocketTestSession
 from starlette.types import ASGIApp
 
 from tests.live.bench import winder
-from threadline.live.desk import Desk
-from threadline.live.link_operated import RowsOperated, at_link
+from threadline.live.links import RowsOperated, at_link
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import _in_step, group_ticks
-from threadline.live.simulated import simulated_of as simulated_type
+from threadline.live.sim_process import simulated_of as simulated_type
+from threadline.live.states import Desk
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 from threadline.panel.admission import Admission
 from threadline.panel.calculating import calculate
-from threadline.panel.calculation import Calculation
+from threadline.panel.calculation import Calculation, MachineGuide
 from threadline.panel.kept_runs import KeptRuns
-from threadline.panel.machine_guide import MachineGuide
 from threadline.panel.owner import Owner
-from threadline.panel.owner_link import OwnerLink
-from threadline.panel.owner_process import Owned, serve_owned
+from threadline.panel.owner_process import Owned, OwnerLink, serve_owned
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate
 from threadline.panel.server import make_app

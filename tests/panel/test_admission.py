@@ -25,12 +25,7 @@ from threadline.errors import InputError, JobError, OptionError
 from threadline.machine import load_machine
 from threadline.panel import admission, server
 from threadline.panel.admission import Admission, PromptHttp
-from threadline.panel.project_programs import (
-    planned,
-    program_names,
-    program_path,
-    take_program,
-)
+from threadline.panel.programs import planned, program_names, program_path, take_program
 from threadline.panel.protocol import MOST_TEXT, Calculate
 
 TOKEN = "correct-horse-battery"

@@ -8,10 +8,10 @@ import pytest
 
 from threadline.jobs.reading import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
 from threadline.panel.calculating import circuits_and_points
-from threadline.pipeline import plan_job
-from threadline.report.circuits import count_circuits
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
+from threadline.report.motion import count_circuits
 
 MACHINE = load_machine("lathe-winder")
 

@@ -8,8 +8,7 @@ from itertools import count
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from threadline.panel.clients import SEEN_S, Client
-from threadline.panel.control import ASKED_S, CONTROL_LEASE_S, ControlLease
+from threadline.panel.control import ASKED_S, CONTROL_LEASE_S, SEEN_S, Client, ControlLease
 
 STEPS = st.lists(
     st.tuples(

@@ -15,12 +15,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from tests.panel.bench import LOCAL, served
-from threadline.drawing.curves import Pieces
-from threadline.drawing.svg.attribute_values import ValueRefused
-from threadline.drawing.svg.path_data import Subpath, path_subpaths
 from threadline.errors import JobError
-from threadline.panel import drawn_apart
-from threadline.panel.children import answer_of
+from threadline.geometry.curves import Pieces
+from threadline.geometry.svg.document import ValueRefused
+from threadline.geometry.svg.paths import Subpath, path_subpaths
+from threadline.panel import drawn as drawn_apart
+from threadline.panel.calculation import answer_of
 from threadline.panel.drawn import Lettering, Shape, dxf, opened, outlines, shapes_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -21,16 +21,13 @@ from tests.live.kill_bench import child
 from tests.live.test_grbl import settings
 from tests.panel.bench import Operator, operator, proven, served
 from threadline.live import grbl_run
-from threadline.live.desk import Desk
-from threadline.live.grbl_by_hand import AHEAD_S
-from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_controller import AHEAD_S, Controller
 from threadline.live.grbl_operated import GrblOperated
-from threadline.live.grbl_port import Port
-from threadline.live.kept import Kept
-from threadline.live.link_operated import at_link
-from threadline.live.states import State
+from threadline.live.grbl_words import Port
+from threadline.live.links import at_link
+from threadline.live.states import Desk, Kept, State
+from threadline.live.store.run_store import opened
 from threadline.machine import load_machine
-from threadline.store.run_store import opened
 
 STEPPER = load_machine("stepper-winder")
 PATIENCE_S = 60.0  # on a busy computer

@@ -28,12 +28,12 @@ from tests.panel.bench import (
     served,
 )
 from threadline.live.states import Cause, State
+from threadline.live.store.run_store import opened
 from threadline.live.wire import Connection, Message
 from threadline.panel import calculating, kept_runs
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 from threadline.panel.panel import _told_end
-from threadline.store.run_store import opened
 
 SPEED = 2.0
 

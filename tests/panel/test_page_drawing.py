@@ -9,7 +9,7 @@ import ezdxf
 
 from tests.panel.browsing import Browser, Page, expect, opened, part, press, shot, typed
 from tests.panel.test_panel_killed import Plant
-from threadline.drawing.svg.read_svg import read_svg
+from threadline.geometry.svg.read_svg import read_svg
 
 
 def data(page: Page, shape: int) -> str:

@@ -9,14 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from threadline.doubts import doubts
 from threadline.machine import load_machine
-from threadline.options import Options
 from threadline.panel.calculating import figures
-from threadline.panel.clients import Client
-from threadline.panel.page_words import FIELDS, in_page_words
+from threadline.panel.control import FIELDS, Client, in_page_words
 from threadline.panel.protocol import Answer, Figures, Said
-from threadline.pipeline import NOMINAL, prove
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, prove
+from threadline.proof.recorded import doubts
 from threadline.verdict import load_spec
 
 ROOT = Path(__file__).parents[2]

@@ -23,13 +23,13 @@ from tests.panel.browsing import (
     typed,
 )
 from tests.panel.test_panel_killed import Plant
+from threadline.files.formats import read_recording
 from threadline.jobs.operations import Move
 from threadline.machine import load_machine
-from threadline.options import Options
 from threadline.panel.drawn import shapes_of
 from threadline.panel.thinned_traces import thinned
-from threadline.pipeline import open_job
-from threadline.signals.files import read_recording
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job
 
 
 def test_the_trace_after_a_run_and_its_export(

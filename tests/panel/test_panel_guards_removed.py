@@ -17,14 +17,15 @@ from tests.panel import (
     test_operator,
 )
 from tests.panel.bench import PROGRAM, proven, served
-from threadline import input_files
-from threadline.live import grbl_by_hand, supervised
+from threadline.base import reading as input_files
+from threadline.live import grbl_controller as grbl_by_hand
+from threadline.live import supervised
 from threadline.live.grbl_operated import GrblOperated
 from threadline.live.states import Cause
-from threadline.panel import owner, project_programs
+from threadline.panel import owner
+from threadline.panel import programs as project_programs
 from threadline.panel.admission import Admission
-from threadline.panel.clients import Client
-from threadline.panel.control import ControlLease
+from threadline.panel.control import Client, ControlLease
 from threadline.panel.owner import Owner
 from threadline.panel.panel import Panel
 

@@ -23,7 +23,7 @@ from websockets.sync.client import ClientConnection, connect
 from tests.live.bench import winder
 from tests.live.test_killed import Watched
 from tests.panel.bench import Operator, app_of, child, machine_thread, own_here, proven
-from threadline.live.sim_rows import SimRows
+from threadline.live.sim_kinds import SimRows
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 

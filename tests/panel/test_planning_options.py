@@ -9,18 +9,16 @@ from typing import Any
 
 import pytest
 
+from threadline.base.option_defaults import DEFAULT_CONTOUR_M, DEFAULT_TOLERANCE
 from threadline.cli.main import main
 from threadline.errors import OptionError
-from threadline.kinds import kind_of
 from threadline.machine import load_machine
-from threadline.option_defaults import DEFAULT_CONTOUR_M, DEFAULT_TOLERANCE
-from threadline.option_form import Door
-from threadline.option_table import (
-    options_for,
-)
-from threadline.options import options_of
 from threadline.panel.calculating import calculate
 from threadline.panel.protocol import Calculate
+from threadline.proof.kinds import kind_of
+from threadline.proof.option_form import Door
+from threadline.proof.option_table import options_for
+from threadline.proof.options import options_of
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"

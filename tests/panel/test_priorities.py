@@ -11,9 +11,8 @@ from tests.live.bench import winder
 from tests.panel.bench import CASES, PROGRAM
 from threadline.errors import OptionError
 from threadline.machine import load_machine
-from threadline.panel.priorities import by_priority
-from threadline.panel.project_programs import planned, program_path, words_of
-from threadline.pipeline import NOMINAL, open_job, prove_plan
+from threadline.panel.programs import by_priority, planned, program_path, words_of
+from threadline.proof.pipeline import NOMINAL, open_job, prove_plan
 from threadline.verdict import load_spec
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.panel.bench import Operator, operator, proven, served
-from threadline.signals.files import read_recording
-from threadline.store.run_store import opened
+from threadline.files.formats import read_recording
+from threadline.live.store.run_store import opened
 
 
 def judged(anna: Operator) -> str:

@@ -18,11 +18,12 @@ from tests.panel import bench
 from tests.panel.bench import Known, Operator, operator, proven, served
 from threadline.cli.panel_ import _to_standard_error
 from threadline.errors import CommandError
-from threadline.live.lateness import clock_s
-from threadline.panel import kept_runs, owner_link
+from threadline.live.guards import clock_s
+from threadline.panel import kept_runs
+from threadline.panel import owner_process as owner_link
 from threadline.panel.calculation import Calculation
 from threadline.panel.kept_runs import KeptRuns
-from threadline.panel.owner_link import OwnerLink
+from threadline.panel.owner_process import OwnerLink
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate, Figures
 

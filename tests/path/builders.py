@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from hypothesis import strategies as st
 
+from threadline.files import Stream
 from threadline.jobs.operations import Feed, FeedMode, Job, Move, Operation, Source, Stop
-from threadline.signals import Stream
 
 COUNTS = FeedMode.COUNT_PER_TICK
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
-from threadline.path import path_deviation, plan_path, programmed_path
-from threadline.path.auto import auto_pieces
+from threadline.motion.path import path_deviation, plan_path, programmed_path
+from threadline.motion.path.auto import auto_pieces
 
 from .builders import job_of, polylines, there_and_back
 

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from threadline.files import Stream
 from threadline.jobs.operations import Feed
 from threadline.machine import load_machine
-from threadline.path import (
+from threadline.motion.path import (
     PieceBlock,
     PlannedPath,
     Timing,
@@ -11,7 +12,6 @@ from threadline.path import (
     plan_path,
     programmed_path,
 )
-from threadline.signals import Stream
 
 from .builders import COUNTS, job_of, there_and_back
 

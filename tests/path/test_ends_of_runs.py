@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from threadline.files import Stream
 from threadline.machine import load_machine
-from threadline.path import path_deviation, plan_path
-from threadline.path.polygon import ANY_CUT, turns
-from threadline.path.runs import runs
-from threadline.path.types import ProgrammedPath, VertexBlock
-from threadline.signals import Stream
+from threadline.motion.path import path_deviation, plan_path
+from threadline.motion.path.polygon import ANY_CUT, turns
+from threadline.motion.path.runs import runs
+from threadline.motion.path.types import ProgrammedPath, VertexBlock
 
 WINDER = load_machine("lathe-winder")
 

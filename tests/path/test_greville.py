@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
+from threadline.files import Stream
 from threadline.machine import load_machine
-from threadline.path import plan_path
-from threadline.path.auto import auto_pieces, points_added
-from threadline.path.greville import CUT, cut_of, quartic_spacing, quartic_spans
-from threadline.path.polygon import QUARTIC, control_polygon, turns
-from threadline.path.runs import Vertices
-from threadline.path.types import ProgrammedPath, VertexBlock
-from threadline.signals import Stream
+from threadline.motion.path import plan_path
+from threadline.motion.path.auto import auto_pieces, points_added
+from threadline.motion.path.greville import CUT, cut_of, quartic_spacing, quartic_spans
+from threadline.motion.path.polygon import QUARTIC, control_polygon, turns
+from threadline.motion.path.runs import Vertices
+from threadline.motion.path.types import ProgrammedPath, VertexBlock
 
 U = np.linspace(0.0, 1.0, 65)
 

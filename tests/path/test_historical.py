@@ -7,8 +7,8 @@ from scipy.interpolate import BSpline
 from threadline.errors import OptionError
 from threadline.jobs.operations import Dwell, Feed, Source
 from threadline.machine import load_machine
-from threadline.path import plan_path, programmed_path
-from threadline.trajectory import plan_trajectory
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.timing import plan_trajectory
 
 from .builders import COUNTS, job_of, there_and_back
 

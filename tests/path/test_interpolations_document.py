@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from tests.with_firmware import winder_with_grbl
+from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.path import interpolation_names
-from threadline.path.interpolations import FIRMWARE, KEEPING_TOLERANCE
-from threadline.pipeline import plan_job
-from threadline.plan import Plan
+from threadline.motion.path import interpolation_names
+from threadline.motion.path.interpolations import FIRMWARE, KEEPING_TOLERANCE
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.verdict.deviation import measure_path_deviation
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from threadline.path import path_deviation
-from threadline.path.nearest import SAMPLES, _nearest_on_piece
+from threadline.motion.path import path_deviation
+from threadline.motion.path.deviation import SAMPLES, _nearest_on_piece
 
 from .test_deviation import path_of, programmed
 

@@ -4,7 +4,7 @@ import pytest
 from threadline.errors import LimitError, PlanError
 from threadline.jobs.operations import Dwell, Feed, FeedMode, SetOutput, Source
 from threadline.machine import load_machine
-from threadline.path import programmed_path
+from threadline.motion.path import programmed_path
 
 from .builders import COUNTS, job_of
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
-from threadline.path import path_deviation, plan_path, programmed_path
-from threadline.trajectory import check_limits, plan_trajectory
+from threadline.motion.path import path_deviation, plan_path, programmed_path
+from threadline.motion.timing import check_limits, plan_trajectory
 
 from .builders import COUNTS, job_of, polylines
 from .test_auto import gap_to_polyline, pieces, sampled

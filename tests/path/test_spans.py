@@ -5,8 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.path.polygon import turns
-from threadline.path.spans import _EVEN, _MOST_PARTS, _count, _cut_and_joined, _nominal, _parts
+from threadline.motion.path.polygon import (
+    _EVEN,
+    _MOST_PARTS,
+    _count,
+    _cut_and_joined,
+    _nominal,
+    _parts,
+    turns,
+)
 
 CASES = 200
 

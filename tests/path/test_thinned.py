@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.path.test_auto import gap_to_polyline
-from threadline.path.auto import auto_pieces
-from threadline.path.polygon import turns
-from threadline.path.runs import runs
-from threadline.path.thinned import SHARES, Thinner
-from threadline.path.types import ProgrammedPath, VertexBlock
-from threadline.signals import Stream
-from threadline.trajectory import retime
+from threadline.files import Stream
+from threadline.motion.path.auto import auto_pieces
+from threadline.motion.path.polygon import turns
+from threadline.motion.path.runs import runs
+from threadline.motion.path.thinned import SHARES, Thinner
+from threadline.motion.path.types import ProgrammedPath, VertexBlock
+from threadline.motion.timing import retime
 
 CUT_M = 1e-4
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.plant.closed_loop import Answer
+from threadline.dynamics.responses import Answer
 
 
 @pytest.mark.parametrize("taps", [1, 2, 7, 300])

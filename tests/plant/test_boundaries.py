@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.plant.boundaries import (
+from threadline.dynamics.margins import (
     DOUBLE,
     SIMPLE,
     not_decaying,

@@ -7,13 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from threadline.dynamics.linear_model import linear_model
+from threadline.dynamics.network import connected_groups, piecewise_linear
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine.load import load_machine
-from threadline.plant.coupled import connected_groups
-from threadline.plant.linear_model import linear_model
-from threadline.plant.network import piecewise_linear
-from threadline.plant.values import Values
-from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate
 
 HEAD = """

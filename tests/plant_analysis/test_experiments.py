@@ -7,19 +7,20 @@ import dataclasses
 import numpy as np
 import pytest
 
+from threadline.dynamics.loop import axis_loop
 from threadline.errors import OptionError
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import load_machine
-from threadline.plant.loop import axis_loop
-from threadline.report.experiments import experiment_figure, experiment_table
-from threadline.search.campaign import Campaign, run_experiments
+from threadline.report.searches import experiment_figure, experiment_table
 from threadline.search.experiments import (
+    Campaign,
     Sweep,
     constant_speed_gain,
     identify,
     position_step,
+    run_experiments,
     stepped_sine,
 )
-from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate
 
 from . import reference as ref

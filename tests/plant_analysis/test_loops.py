@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 from scipy.special import lambertw
 
-from threadline.arrays import ComplexArray, FloatArray
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics import margins
+from threadline.dynamics.analysis import analyse_axis, loop_figures, unstable_loops
+from threadline.dynamics.loop import Loop, axis_loop, axis_loops
+from threadline.dynamics.margins import loop_margins, margins_of, refined_grid, unstable_count
+from threadline.dynamics.poles import closed_poles, root_locus, zeros_of
+from threadline.dynamics.sampled import DigitalFilter, StateSpace
 from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
-from threadline.plant import margins
-from threadline.plant.analysis import analyse_axis, loop_figures, unstable_loops
-from threadline.plant.controllers import DigitalFilter
-from threadline.plant.delayed import closed_poles
-from threadline.plant.linear import StateSpace
-from threadline.plant.locus import root_locus
-from threadline.plant.loop import Loop, axis_loop, axis_loops
-from threadline.plant.margins import loop_margins, margins_of, refined_grid
-from threadline.plant.nyquist import unstable_count
-from threadline.plant.zeros import zeros_of
 
 from . import reference as ref
 

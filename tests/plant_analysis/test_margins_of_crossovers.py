@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.plant.margins import GainCrossover, Margins, PhaseCrossover
+from threadline.dynamics.margins import GainCrossover, Margins, PhaseCrossover
 
 
 def margins(phases, omegas=None, factors=()) -> Margins:

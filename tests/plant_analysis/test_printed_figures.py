@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from threadline.dynamics.analysis import actuator_of, analyse, analyse_axis, loop_figures
+from threadline.dynamics.linear_model import free_modes, locked_modes
+from threadline.dynamics.loop import axis_loop, axis_loops
+from threadline.dynamics.poles import closed_poles
+from threadline.dynamics.responses import step_response
+from threadline.dynamics.values import Values
 from threadline.machine import load_machine
-from threadline.plant.actuator import actuator_of
-from threadline.plant.analysis import analyse, analyse_axis, loop_figures
-from threadline.plant.delayed import closed_poles
-from threadline.plant.loop import axis_loop, axis_loops
-from threadline.plant.modes import free_modes, locked_modes
-from threadline.plant.step_responses import step_response
-from threadline.plant.values import Values
 
 from . import reference as ref
 

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from threadline.dynamics.analysis import loop_figures
+from threadline.dynamics.loop import axis_loop, axis_loops
+from threadline.dynamics.poles import closed_poles
+from threadline.dynamics.sampled import StateSpace, digital_filter, sample
+from threadline.dynamics.values import Values
 from threadline.machine import load_machine
-from threadline.plant.analysis import loop_figures
-from threadline.plant.controllers import digital_filter
-from threadline.plant.delayed import closed_poles
-from threadline.plant.linear import StateSpace
-from threadline.plant.loop import axis_loop, axis_loops
-from threadline.plant.sampled import sample
-from threadline.plant.values import Values
 
 from . import reference as ref
 

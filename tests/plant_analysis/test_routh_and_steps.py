@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.plant.routh import routh_array, stable_gains, unstable_roots
-from threadline.plant.step_responses import read_step
+from threadline.dynamics.poles import routh_array, stable_gains, unstable_roots
+from threadline.dynamics.responses import read_step
 
 ROOTS = st.lists(
     st.tuples(

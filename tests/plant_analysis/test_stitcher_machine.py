@@ -7,12 +7,12 @@ import importlib.resources
 import numpy as np
 import pytest
 
+from threadline.dynamics.eccentric import current_needed, rigid_motion
+from threadline.dynamics.linear_model import linear_model
+from threadline.dynamics.suspicions import suspicions
 from threadline.errors import MachineError
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
-from threadline.plant.linear_model import linear_model
-from threadline.plant.rigid import current_needed, rigid_motion
-from threadline.plant.suspicions import suspicions
 
 RATIO = 29e-3 / 6
 OVERLAYS = (

@@ -10,8 +10,8 @@ import pytest
 from scipy.linalg import eigh
 
 from threadline.cli.main import main
+from threadline.dynamics.without_loop import analyse_cylinder, analyse_moving
 from threadline.machine import load_machine
-from threadline.plant.without_loop import analyse_cylinder, analyse_moving
 
 TWO_PI = 2.0 * np.pi
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from tests.plc.texts import ROOT, text_of
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, write
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, write
 
 
 def test_the_head_names_the_shaper_and_the_mode_that_was_asked_for() -> None:

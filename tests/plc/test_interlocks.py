@@ -11,8 +11,8 @@ from tests.plc.parts import read_in_parts
 from tests.plc.pistons import Cell
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, write
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, write
 from threadline.search.move_list import overlapped, with_choices
 
 CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"

@@ -17,8 +17,8 @@ from tests.plc.stuck import CONTACTS, watched
 from tests.plc.texts import controller
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, write
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, write
 from threadline.search.move_list import overlapped, with_choices
 
 CYCLE = Path(__file__).resolve().parents[2] / "examples" / "letter-cycle.toml"

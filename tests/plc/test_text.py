@@ -11,11 +11,11 @@ import pytest
 from tests.plc.parts import read_in_parts
 from tests.plc.reading import IDENTIFIER, Unit, code_of, read
 from tests.plc.texts import emitted, text_of, units_of
+from threadline.commands.schedule import compile_schedule
+from threadline.commands.schedule_options import shaping_of
+from threadline.commands.structured_text import structured_text
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.targets.schedule import compile_schedule
-from threadline.targets.schedule_options import shaping_of
-from threadline.targets.structured_text import structured_text
 
 # Keywords and standard names of the standard's annex C that a sequence might be tempted by.
 KEYWORD_TEXT = """

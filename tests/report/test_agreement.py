@@ -15,9 +15,9 @@ from tests.blank_pictures import blank_pictures
 from threadline.cli.main import main
 from threadline.cli.prove import show_proof
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import Proof, Trials, prove
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, Trials, prove
 from threadline.report import write_report
 from threadline.search.studied import studied
 from threadline.units import parse_quantity

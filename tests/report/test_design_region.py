@@ -10,8 +10,8 @@ import pytest
 from threadline.machine import load_machine
 from threadline.report.design import region_figure
 from threadline.report.style import figure_style
-from threadline.search.design_region import Region
-from threadline.search.design_result import Candidate
+from threadline.search.design import Candidate
+from threadline.search.design_search import Region
 
 
 def candidate(belt: float, load: float) -> Candidate:

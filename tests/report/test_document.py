@@ -12,25 +12,25 @@ from matplotlib import image as plt_image
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from threadline.cli.mismatch import show_mismatch
+from threadline.cli.fastest_asked import show_mismatch
+from threadline.dynamics.analysis import analyse_axis
+from threadline.files import Recording
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
-from threadline.plant.analysis import analyse_axis
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.report.analysis import _figures
 from threadline.report.document import Document, Table, changes, run_facts
 from threadline.report.figures import _bars, error_figure
-from threadline.report.mismatch import draw_mismatch
 from threadline.report.proof import write_comparison
 from threadline.report.publish import write_document
+from threadline.report.searches import draw_mismatch
 from threadline.report.style import AXES, LIMIT, figure_style, headed
 from threadline.report.traces import collect
 from threadline.search import Mismatch, compare
-from threadline.search.edges import Interval
+from threadline.search.forbidden import Interval
 from threadline.search.mismatch import CYCLE, NEEDLE
-from threadline.signals import Recording
 from threadline.verdict import Status, Verdict, load_spec
 from threadline.verdict.rendering import closing_of_all
 from threadline.verdict.types import Change, Happening

@@ -10,11 +10,11 @@ import pytest
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import Proof, plan_job, prove_plan
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, plan_job, prove_plan
+from threadline.report.comparison import overlays
 from threadline.report.figures import all_figures
-from threadline.report.overlay import overlays
 from threadline.report.style import figure_style
 from threadline.report.traces import collect
 from threadline.verdict import load_spec

@@ -9,8 +9,7 @@ import pytest
 from threadline.cli.main import main
 from threadline.errors import MachineError
 from threadline.machine import library_names, load_machine
-from threadline.report.guide import guide_of, speed_at
-from threadline.report.guide_cylinders import full_stroke_s
+from threadline.report.guide import full_stroke_s, guide_of, speed_at
 
 
 def test_the_speed_at_a_voltage_is_that_of_the_printed_plant() -> None:

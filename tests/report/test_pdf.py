@@ -16,8 +16,7 @@ from pypdf import PageObject, PdfReader
 
 from threadline.report.document import Document, Table
 from threadline.report.figures import PROFILE_IN
-from threadline.report.pdf import write_pdf
-from threadline.report.pdf_figures import figure_page
+from threadline.report.pdf import figure_page, write_pdf
 from threadline.report.pdf_tables import columns_of
 from threadline.report.style import figure_style
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import Proof, prove
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, prove
 from threadline.report import seam
 from threadline.report.proof import write_report
 from threadline.report.seam import seam_figure

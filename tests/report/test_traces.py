@@ -10,13 +10,12 @@ import pytest
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import Proof, Trials, plan_job, prove_plan
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, Trials, plan_job, prove_plan
 from threadline.report.figures import all_figures
 from threadline.report.style import figure_style
-from threadline.report.thinning import envelope
-from threadline.report.traces import AROUND_SAMPLES, MAX_SAMPLES, _pass_slowly, collect
+from threadline.report.traces import AROUND_SAMPLES, MAX_SAMPLES, _pass_slowly, collect, envelope
 from threadline.verdict import judge, load_spec
 
 AT = 12_345  # of 30 000 samples, alone

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from tests.search.plans import JOB
 
+from threadline.commands.plan import Plan
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.plan import Plan
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.verdict import Spec, load_spec
 
 

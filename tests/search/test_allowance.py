@@ -9,11 +9,11 @@ from types import SimpleNamespace
 
 import pytest
 
+from threadline.commands.plan import Plan
 from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
-from threadline.options import Options, options_of
-from threadline.pipeline import REPEATED, Trials, plan_job, prove_plan
-from threadline.plan import Plan
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import REPEATED, Trials, plan_job, prove_plan
 from threadline.search import FastestJob, Rung, allowance, fastest_job
 from threadline.search.allowance import ALLOWED, options_at
 from threadline.verdict import Result, Spec, Status, Verdict, load_spec

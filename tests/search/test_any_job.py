@@ -18,18 +18,11 @@ from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
-from threadline.search import (
-    Fastest,
-    Interval,
-    fastest_feed,
-    feed_over_tolerances,
-    gentle,
-    mismatch,
-    shaft,
-)
-from threadline.search.gentle import ignores_limits
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
+from threadline.search import Fastest, Interval, fastest_feed, feed_over_tolerances, mismatch, shaft
+from threadline.search import least_limits as gentle
+from threadline.search.least_limits import ignores_limits
 from threadline.verdict import Verdict, load_spec
 
 MACHINE = load_machine("lathe-winder")

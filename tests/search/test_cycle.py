@@ -13,17 +13,17 @@ from tests.search.test_switched_commands import SCAN_S
 
 from threadline.cli import fastest_cycle as of_command
 from threadline.cli.main import main
+from threadline.commands.schedule import Scheduled
 from threadline.errors import PlanError
 from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Move
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, plan_job, prove, prove_plan
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, plan_job, prove, prove_plan
 from threadline.search import mismatch
 from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.move_list import move_list, overlapped
-from threadline.targets.schedule import Scheduled
 from threadline.verdict import Spec, load_spec
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"

@@ -10,8 +10,8 @@ from tests.search.test_cycle import run
 
 from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, write
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, write
 from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.move_list import move_list
 from threadline.verdict import Status, load_spec

@@ -9,24 +9,21 @@ import numpy as np
 import pytest
 
 from threadline.cli import design as command
-from threadline.control import design_lead
+from threadline.dynamics import design_lead
+from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.margins import loop_margins
+from threadline.dynamics.values import Values
 from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
-from threadline.machine.design import Design, DesignParameter, DesignSettings
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.machine.quantity import Provenance, Quantity
-from threadline.options import Options
-from threadline.pipeline import REPEATED, check_loops, plan_job, prove_plan
-from threadline.plant.loop import axis_loop
-from threadline.plant.margins import loop_margins
-from threadline.plant.values import Values
-from threadline.search.design import design, with_delay
-from threadline.search.design_evaluate import Effort, Evaluator
-from threadline.search.design_gains import design_gains
-from threadline.search.design_judge import design_judge
-from threadline.search.design_result import DesignResult
-from threadline.search.design_runs import OtherRuns
+from threadline.machine.tables import Design, DesignParameter, DesignSettings
+from threadline.proof.options import Options
+from threadline.proof.pipeline import REPEATED, check_loops, plan_job, prove_plan
+from threadline.search.design import DesignResult, design, with_delay
+from threadline.search.design_evaluate import Effort, Evaluator, design_gains
+from threadline.search.design_judge import OtherRuns, design_judge
 from threadline.search.design_search import with_settings
 from threadline.search.design_space import design_space
 from threadline.verdict import Spec, load_spec

@@ -10,12 +10,11 @@ import pytest
 from threadline.errors import MachineError, OptionError
 from threadline.machine import load_machine
 from threadline.machine.numbers import number_at
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, Trials, prove
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Trials, prove
 from threadline.search.design import design
-from threadline.search.design_alone import share_used
-from threadline.search.design_evaluate import Effort
+from threadline.search.design_evaluate import Effort, share_used
 from threadline.search.design_files import write_design
 from threadline.verdict import Result, Status, Verdict, load_spec
 

@@ -13,12 +13,12 @@ import pytest
 from threadline.cli.main import main
 from threadline.errors import OptionError
 from threadline.jobs import Job, read_job
-from threadline.jobs.gcode.f_words import as_f_words
+from threadline.jobs.gcode.feeds import as_f_words
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine, load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import plan_job
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.search.feed import feed_range_m_s, searched_by
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -21,9 +21,9 @@ from threadline.errors import OptionError, PlanError
 from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine, load_machine
-from threadline.option_words import feed_words, parse_feed
-from threadline.options import Options, options_of
-from threadline.pipeline import plan_job, write
+from threadline.proof.option_words import feed_words, parse_feed
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import plan_job, write
 from threadline.search.feed import search_range, searched_by
 
 PLUNGE = "G21 G90\nG0 X10 Y10\nG1 Y8 F333\nG1 X60 F1000\nG1 Y12 F333\nG93\nX50 F30\nG0 X0 Y0\nM2\n"

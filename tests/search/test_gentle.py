@@ -12,14 +12,15 @@ import pytest
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.option_words import parse_share, share_words
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
-from threadline.search import fastest_job, gentle
-from threadline.search.edges import Interval
+from threadline.proof.option_words import parse_share, share_words
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
+from threadline.search import fastest_job
+from threadline.search import least_limits as gentle
+from threadline.search.allowance import Rung
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
-from threadline.search.rungs import Rung
+from threadline.search.forbidden import Interval
 from threadline.verdict import Verdict, load_spec
 
 

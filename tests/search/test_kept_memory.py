@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.search import judge_runs
 from threadline.search.machine_yield import MachineYield
 from threadline.verdict import load_spec

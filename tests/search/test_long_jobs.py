@@ -15,22 +15,22 @@ from tests.jobs.made_machines import made_machine
 from tests.search.test_fastest import verdict
 from tools import long_winding
 
-from threadline.cli.controller_settings import settings_words
+from threadline.cli.found import settings_words
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Feed, FeedMode, Move
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.options import Options
-from threadline.pipeline import plan_job, try_plan
-from threadline.plan import Plan
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search import fastest_job
 from threadline.search import feed as search_feed
+from threadline.search.allowance import FastestJob, Rung
 from threadline.search.distinct import distinct_parts, moves_in
 from threadline.search.fastest import Fastest, Interval, find_fastest
 from threadline.search.feed import fastest_feed
-from threadline.search.rungs import FastestJob, Rung
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, Until
 from threadline.verdict import Verdict, load_spec
 

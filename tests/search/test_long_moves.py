@@ -13,10 +13,10 @@ from threadline.jobs import Job, read_job
 from threadline.jobs.operations import Feed, FeedMode, Move
 from threadline.machine import Machine, load_machine
 from threadline.machine.radii import with_radii
-from threadline.options import Options
-from threadline.pipeline import plan_job, try_plan
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search import fastest_job
-from threadline.search.long_moves import LongMoves
+from threadline.search.distinct import LongMoves
 from threadline.verdict import load_spec
 
 FEED = Feed(FeedMode.FASTEST_AXIS, 0.15)

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from tests.search.plans import JOB
 
-from threadline import pipeline
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
+from threadline.files import tick_table
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.plan import Plan
+from threadline.proof import pipeline
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.search import judge_runs, machine_yield
 from threadline.search.machine_yield import MachineYield
-from threadline.signals import tick_table
 from threadline.twin import simulate
 from threadline.verdict import Spec, judge, load_spec
 

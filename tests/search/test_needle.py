@@ -10,11 +10,11 @@ import pytest
 from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.search import fastest_needle, needle_range_hz
 from threadline.search.fastest import find_fastest
-from threadline.search.refused import beyond
+from threadline.search.feed import beyond
 from threadline.verdict import load_spec
 
 SEAM = """

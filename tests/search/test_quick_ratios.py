@@ -10,8 +10,8 @@ import pytest
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.numbers import number_at
-from threadline.options import Options
-from threadline.pipeline import plan_job
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.search.compare import PLACEMENT, placement_spec
 from threadline.search.design_judge import Ratios, design_judge
 from threadline.verdict import load_spec

@@ -13,16 +13,15 @@ import pytest
 from tests.blank_pictures import blank_pictures
 
 import threadline.machine
-from threadline.cli.fastest_robust import show_robust
+from threadline.cli.fastest_cycle import show_robust
 from threadline.cli.main import main
+from threadline.dynamics.pneumatic import flow_mode, frame_mode
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.vary import mode_off
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove
-from threadline.plant.pneumatic import flow_mode, frame_mode
-from threadline.search.cycle_band import MEASURE
-from threadline.search.cycle_robust import RobustCycle, robust_cycle
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove
+from threadline.search.cycle_robust import MEASURE, RobustCycle, robust_cycle
 from threadline.verdict import load_spec
 
 LIBRARY = Path(threadline.machine.__file__).parent / "library"

@@ -9,15 +9,15 @@ from tests.jobs.made_machines import made_machine
 from tests.search.test_fastest import verdict
 from tests.search.test_long_jobs import winding_blocks, written
 
-from threadline.cli.controller_settings import settings_words
-from threadline.cli.found import resolution_words
+from threadline.base.progress import Progress
+from threadline.cli.found import resolution_words, settings_words
 from threadline.errors import LimitError
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.progress_call import Progress
-from threadline.search import fastest_job, gentle
+from threadline.proof.options import Options
+from threadline.search import fastest_job
+from threadline.search import least_limits as gentle
 from threadline.search.fastest import RANGE, Fastest, Interval, find_fastest
-from threadline.search.shares import Shares
+from threadline.search.least_limits import Shares
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until
 from threadline.verdict import Verdict, load_spec
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from threadline.search.levels import gapped, left_ringing, stepped, time_optimal_s
-from threadline.targets.schedule_moves import AT_ONCE
+from threadline.commands.schedule_moves import AT_ONCE
+from threadline.search.move_commands import gapped, left_ringing, stepped, time_optimal_s
 
 SCAN_S = 0.01
 POLE = -0.15 + 18.3j

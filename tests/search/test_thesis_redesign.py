@@ -12,12 +12,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.analysis import loop_figures
+from threadline.dynamics.loop import axis_loop
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import with_numbers
-from threadline.plant.analysis import loop_figures
-from threadline.plant.loop import axis_loop
-from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin import simulate
 
 INCH = 0.0254

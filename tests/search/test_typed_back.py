@@ -13,13 +13,14 @@ import pytest
 from threadline.cli.found import typed
 from threadline.cli.main import main
 from threadline.jobs import read_job
-from threadline.laws import law, write_law
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
-from threadline.option_words import parse_feed
-from threadline.options import Options, options_of
-from threadline.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, plan_job, prove_plan
-from threadline.search import fastest_needle, gentle, mismatch, shaft
+from threadline.motion.laws import law, write_law
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, plan_job, prove_plan
+from threadline.search import fastest_needle, mismatch, shaft
+from threadline.search import least_limits as gentle
 from threadline.search.fastest import find_fastest
 from threadline.search.feed import fastest_feed
 from threadline.verdict import Result, Status, Verdict, load_spec

@@ -10,26 +10,25 @@ import numpy as np
 import pytest
 from tests.search.test_design import CORNER, NO_REGION, PLACE, two_parameters
 
-from threadline import pipeline
-from threadline.arrays import FloatArray, IntArray
-from threadline.asked import trials_of
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import OptionError
+from threadline.files import tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.variants import drawn, uncertain, variant
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, prove_plan, yielding
-from threadline.plan import Plan
-from threadline.search.cheapest_set import cheapest_set
-from threadline.search.design import design
+from threadline.proof import pipeline
+from threadline.proof.asked import trials_of
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
+from threadline.search.design import Found, design
 from threadline.search.design_evaluate import Evaluator, Tried
-from threadline.search.design_result import Found
+from threadline.search.influence import cheapest_set
 from threadline.search.machine_yield import MachineYield
-from threadline.signals import tick_table
 from threadline.twin import simulate
 from threadline.verdict import Spec, judge, load_spec
-from threadline.verdict.binomial import clopper_pearson
+from threadline.verdict.each_run import clopper_pearson
 from threadline.verdict.types import Level
 
 JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"

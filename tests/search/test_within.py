@@ -16,16 +16,16 @@ import pytest
 
 from threadline.cli.main import main
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.path.interpolations import OPTIMAL
-from threadline.pipeline import open_job
+from threadline.motion.path.interpolations import OPTIMAL
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job
 from threadline.search import cycle_robust
 from threadline.search import shaft as shaft_search
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
 from threadline.search.fastest import find_fastest
-from threadline.search.gentle import fastest_job
-from threadline.search.needle import fastest_needle
+from threadline.search.feed import fastest_needle
+from threadline.search.least_limits import fastest_job
 from threadline.search.shaft import fastest_shaft
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until, as_far_as
 from threadline.verdict import Verdict, load_spec

@@ -17,8 +17,8 @@ import pytest
 from tests.search.plans import JOB
 
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import OptionError, RecordingError
-from threadline.plan import Plan
 from threadline.search import machine_yield
 from threadline.search.machine_yield import MachineYield
 from threadline.search.yield_state import YieldState

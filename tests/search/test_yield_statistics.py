@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import binom, sobol_indices, uniform
 
 from threadline.search.influence import influence
-from threadline.verdict.binomial import clopper_pearson
+from threadline.verdict.each_run import clopper_pearson
 
 
 @pytest.mark.parametrize(("passed", "tried"), [(1, 10), (37, 50), (9_990, 10_000)])

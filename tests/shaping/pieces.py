@@ -9,10 +9,8 @@ import numpy as np
 from tests.made import Made
 
 from threadline.machine import load_machine
-from threadline.shaping import (
-    FlexibleMode,
-)
-from threadline.trajectory import Trajectory, TrajectoryBlock
+from threadline.motion.shaping import FlexibleMode
+from threadline.motion.timing import Trajectory, TrajectoryBlock
 
 MODE = FlexibleMode(12.0, 0.02)
 MACHINE = load_machine("lathe-winder")

@@ -14,18 +14,12 @@ from scipy.integrate import solve_ivp
 from tests.made import Made
 from tests.shaping.pieces import MACHINE, MODE, made, random_pieces, rest_to_rest
 
+from threadline.commands import compile_ticks
 from threadline.errors import LimitError
 from threadline.jobs import read_job
-from threadline.path import plan_path, programmed_path
-from threadline.shaping import (
-    FlexibleMode,
-    Shaper,
-    design,
-    parse_shaper,
-    shape_trajectory,
-)
-from threadline.targets import compile_ticks
-from threadline.trajectory import Trajectory, TrajectoryBlock, limit_peaks, plan_trajectory
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.shaping import FlexibleMode, Shaper, design, parse_shaper, shape_trajectory
+from threadline.motion.timing import Trajectory, TrajectoryBlock, limit_peaks, plan_trajectory
 
 
 def test_ramp_through_two_impulses_has_a_closed_form() -> None:

@@ -9,11 +9,11 @@ import pytest
 from scipy.optimize import linprog
 
 from threadline.cli.main import main
-from threadline.shaping import Requirement, unit_magnitude_over_bands
-from threadline.shaping.onoff.body_and_modes import RestToRest, rings_within, worst_of_each
-from threadline.shaping.onoff.robust import robust_optimum
-from threadline.shaping.oscillator import simulated_vibration
-from threadline.shaping.types import FlexibleMode, Shaper
+from threadline.motion.shaping import Requirement, unit_magnitude_over_bands
+from threadline.motion.shaping.designs import simulated_vibration
+from threadline.motion.shaping.onoff.body_and_modes import RestToRest, rings_within, worst_of_each
+from threadline.motion.shaping.onoff.robust import robust_optimum
+from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 MODES = ("--mode", "3.04Hz:0.0089:20%", "--mode", "8Hz:0.02:10%:4%")
 ASKED = ((3.04, 0.0089, 0.2, 0.05), (8.0, 0.02, 0.1, 0.04))

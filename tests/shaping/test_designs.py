@@ -13,13 +13,19 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from threadline.errors import OptionError
-from threadline.shaping.combine import convolve
-from threadline.shaping.designs import UNIT_MAGNITUDE, ShaperKind, _proved_humps, design
-from threadline.shaping.humps import positive_humps
-from threadline.shaping.oscillator import prove, simulated_vibration
-from threadline.shaping.robustness import insensitivity
-from threadline.shaping.types import FlexibleMode, Shaper, ShaperError
-from threadline.shaping.vibration import residual_vibration, vibration_of
+from threadline.motion.shaping.closed import positive_humps
+from threadline.motion.shaping.designs import (
+    UNIT_MAGNITUDE,
+    ShaperKind,
+    _proved_humps,
+    convolve,
+    design,
+    prove,
+    simulated_vibration,
+)
+from threadline.motion.shaping.response import residual_vibration, vibration_of
+from threadline.motion.shaping.robustness import insensitivity
+from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
 
 ZERO_KINDS = [k for k in ShaperKind if "ei" not in k]
 

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 
 from threadline.errors import OptionError
-from threadline.shaping.combine import convolve
-from threadline.shaping.designs import design
-from threadline.shaping.direct import Requirement, direct_shaper, specified_insensitivity
-from threadline.shaping.klipper import klipper_export, klipper_impulses
-from threadline.shaping.onoff.body_and_modes import RestToRest, worst_ringing
-from threadline.shaping.onoff.switched import residual_front, switched_command
-from threadline.shaping.oscillator import simulated_vibration
-from threadline.shaping.response import pole, response, responses
-from threadline.shaping.robustness import insensitivity
-from threadline.shaping.types import FlexibleMode, ShaperError
+from threadline.motion.shaping.designs import convolve, design, simulated_vibration
+from threadline.motion.shaping.direct import Requirement, direct_shaper, specified_insensitivity
+from threadline.motion.shaping.firmwares import klipper_export, klipper_impulses
+from threadline.motion.shaping.onoff.body_and_modes import RestToRest, worst_ringing
+from threadline.motion.shaping.onoff.switched import residual_front, switched_command
+from threadline.motion.shaping.response import pole, response, responses
+from threadline.motion.shaping.robustness import insensitivity
+from threadline.motion.shaping.types import FlexibleMode, ShaperError
 
 
 @pytest.mark.parametrize("derivatives", [0, 1])

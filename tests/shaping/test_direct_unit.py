@@ -11,12 +11,10 @@ from scipy.optimize import lsq_linear
 from tests.shaping.test_study import run
 
 from threadline.errors import OptionError
-from threadline.shaping.combine import convolve
-from threadline.shaping.designs import design
-from threadline.shaping.direct import Requirement, direct_shaper
-from threadline.shaping.direct_unit import direct_unit_magnitude, switchings_of
-from threadline.shaping.oscillator import simulated_vibration
-from threadline.shaping.types import FlexibleMode
+from threadline.motion.shaping.designs import convolve, design, simulated_vibration
+from threadline.motion.shaping.direct import Requirement, direct_shaper
+from threadline.motion.shaping.direct_unit import direct_unit_magnitude, switchings_of
+from threadline.motion.shaping.types import FlexibleMode
 
 
 @pytest.mark.parametrize("zeta", [0.0, 0.02, 0.1])

@@ -13,12 +13,12 @@ import pytest
 from tests.dop853 import state_after
 from tests.second_order import states_of
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.cli import law_mode
 from threadline.cli.main import main
 from threadline.errors import OptionError
-from threadline.laws import LAWS, Law, law
-from threadline.shaping import (
+from threadline.motion.laws import LAWS, Law, law
+from threadline.motion.shaping import (
     Demand,
     FlexibleMode,
     MadeLaw,
@@ -33,7 +33,7 @@ from threadline.shaping import (
     shaped_windows,
     usual_jerk_m_s3,
 )
-from threadline.shaping.law_named import law_named
+from threadline.motion.shaping.shaped_law import law_named
 
 MOVE, WINDOW, ZETA = 0.0165, 0.120, 0.02
 # Residual amplitude, mm: 16.5 mm in 120 ms at 8, 12, 16, 20, 25 and 40 Hz, damping ratio 0.02.

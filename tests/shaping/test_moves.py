@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.dynamics.analysis import analyse_axis
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import Proof, prove
-from threadline.plant.analysis import analyse_axis
-from threadline.shaping import parse_shaper, shape_trajectory
+from threadline.motion.shaping import parse_shaper, shape_trajectory
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, prove
 from threadline.verdict import Criterion, Spec
 
 SPEC = Spec(

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from threadline.shaping.designs import design
-from threadline.shaping.onoff.body_and_modes import (
+from threadline.motion.shaping.designs import design
+from threadline.motion.shaping.onoff.body_and_modes import (
     Command,
     RestToRest,
     ringing,
@@ -16,9 +16,9 @@ from threadline.shaping.onoff.body_and_modes import (
     simulate,
     worst_ringing,
 )
-from threadline.shaping.onoff.optimal import time_optimal
-from threadline.shaping.onoff.robust import compare_shapers, least_ringing, robust_optimum
-from threadline.shaping.types import UNSHAPED, FlexibleMode, ShaperError
+from threadline.motion.shaping.onoff.optimal import time_optimal
+from threadline.motion.shaping.onoff.robust import compare_shapers, least_ringing, robust_optimum
+from threadline.motion.shaping.types import UNSHAPED, FlexibleMode, ShaperError
 
 MODE = FlexibleMode(3.04)
 MOVE = RestToRest(0.2, 1.0, (MODE,))

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 
 from threadline.errors import OptionError
-from threadline.shaping.combine import convolve
-from threadline.shaping.controller import ControllerLimits, realise
-from threadline.shaping.designs import UNIT_MAGNITUDE, design
-from threadline.shaping.higher_modes import check_higher_modes
-from threadline.shaping.klipper import klipper_impulses
-from threadline.shaping.oscillator import simulated_vibration
-from threadline.shaping.robustness import insensitivity, sensitivity_map
-from threadline.shaping.types import UNSHAPED, FlexibleMode, ShaperError
-from threadline.shaping.vibration import residual_vibration, residual_vibration_batch
+from threadline.motion.shaping.controller import ControllerLimits, realise
+from threadline.motion.shaping.designs import UNIT_MAGNITUDE, convolve, design, simulated_vibration
+from threadline.motion.shaping.firmwares import klipper_impulses
+from threadline.motion.shaping.response import residual_vibration, residual_vibration_batch
+from threadline.motion.shaping.robustness import check_higher_modes, insensitivity, sensitivity_map
+from threadline.motion.shaping.types import UNSHAPED, FlexibleMode, ShaperError
 
 MODE = FlexibleMode(3.04, 0.0089)
 

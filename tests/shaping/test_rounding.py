@@ -10,13 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from threadline.arrays import FloatArray
-from threadline.shaping.combine import convolve
-from threadline.shaping.controller import ControllerLimits, realise
-from threadline.shaping.designs import ShaperKind, design
-from threadline.shaping.oscillator import simulated_vibration
-from threadline.shaping.robustness import insensitivity
-from threadline.shaping.types import FlexibleMode, Shaper
+from threadline.base.arrays import FloatArray
+from threadline.motion.shaping.controller import ControllerLimits, realise
+from threadline.motion.shaping.designs import ShaperKind, convolve, design, simulated_vibration
+from threadline.motion.shaping.robustness import insensitivity
+from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 TOLERANCE = 0.05
 

@@ -9,7 +9,7 @@ import pytest
 from tests.shaping.pieces import MACHINE, MODE, made, rest_to_rest
 
 from threadline.errors import OptionError, PlanError
-from threadline.shaping import (
+from threadline.motion.shaping import (
     UNSHAPED,
     FlexibleMode,
     Shaper,
@@ -22,7 +22,7 @@ from threadline.shaping import (
     shaping_deviation,
     vibration_of,
 )
-from threadline.trajectory import Trajectory
+from threadline.motion.timing import Trajectory
 
 
 def brute_deviation(planned: np.ndarray, shaped: np.ndarray) -> float:

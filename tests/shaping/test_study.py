@@ -10,9 +10,14 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
-from threadline.shaping.onoff.body_and_modes import Command, RestToRest, simulate, worst_ringing
-from threadline.shaping.onoff.switched import switched_command
-from threadline.shaping.types import FlexibleMode
+from threadline.motion.shaping.onoff.body_and_modes import (
+    Command,
+    RestToRest,
+    simulate,
+    worst_ringing,
+)
+from threadline.motion.shaping.onoff.switched import switched_command
+from threadline.motion.shaping.types import FlexibleMode
 
 
 def run(*words: str) -> tuple[int, str, str]:

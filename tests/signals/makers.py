@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 from hypothesis import strategies as st
 
-from threadline.signals import (
+from threadline.files import (
     Channel,
     ChannelKind,
     Clock,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock, Stream
-from threadline.signals.files import read_recording, write_recording
+from threadline.files import Channel, ChannelKind, Recording, RecordingBlock, Stream
+from threadline.files.formats import read_recording, write_recording
 
 from .makers import SERVO
 

@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.signals import (
-    ChannelKind,
-    Clock,
-)
-from threadline.signals.files import read_recording, write_plt, write_recording
+from threadline.files import ChannelKind, Clock
+from threadline.files.formats import read_recording, write_plt, write_recording
 
 from .makers import recording_of
 

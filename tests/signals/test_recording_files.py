@@ -12,17 +12,9 @@ from hypothesis import strategies as st
 
 from tests.made import Made
 from threadline.errors import RecordingError
-from threadline.signals import (
-    Channel,
-    ChannelKind,
-    Clock,
-    Event,
-    Recording,
-    RecordingBlock,
-    Stream,
-)
-from threadline.signals.files import read_recording, write_recording
-from threadline.signals.files.grid import simplest_between
+from threadline.files import Channel, ChannelKind, Clock, Event, Recording, RecordingBlock, Stream
+from threadline.files.formats import read_recording, write_recording
+from threadline.files.formats.common import simplest_between
 
 from .makers import recording_of, story
 

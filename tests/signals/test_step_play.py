@@ -10,7 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from threadline.signals import Clock, StepPlay, StepTable, StitchBlock, Stream
+from threadline.files import Clock, StepPlay, StepTable, StitchBlock, Stream
 
 LIBRARY = tuple(
     StepTable(units=length, intervals=np.full(48 * length, 1600 // length)) for length in (1, 2, 5)

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.signals import Event
-from threadline.signals.files import (
+from threadline.files import Event
+from threadline.files.formats import (
     read_recording,
     read_table_npz,
     write_recording,

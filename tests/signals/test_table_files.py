@@ -12,8 +12,8 @@ from hypothesis import given
 
 from tests.made import Made
 from threadline.errors import RecordingError
-from threadline.signals import Event, Stream, TickBlock, TickTable
-from threadline.signals.files import (
+from threadline.files import Event, Stream, TickBlock, TickTable
+from threadline.files.formats import (
     read_array,
     read_table,
     read_table_csv,

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threadline.errors import OptionError, RecordingError
-from threadline.signals import (
+from threadline.files import (
     ChannelKind,
     Clock,
     KeptStream,

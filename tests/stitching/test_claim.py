@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from tests.stitching.test_twin import MACHINE, TIMER, commands
-from threadline.laws import law
+from threadline.commands.step_tables import step_tables
 from threadline.machine.numbers import with_numbers
-from threadline.shaping import FlexibleMode
-from threadline.shaping.law_residual import lasting_windows_s
-from threadline.shaping.mode_law import Demand, MadeLaw, made_law, usual_jerk_m_s3
-from threadline.targets.step_tables import step_tables
+from threadline.motion.laws import law
+from threadline.motion.shaping import FlexibleMode
+from threadline.motion.shaping.law_residual import lasting_windows_s
+from threadline.motion.shaping.mode_law import Demand, MadeLaw, made_law, usual_jerk_m_s3
 from threadline.twin.stitching import simulate_stitching
 
 MOVE_M, RESIDUAL_M, LIMIT = 0.0165, 5e-5, 6.334

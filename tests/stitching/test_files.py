@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
-from threadline.laws import law
+from threadline.commands.step_tables import step_tables
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, write
-from threadline.targets.step_tables import step_tables
+from threadline.motion.laws import law
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, write
 
 MACHINE = load_machine("schiffli-frame")
 

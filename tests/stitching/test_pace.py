@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
+from threadline.commands.stitch_pace import Moves, Pace
+from threadline.commands.stitched import _on_grid, stitch
 from threadline.errors import OptionError, PlanError
 from threadline.jobs import read_job
-from threadline.laws import law
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import REPEATED, open_job, plan_job, prove
+from threadline.motion.laws import law
+from threadline.motion.shaping import FlexibleMode
+from threadline.motion.shaping.law_residual import lasting_windows_s, residual_m, ringing
+from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import REPEATED, open_job, plan_job, prove
 from threadline.report.stitched import stitch_rows
-from threadline.shaping import FlexibleMode
-from threadline.shaping.law_residual import lasting_windows_s, residual_m, ringing
-from threadline.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
-from threadline.targets.stitch_pace import Moves, Pace
-from threadline.targets.stitched import _on_grid, stitch
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")

@@ -13,9 +13,9 @@ import pytest
 from threadline.cli.main import main
 from threadline.jobs import Job, read_job
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import REPEATED, Trials, plan_job, prove_plan
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import REPEATED, Trials, plan_job, prove_plan
 from threadline.search import shaft
 from threadline.search.fastest import find_fastest
 from threadline.verdict import Verdict, load_spec

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from threadline.commands.step_tables import step_tables
 from threadline.errors import MachineError, RecordingError
-from threadline.laws import law
+from threadline.files import Clock, Event, StepPlay, StepTable, StitchBlock, Stream
 from threadline.machine import Machine, load_machine
 from threadline.machine.numbers import with_numbers
-from threadline.shaping import FlexibleMode, residual_m
-from threadline.signals import Clock, Event, StepPlay, StepTable, StitchBlock, Stream
-from threadline.targets.step_tables import step_tables
+from threadline.motion.laws import law
+from threadline.motion.shaping import FlexibleMode, residual_m
 from threadline.twin import stitching
 from threadline.twin.stitching import simulate_stitching
 

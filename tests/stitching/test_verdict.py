@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from tests.made import Made
+from threadline.files import Recording, RecordingBlock
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import Proof, plan_job, prove
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, plan_job, prove
 from threadline.report import write_report
-from threadline.report.stitched_figures import design_figure
+from threadline.report.stitched import design_figure
 from threadline.search.studied import studied
-from threadline.signals import Recording, RecordingBlock
 from threadline.verdict import Status, judge, load_spec
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -217,7 +217,7 @@ def test_what_no_window_holds_fails_and_is_told_its_speed() -> None:
     soft = replace(soft, axes=axes, sha256="soft")
     options = Options(feed=parse_feed("166.66666 stitch/min"))
     plan = plan_job(read_job(EXAMPLES / "rosette.dst", soft), soft, options)
-    from threadline.verdict.stitch_measures import measure_tables
+    from threadline.verdict.stitch_run import measure_tables
 
     (found,) = measure_tables(plan)["window_use"]
     assert found.value == pytest.approx(np.sqrt(2.0), rel=1e-3)

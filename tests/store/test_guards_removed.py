@@ -17,8 +17,8 @@ from sqlalchemy.schema import CreateTable
 
 from tests.live.test_guards_removed import Take, attribute
 from tests.store import test_recording_mcap, test_shared
-from threadline.signals.files import recording_mcap
-from threadline.store.index import RunIndex
+from threadline.files.formats import recording_mcap
+from threadline.live.store.index import RunIndex
 
 _records = recording_mcap._records
 

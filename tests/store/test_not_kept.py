@@ -14,9 +14,9 @@ import pytest
 
 from threadline.cli.main import main
 from threadline.errors import StoreError
-from threadline.store import run_store
-from threadline.store.index import RunIndex
-from threadline.store.run_store import INDEX_URL, OpenRun, opened
+from threadline.live.store import run_store
+from threadline.live.store.index import RunIndex
+from threadline.live.store.run_store import INDEX_URL, OpenRun, opened
 
 JOB = Path(__file__).parents[2] / "examples" / "x-180.prg"
 FULL = OSError(errno.ENOSPC, "No space left on device")

@@ -21,9 +21,9 @@ from mcap.writer import Writer
 
 from tests.live.bench import table_of_counts, there_and_back, winder
 from threadline.errors import RecordingError
-from threadline.signals import Ended, Recording, Stream
-from threadline.signals.files import read_recording, write_recording
-from threadline.signals.files.recording_mcap import BROKEN_OFF, TraceWriter
+from threadline.files import Ended, Recording, Stream
+from threadline.files.formats import read_recording, write_recording
+from threadline.files.formats.recording_mcap import BROKEN_OFF, TraceWriter
 from threadline.twin import simulate
 
 
@@ -205,7 +205,7 @@ def bare_file(recording: Recording) -> bytes:
     file = io.BytesIO()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            "threadline.signals.files.recording_mcap.Writer",
+            "threadline.files.formats.recording_mcap.Writer",
             lambda file, **_: Writer(file, use_chunking=False, enable_crcs=False),
         )
         writer = TraceWriter(file, recording)

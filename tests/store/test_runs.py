@@ -21,18 +21,18 @@ from threadline import __version__
 from threadline.cli.main import main
 from threadline.cli.runs_ import listed
 from threadline.errors import CommandError, LinkFaultError, StoreError
+from threadline.files import Ended, Event, RecordingBlock
+from threadline.files.formats import read_recording
 from threadline.live import sim_process
-from threadline.live.desk import Desk
 from threadline.live.executor import MANY_S, Executor
+from threadline.live.states import Desk
+from threadline.live.store import run_store
+from threadline.live.store.index import REFUSED, RUNNING, RunRecord
+from threadline.live.store.run_store import OpenRun, RunStore
 from threadline.live.wire import Connection
-from threadline.options import Options
-from threadline.pipeline import Proof, open_job, plan_job, prove_plan
-from threadline.proof_file import ProofFile, read_proof, verify_proof, write_proof
-from threadline.signals import Ended, Event, RecordingBlock
-from threadline.signals.files import read_recording
-from threadline.store import run_store
-from threadline.store.index import REFUSED, RUNNING, RunRecord
-from threadline.store.run_store import OpenRun, RunStore
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, open_job, plan_job, prove_plan
+from threadline.proof.proof_file import ProofFile, read_proof, verify_proof, write_proof
 from threadline.verdict import load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -16,8 +16,8 @@ from sqlalchemy.schema import CreateTable
 
 from threadline.cli.main import main
 from threadline.errors import StoreError
-from threadline.store.index import RunIndex, RunRecord, _table
-from threadline.store.run_store import INDEX, INDEX_URL, OpenRun, RunStore, opened
+from threadline.live.store.index import RunIndex, RunRecord, _table
+from threadline.live.store.run_store import INDEX, INDEX_URL, OpenRun, RunStore, opened
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PROGRAMS = 8

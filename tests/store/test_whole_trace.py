@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.live.test_continued import JOBS, broken_off, planned, rest_of, run
+from threadline.files import Ended, Recording
+from threadline.files.formats import write_recording
 from threadline.live.continuing import continued
-from threadline.signals import Ended, Recording
-from threadline.signals.files import write_recording
-from threadline.store.whole_trace import joined_with, whole_recording
+from threadline.live.store.whole_trace import joined_with, whole_recording
 from threadline.verdict import judge, load_spec
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from threadline.files import Stream
 from threadline.jobs.operations import Job, Operation, Source
 from threadline.machine import Machine, load_machine
 from threadline.machine.quantity import Provenance, Quantity
-from threadline.signals import Stream
-from threadline.trajectory.types import Trajectory, TrajectoryBlock
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 
 HERE = Source("made.prg", 7)
 

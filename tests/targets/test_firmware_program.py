@@ -18,22 +18,26 @@ import pytest
 
 from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
+from threadline.commands import firmware_program
+from threadline.commands.boards import BOARDS, dialect_of
+from threadline.commands.plan import Plan
 from threadline.errors import PlanError
 from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.motion_planner import GrblPlanner, LinuxCncPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.option_words import parse_feed
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, write
-from threadline.plan import Plan
-from threadline.shaping import FlexibleMode
-from threadline.shaping.klipper import klipper_impulses
-from threadline.shaping.marlin import marlin_impulses
-from threadline.shaping.reprapfirmware import TYPES, reprap_impulses, shortest_for_all
-from threadline.shaping.types import Shaper
-from threadline.targets import firmware_program
-from threadline.targets.boards import BOARDS, dialect_of
+from threadline.motion.shaping import FlexibleMode
+from threadline.motion.shaping.firmwares import (
+    TYPES,
+    klipper_impulses,
+    marlin_impulses,
+    reprap_impulses,
+    shortest_for_all,
+)
+from threadline.motion.shaping.types import Shaper
+from threadline.proof.option_words import parse_feed
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, write
 
 TARGETS = tuple(BOARDS)
 

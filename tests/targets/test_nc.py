@@ -9,13 +9,12 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from threadline.commands.nc import MAX_BODY, Loop, fold, part_program_lines, write_part_program
+from threadline.commands.nc_blocks import OutBlock
 from threadline.errors import PlanError
+from threadline.files import Stream
 from threadline.jobs import Feed, FeedMode, Job, Move, Operation, SetOutput, Source, read_job
 from threadline.machine import load_machine
-from threadline.signals import Stream
-from threadline.targets.nc import part_program_lines, write_part_program
-from threadline.targets.nc_blocks import OutBlock
-from threadline.targets.nc_loops import MAX_BODY, Loop, fold
 
 MACHINE = load_machine("lathe-winder")
 

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 
+from threadline.commands.nc import NcStyle, write_part_program
 from threadline.jobs import Dwell, FeedMode, Move, Stop, read_job
 from threadline.machine import load_machine
-from threadline.path import programmed_path
-from threadline.targets.nc import NcStyle, write_part_program
+from threadline.motion.path import programmed_path
 
 pytestmark = pytest.mark.linuxcnc
 

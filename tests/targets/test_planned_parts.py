@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.targets.planned_job import _parts
+from threadline.commands.planned_job import _parts
 
 ONE = np.ones(2)
 

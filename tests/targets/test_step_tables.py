@@ -8,16 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from threadline.commands.step_tables import left_s, shortest_s, step_tables, steps_residual_m
 from threadline.errors import OptionError, PlanError
-from threadline.laws import Pieces, law, measured_law
-from threadline.shaping import FlexibleMode, residual_m
-from threadline.signals import StepTable
-from threadline.targets.step_tables import (
-    left_s,
-    shortest_s,
-    step_tables,
-    steps_residual_m,
-)
+from threadline.files import StepTable
+from threadline.motion.laws import Pieces, law, measured_law
+from threadline.motion.shaping import FlexibleMode, residual_m
 
 WINDOW, TIMER = Fraction(120, 1000), Fraction(1, 16_000_000)
 FRAME = {"window_s": WINDOW, "steps_per_unit": 48, "longest_units": 165}

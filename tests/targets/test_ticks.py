@@ -10,7 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from threadline.commands import compile_ticks
 from threadline.errors import BudgetError, LimitError, PlanError
+from threadline.files import Stream
 from threadline.jobs.operations import (
     Dwell,
     Feed,
@@ -22,9 +24,7 @@ from threadline.jobs.operations import (
     WaitInput,
 )
 from threadline.machine.quantity import Provenance, Quantity
-from threadline.signals import Stream
-from threadline.targets import compile_ticks
-from threadline.trajectory.types import Trajectory
+from threadline.motion.timing.types import Trajectory
 
 from .makers import HERE, job_of, lines, polynomials, winder
 

@@ -20,14 +20,14 @@ import pytest
 
 from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
+from threadline.commands.plan import Plan
 from threadline.errors import PlanError
+from threadline.files import tick_table
 from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, Job, Move, Stop, ToolEvent
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job, write
-from threadline.plan import Plan
-from threadline.signals import tick_table
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job, write
 
 LASER = "G21 G90\nM4 S0\nG0 X10 Y10\nG1 X20 S300 F1200\nG0 X30\nG1 X40 S500\nM5\n"
 MILL = (

@@ -9,17 +9,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from threadline.commands import compile_ticks
+from threadline.commands.planned_job import planned_job
+from threadline.commands.write import TABLES
 from threadline.errors import LimitError, OptionError
+from threadline.files import Clock, SwitchSchedule
+from threadline.files.formats import read_table
 from threadline.jobs import read_job
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Move, SetOutput, Stop
 from threadline.machine import load_machine
-from threadline.path import programmed_path
-from threadline.pipeline import target_names, target_of, write
-from threadline.signals import Clock, SwitchSchedule
-from threadline.signals.files import read_table
-from threadline.targets import compile_ticks
-from threadline.targets.planned_job import planned_job
-from threadline.targets.write import TABLES
+from threadline.motion.path import programmed_path
+from threadline.proof.pipeline import target_names, target_of, write
 
 from .makers import HERE, job_of, lines, polynomials, winder
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 
 STEPS_PER_MM = 80.0
 _EVERY_S = 1e-3

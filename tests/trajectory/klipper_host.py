@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 
 STEP_MM, STEP_DEG = 40.0 / 3200.0, 360.0 / 3200.0
 _CLOCK_HZ = 50e6  # CLOCK_FREQ of its Linux process

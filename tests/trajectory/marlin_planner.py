@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 
 CORNERS = {"deviation": (), "jumps": ("CLASSIC_JERK",)}
 """What is defined for each of its rules of corners."""

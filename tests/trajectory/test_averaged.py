@@ -8,10 +8,10 @@ from scipy.integrate import quad
 from scipy.interpolate import BSpline
 
 from threadline.errors import OptionError
+from threadline.files import Stream
 from threadline.jobs.operations import Dwell, Job, Move, SetOutput, Source
-from threadline.signals import Stream
-from threadline.trajectory import Trajectory, TrajectoryBlock, TrajectoryReader
-from threadline.trajectory.averaged import (
+from threadline.motion.timing import Trajectory, TrajectoryBlock, TrajectoryReader
+from threadline.motion.timing.averaged import (
     STEPS,
     averaged_trajectory,
     even_averages,

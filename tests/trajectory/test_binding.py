@@ -8,9 +8,9 @@ from tests.path.builders import job_of
 from tests.trajectory.builders import without_drives
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.path import plan_path, programmed_path
-from threadline.trajectory import plan_trajectory
-from threadline.trajectory.optimal.binding import binding
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.timing import plan_trajectory
+from threadline.motion.timing.optimal.binding import binding
 
 AS_BUILT = load_machine("lathe-winder")
 WINDER = without_drives(AS_BUILT)

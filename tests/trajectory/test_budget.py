@@ -16,7 +16,7 @@ from threadline.errors import BudgetError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode, Job, Move, MoveRun, Operation
 from threadline.machine import load_machine
-from threadline.trajectory import check_budget
+from threadline.motion.timing import check_budget
 
 MACHINE = load_machine("lathe-winder")
 FEED = Feed(FeedMode.COUNT_PER_TICK, 10.0)

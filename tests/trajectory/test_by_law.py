@@ -12,10 +12,10 @@ import pytest
 from threadline.cli.main import main
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode
-from threadline.laws import LAWS, law, write_law
 from threadline.machine import load_machine
-from threadline.path import chord_path, plan_path, programmed_path
-from threadline.trajectory import Pace, Trajectory, check_limits, limit_peaks, plan_trajectory
+from threadline.motion.laws import LAWS, law, write_law
+from threadline.motion.path import chord_path, plan_path, programmed_path
+from threadline.motion.timing import Pace, Trajectory, check_limits, limit_peaks, plan_trajectory
 
 from ..path.builders import job_of
 

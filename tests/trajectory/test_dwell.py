@@ -9,8 +9,8 @@ import pytest
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 
 
 @pytest.mark.parametrize(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.arrays import FloatArray
-from threadline.signals import Stream
-from threadline.trajectory import Averages, Trajectory, TrajectoryBlock, averaged_trajectory
-from threadline.trajectory.averaged import averaging_weights
+from threadline.base.arrays import FloatArray
+from threadline.files import Stream
+from threadline.motion.timing import Averages, Trajectory, TrajectoryBlock, averaged_trajectory
+from threadline.motion.timing.averaged import averaging_weights
 
 STEP_S = 0.001
 

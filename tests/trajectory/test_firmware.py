@@ -21,12 +21,11 @@ from threadline.machine.motion_planner import (
     RepRapPlanner,
 )
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.path.types import PieceBlock
-from threadline.trajectory.firmware import moves_in_hand, trapezoids
-from threadline.trajectory.firmware.firmware_moves import Moves
-from threadline.trajectory.firmware.junctions import by_junction_deviation
-from threadline.trajectory.firmware.marlin_moves import held_back
-from threadline.trajectory.firmware.rules import Rules
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.firmware import look_ahead as moves_in_hand
+from threadline.motion.timing.firmware import trapezoids
+from threadline.motion.timing.firmware.marlin_moves import held_back
+from threadline.motion.timing.firmware.rules import Moves, Rules, by_junction_deviation
 
 
 def number(text: str, unit: str):

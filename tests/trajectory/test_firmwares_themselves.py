@@ -24,9 +24,9 @@ from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.motion_planner import FirmwarePlanner, GrblPlanner, KlipperPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.path import plan_path, programmed_path
-from threadline.trajectory import plan_trajectory
-from threadline.trajectory.types import Trajectory
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.timing import plan_trajectory
+from threadline.motion.timing.types import Trajectory
 
 _RUN_UP_MM = 5.0
 LIMITS = {

@@ -9,8 +9,8 @@ from scipy.interpolate import PPoly
 from threadline.errors import BudgetError
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
-from threadline.path import plan_path, programmed_path
-from threadline.trajectory import check_limits, plan_trajectory
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.timing import check_limits, plan_trajectory
 
 from ..path.builders import COUNTS, job_of, polylines, there_and_back
 from ..path.test_auto import gap_to_polyline

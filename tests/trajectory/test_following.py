@@ -10,19 +10,19 @@ import pytest
 
 from tests.path.builders import job_of
 from tests.trajectory.builders import without_drives
+from threadline.dynamics.responses import answers_of
 from threadline.errors import PlanError
+from threadline.files import tick_table
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.path import plan_path, programmed_path
-from threadline.pipeline import plan_job, prove_plan
-from threadline.plant.closed_loop import answers_of
-from threadline.signals import tick_table
-from threadline.trajectory import limit_peaks, plan_trajectory
-from threadline.trajectory.optimal import following_error
-from threadline.trajectory.optimal.drives import limits_of
-from threadline.trajectory.optimal.followers import Follower, Past
-from threadline.trajectory.types import TrajectoryBlock
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.timing import limit_peaks, plan_trajectory
+from threadline.motion.timing.optimal import following_error
+from threadline.motion.timing.optimal.followers import Follower, Past
+from threadline.motion.timing.optimal.motion_limits import limits_of
+from threadline.motion.timing.types import TrajectoryBlock
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.twin import simulate
 from threadline.verdict import load_spec
 
@@ -135,7 +135,7 @@ def test_a_place_that_strays_by_nothing_is_not_slowed():
     """A share of 0 has no negative power; 1.69 times too much is slowed by its power 1.3."""
     shares, known = np.array([0.0, 0.5, 1.0, 1.69]), np.array([np.inf, 3.0, np.inf, np.inf])
     with np.errstate(all="raise"):
-        most = following_error._slowed(known, np.full(4, 2.0), shares)
+        most = following_error._following_error_slowed(known, np.full(4, 2.0), shares)
     assert most[:3].tolist() == [np.inf, 3.0, np.inf]
     assert most[3] == pytest.approx(2.0 / 1.3**2.6, rel=1e-12)
 

@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threadline.errors import LimitError
+from threadline.files import Stream
 from threadline.jobs.operations import Feed
 from threadline.machine import load_machine
-from threadline.path import plan_path, programmed_path
-from threadline.signals import Stream
-from threadline.trajectory import (
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.timing import (
     Trajectory,
     TrajectoryBlock,
     check_limits,

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from threadline.errors import LimitError, MachineError
-from threadline.laws import shortest_move
+from threadline.files import Stream
 from threadline.machine import load_machine
 from threadline.machine.load import library_file
 from threadline.machine.path_limits import PathLimits
 from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.vary import derate
-from threadline.path import plan_path
-from threadline.path.turning_back import resting_at_reversals
-from threadline.path.types import ProgrammedPath, VertexBlock
-from threadline.signals import Stream
-from threadline.trajectory import check_limits, limit_peaks, plan_trajectory
-from threadline.trajectory.optimal.along_shares import path_use
-from threadline.trajectory.optimal.drives import along_of
+from threadline.motion.laws import shortest_move
+from threadline.motion.path import plan_path
+from threadline.motion.path.runs import resting_at_reversals
+from threadline.motion.path.types import ProgrammedPath, VertexBlock
+from threadline.motion.timing import check_limits, limit_peaks, plan_trajectory
+from threadline.motion.timing.optimal.along_path import path_use
+from threadline.motion.timing.optimal.motion_limits import along_of
 
 from .builders import without_drives
 

@@ -20,9 +20,10 @@ from tests.trajectory.linuxcnc_headless import times_on_linuxcnc
 from tests.trajectory.test_linuxcnc_planner import SQUARE, plane, planned, planner
 from threadline.jobs import read_job
 from threadline.machine import Machine
-from threadline.path import plan_path, programmed_path
-from threadline.path.types import PieceBlock
-from threadline.trajectory.firmware import firmware_blocks, moves_in_hand
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.firmware import firmware_blocks
+from threadline.motion.timing.firmware import look_ahead as moves_in_hand
 
 __all__ = ["plane"]
 

@@ -22,9 +22,9 @@ from threadline.jobs import read_job
 from threadline.machine import Machine, load_machine
 from threadline.machine.motion_planner import LinuxCncPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.path import plan_path, programmed_path
-from threadline.trajectory import plan_trajectory
-from threadline.trajectory.types import Trajectory
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.timing import plan_trajectory
+from threadline.motion.timing.types import Trajectory
 
 FEW = "G1 X20 A100 F1800\nX40 A250\nX60 A350\nX40 A450\nX0 A500\n"
 

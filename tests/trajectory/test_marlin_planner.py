@@ -19,12 +19,12 @@ import pytest
 
 from tests.conftest import NO_FIRMWARE
 from tests.trajectory import marlin_planner
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.machine.motion_planner import MarlinPlanner
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.path.types import PieceBlock
-from threadline.trajectory.firmware import trapezoids
-from threadline.trajectory.firmware.rules import Rules
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.firmware import trapezoids
+from threadline.motion.timing.firmware.rules import Rules
 
 AXES = ("X", "Y", "Z", "A")
 SI = np.array([1e3, 1e3, 1e3, np.degrees(1.0)])

@@ -12,9 +12,9 @@ from threadline.errors import BudgetError
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.trajectory.follow import SAMPLES
+from threadline.motion.timing.path_to_trajectory import SAMPLES
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 
 SLOW = Feed(FeedMode.FASTEST_AXIS, 1e-4)  # m/s: 50 s for 5 mm
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from tests.path.builders import job_of, polylines
 from tests.trajectory.builders import without_drives
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Source
-from threadline.laws import shortest_move
 from threadline.machine import load_machine
-from threadline.path import interpolations, path_deviation, plan_path, programmed_path
-from threadline.trajectory import limit_peaks, plan_trajectory
-from threadline.trajectory.optimal import (
+from threadline.motion.laws import shortest_move
+from threadline.motion.path import interpolations, path_deviation, plan_path, programmed_path
+from threadline.motion.timing import limit_peaks, plan_trajectory
+from threadline.motion.timing.optimal import (
     Limits,
     barrier,
     elements_of,
@@ -76,8 +76,8 @@ def test_finer_elements_come_nearer_to_the_least_time(monkeypatch):
     least_s = 1.3
     lost = []
     for share in (8e-3, 2e-3, 5e-4):
-        monkeypatch.setattr("threadline.trajectory.optimal.solve._LOSS", share)
-        monkeypatch.setattr("threadline.trajectory.optimal.solve._IDLE_ROUNDS", 9)
+        monkeypatch.setattr("threadline.motion.timing.optimal.solve._LOSS", share)
+        monkeypatch.setattr("threadline.motion.timing.optimal.solve._IDLE_ROUNDS", 9)
         lost.append(straight(1.0, 1.0, 5.0, 50.0, 1e-5)[0].duration_s - least_s)
     assert 0 < lost[1] < 0.6 * lost[0] and 0 < lost[2] < 0.6 * lost[1]
 
@@ -237,7 +237,7 @@ def test_a_dense_run_has_as_many_elements_as_pieces_and_loses_little(monkeypatch
     points = np.stack([0.1 * np.sin(turn), 0.05 - 0.05 * np.cos(1.3 * turn)], axis=1).tolist()
     found = []
     for order in (0, 5):  # of the coefficients of pieces for which one is enough
-        monkeypatch.setattr("threadline.trajectory.optimal.path_elements._OF_QUARTIC", order)
+        monkeypatch.setattr("threadline.motion.timing.optimal.elements._OF_QUARTIC", order)
         trajectory = plan(("X", "Y"), points)[2]
         found.append((sum(map(len, trajectory)), trajectory.duration_s))
         assert max(peak.ratio for peak in limit_peaks(trajectory, WINDER)) <= 1.001
@@ -251,8 +251,8 @@ def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0], [0.1, 0.1]]
     cut_s = plan(("X", "Y"), points)[2].duration_s
     monkeypatch.setattr(in_time, "_CUTS", 0)
-    monkeypatch.setattr("threadline.trajectory.optimal.solve._VARIED", 30.0)
-    monkeypatch.setattr("threadline.trajectory.optimal.solve._IDLE_ROUNDS", 0)
+    monkeypatch.setattr("threadline.motion.timing.optimal.solve._VARIED", 30.0)
+    monkeypatch.setattr("threadline.motion.timing.optimal.solve._IDLE_ROUNDS", 0)
     _, _, coarse = plan(("X", "Y"), points)
     ratio = max(peak.ratio for peak in limit_peaks(coarse, WINDER))
     assert 0.5 < ratio <= 1.0 + 1e-9  # the bound that slows it is somewhat above the extremes

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from threadline.path.types import PieceBlock
-from threadline.trajectory.optimal.motion_limits import Limits
-from threadline.trajectory.optimal.shaped import shaped
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.optimal.shaped import shaped
 
 
 def test_pieces_of_femtometres_beside_a_rest_are_left_out():

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.made import Made
-from threadline.signals import Stream
-from threadline.trajectory import Trajectory
-from threadline.trajectory.types import TrajectoryBlock
+from threadline.files import Stream
+from threadline.motion.timing import Trajectory
+from threadline.motion.timing.types import TrajectoryBlock
 
 
 def block(start_s: float, way: float) -> TrajectoryBlock:

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from threadline.signals import Stream
-from threadline.trajectory import Trajectory, TrajectoryBlock, leads_of, with_steps
+from threadline.files import Stream
+from threadline.motion.timing import Trajectory, TrajectoryBlock, leads_of, with_steps
 
 X, Y = (1, 0), (0, 1)
 LAST_S = 0.02  # each piece

@@ -12,14 +12,15 @@ from tools.x_180_bound import STEPS, comes
 from threadline.jobs import read_job
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job, prove_plan
-from threadline.trajectory.optimal import following_error, polished
-from threadline.trajectory.optimal.fastest_motion import fastest_blocks
-from threadline.trajectory.optimal.followers import Past
-from threadline.trajectory.optimal.in_time import in_time
-from threadline.trajectory.optimal.solve import Problem
-from threadline.trajectory.optimal.stray_rows import stray_rows
+from threadline.motion.timing.optimal import following_error
+from threadline.motion.timing.optimal import following_error as polished
+from threadline.motion.timing.optimal.fastest_motion import fastest_blocks
+from threadline.motion.timing.optimal.followers import Past
+from threadline.motion.timing.optimal.following_error import stray_rows
+from threadline.motion.timing.optimal.in_time import in_time
+from threadline.motion.timing.optimal.solve import Problem
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job, prove_plan
 from threadline.verdict import load_spec
 
 WINDER = load_machine("lathe-winder")
@@ -86,7 +87,7 @@ def test_the_motion_is_near_the_least_that_any_plan_can_take(monkeypatch):
     assert bound_s <= plan.duration_s < 1.035 * bound_s
     found = {(r.name, r.axis): r for r in prove_plan(plan, load_spec(None, WINDER)).verdict.results}
     assert found["contour_error", ""].measured < 4.2e-4
-    monkeypatch.setattr(polished, "_ROUNDS", 0)
+    monkeypatch.setattr(polished, "_POLISHED_ROUNDS", 0)
     assert planned(3e-4).duration_s > 1.03 * plan.duration_s
 
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from tools import points_growth
 
-from threadline.path.types import PieceBlock
-from threadline.trajectory import retime
-from threadline.trajectory.optimal import Limits, fastest_motion, windows
-from threadline.trajectory.optimal.pieces_ahead import PiecesAhead, rows_of
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing import retime
+from threadline.motion.timing.optimal import Limits, fastest_motion, windows
+from threadline.motion.timing.optimal.elements import PiecesAhead, rows_of
 
 TURN = np.linspace(0.0, 7.0, 75)
 CURVE = np.stack([np.sin(TURN), np.cos(1.3 * TURN)], axis=1)

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import Machine
 from threadline.machine.load import load_machine
-from threadline.signals import Stream, TickBlock, TickTable
 
 
 def make_table(machine: Machine, moves: dict[str, np.ndarray], block: int = 10**9) -> TickTable:

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.control import AxisPreview
-from threadline.control.feedforward import feed_forward
-from threadline.control.smooth import smooth_motion
+from threadline.dynamics import AxisPreview
+from threadline.dynamics.feedforward import feed_forward, smooth_motion
 from threadline.errors import MachineError
 from threadline.machine.load import load_machine
 from threadline.twin import simulate

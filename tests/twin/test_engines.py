@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 from tests.path.builders import job_of
 
+from threadline.dynamics.values import Values
+from threadline.files import tick_table
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.plant.values import Values
-from threadline.signals import tick_table
-from threadline.twin.engines import engine_of
-from threadline.twin.simulate import simulate
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
+from threadline.twin.simulate import engine_of, simulate
 
 WINDER = load_machine("lathe-winder")
 INERTIA = "bodies.x.inertia"

@@ -170,9 +170,9 @@ def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:
                 )
     assert {"tick", "exits", "code", "names"} <= seen
     assert outside - known == {
-        "threadline.arrays.FloatArray",
-        "threadline.compiled.FileLock",
-        "threadline.compiled.where_kept",
+        "threadline.base.arrays.FloatArray",
+        "threadline.base.compiled.FileLock",
+        "threadline.base.compiled.where_kept",
     }
 
 

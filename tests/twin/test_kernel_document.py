@@ -22,7 +22,7 @@ from tests.twin.random_machines import Maker
 from tests.twin.reference_twin import reference_run
 
 from threadline.machine.load import load_machine
-from threadline.signals import Stream, TickBlock, TickTable
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.twin import simulate, simulate_batch
 
 OUT_AND_BACK = np.concatenate((np.ones(12), -np.ones(16), np.zeros(8))).astype(np.int64)

@@ -11,19 +11,19 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from threadline.cli.main import main
+from threadline.dynamics.analysis import unstable_loops
+from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.prescribed import Prescribed, prescribed, resonance_hz
+from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.without_loop import analyse_moving
 from threadline.errors import MachineError, OptionError
+from threadline.files import Ended, Stream, TickBlock, TickTable
 from threadline.machine import Machine, load_machine
 from threadline.machine.sources import PulseServo, Stepper, Winding, pull_out_torque
 from threadline.machine.variants import drawn, variant
 from threadline.machine.vary import vary
-from threadline.options import Options
-from threadline.pipeline import check_loops, prove
-from threadline.plant.analysis import unstable_loops
-from threadline.plant.loop import axis_loop
-from threadline.plant.prescribed import Prescribed, prescribed, resonance_hz
-from threadline.plant.suspicions import suspicions
-from threadline.plant.without_loop import analyse_moving
-from threadline.signals import Ended, Stream, TickBlock, TickTable
+from threadline.proof.options import Options
+from threadline.proof.pipeline import check_loops, prove
 from threadline.twin.prescribed import advances_of
 from threadline.twin.simulate import simulate
 from threadline.verdict import Status, load_spec

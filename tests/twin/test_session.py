@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from threadline.errors import OptionError
+from threadline.files import Ended, Event, Outcome, TickBlock
 from threadline.machine.load import load_machine
-from threadline.signals import Ended, Event, Outcome, TickBlock
 from threadline.twin import Session, simulate
 
 from .belt_reference import ROWS, amplifier

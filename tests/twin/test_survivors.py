@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from threadline.dynamics.network import piecewise_linear
+from threadline.dynamics.values import Values
 from threadline.machine import load_machine
-from threadline.plant.network import piecewise_linear
-from threadline.plant.values import Values
 from threadline.twin import simulate
 from threadline.twin.kernel.piece import prepared
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from threadline.cli.main import main
+from threadline.files import tick_table
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import vary
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.signals import tick_table
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.twin import simulate, simulate_told_runs
 from threadline.verdict import Judge, load_spec
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from threadline.dynamics.linear_model import linear_model
+from threadline.dynamics.network import piecewise_linear
+from threadline.dynamics.values import Values
+from threadline.files import Stream, TickBlock, TickTable
 from threadline.machine import load_machine
 from threadline.machine.numbers import with_numbers
 from threadline.machine.variants import drawn, numbers_at, variant, variant_of
-from threadline.plant.linear_model import linear_model
-from threadline.plant.network import piecewise_linear
-from threadline.plant.values import Values
-from threadline.signals import Stream, TickBlock, TickTable
 from threadline.twin.batch import simulate_batch
 from threadline.twin.kernel.piece import prepared
 from threadline.twin.simulate import simulate

@@ -8,18 +8,9 @@ from fractions import Fraction
 import numpy as np
 
 from tests.made import Made
-from threadline.arrays import FloatArray
-from threadline.jobs.operations import Feed, FeedMode, Job, Move, Source
-from threadline.machine import Machine, load_machine
-from threadline.path.types import (
-    PieceBlock,
-    PlannedPath,
-    ProgrammedPath,
-    Timing,
-    VertexBlock,
-)
-from threadline.plan import Motion, Plan
-from threadline.signals import (
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Motion, Plan
+from threadline.files import (
     Channel,
     ChannelKind,
     Clock,
@@ -29,7 +20,16 @@ from threadline.signals import (
     TickBlock,
     TickTable,
 )
-from threadline.trajectory.types import Trajectory, TrajectoryBlock
+from threadline.jobs.operations import Feed, FeedMode, Job, Move, Source
+from threadline.machine import Machine, load_machine
+from threadline.motion.path.types import (
+    PieceBlock,
+    PlannedPath,
+    ProgrammedPath,
+    Timing,
+    VertexBlock,
+)
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 from threadline.verdict import Criterion, Spec
 
 TICK_S = 0.005

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from tests.made import Made
+from threadline.files import ChannelKind, RecordingBlock, TickBlock
 from threadline.jobs.operations import Feed, FeedMode, Move, Source
-from threadline.path.types import PieceBlock, VertexBlock
-from threadline.signals import ChannelKind, RecordingBlock, TickBlock
-from threadline.trajectory.types import TrajectoryBlock
+from threadline.motion.path.types import PieceBlock, VertexBlock
+from threadline.motion.timing.types import TrajectoryBlock
 
 from .builders import TICK_S, follow, plan_through, record
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.made import Made
-from threadline.signals import Channel, ChannelKind, RecordingBlock, Stream
+from threadline.files import Channel, ChannelKind, RecordingBlock, Stream
 from threadline.verdict import Criterion, Result, Status, closing, judge, verdict_json
 from threadline.verdict.measure import Finding
 from threadline.verdict.registry import MEASURES

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.signals import ChannelKind
+from threadline.files import ChannelKind
 from threadline.verdict import judge, load_spec
 
 from .builders import follow, plan_through, record, winder

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.signals import ChannelKind
+from threadline.files import ChannelKind
 from threadline.verdict import Criterion, Status, Verdict, judge
 
 from .builders import TICK_S, follow, plan_through, record, spec_of

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.signals import ChannelKind, Clock
+from threadline.files import ChannelKind, Clock
 from threadline.verdict import Criterion, Status, closing, judge
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.samples import Setting

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.signals import ChannelKind
+from threadline.files import ChannelKind
 from threadline.verdict import Criterion, Status, judge
 from threadline.verdict.boxes import NO_BOXES, vertices_to_path
 

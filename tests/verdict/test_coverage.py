@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.signals import Channel, ChannelKind, Clock, Recording, RecordingBlock, Stream
+from threadline.files import Channel, ChannelKind, Clock, Recording, RecordingBlock, Stream
 from threadline.verdict import Criterion, Status, closing, judge
 
 from .builders import SERVO, TICK_S, follow, plan_through, record, spec_of

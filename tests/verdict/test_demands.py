@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from threadline.files import ChannelKind, Stream
 from threadline.machine.quantity import parse_machine_quantity
-from threadline.signals import ChannelKind, Stream
-from threadline.trajectory.types import Trajectory, TrajectoryBlock
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 from threadline.verdict import Criterion, Status, judge, load_spec
 
 from .builders import TICK_S, follow, plan_through, record, spec_of

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from threadline.signals import ChannelKind, Event
+from threadline.files import ChannelKind, Event
 from threadline.verdict import Criterion, Status, closing, judge, verdict_json
-from threadline.verdict.ended import not_beyond
+from threadline.verdict.coverage import not_beyond
 from threadline.verdict.types import Result
 
 from .builders import follow, plan_through, record, spec_of

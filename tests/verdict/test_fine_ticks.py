@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from threadline.errors import BudgetError
-from threadline.signals import ChannelKind
+from threadline.files import ChannelKind
 from threadline.verdict import Criterion, judge, samples
 from threadline.verdict.samples import PARTS_OF_MEAN, enough_of
 

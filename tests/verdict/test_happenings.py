@@ -9,19 +9,12 @@ import numpy as np
 import pytest
 
 from tests.verdict.builders import SERVO, TICK_S, follow, plan_through, record, spec_of
+from threadline.commands.plan import Plan
 from threadline.errors import MachineError
+from threadline.files import Channel, ChannelKind, Event, Recording, RecordingBlock, Stream
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import prove
-from threadline.plan import Plan
-from threadline.signals import (
-    Channel,
-    ChannelKind,
-    Event,
-    Recording,
-    RecordingBlock,
-    Stream,
-)
+from threadline.proof.options import Options
+from threadline.proof.pipeline import prove
 from threadline.verdict import (
     Criterion,
     Result,
@@ -34,7 +27,7 @@ from threadline.verdict import (
     load_spec,
     verdict_json,
 )
-from threadline.verdict.ended import seen_in
+from threadline.verdict.coverage import seen_in
 
 AXES = ("X", "Y")
 POINTS = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.0]]

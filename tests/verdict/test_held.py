@@ -9,9 +9,9 @@ import pytest
 
 from tests.verdict.builders import TICK_S, plan_through, record, spec_of
 from tests.verdict.test_stitches import COUNT, LENGTH_M, PERIOD_S, POINTS, SPEED_M_S, seam
+from threadline.commands.plan import Following, Plan
 from threadline.errors import RecordingError
-from threadline.plan import Following, Plan
-from threadline.signals import ChannelKind, Event, Recording, RecordingBlock, Stream
+from threadline.files import ChannelKind, Event, Recording, RecordingBlock, Stream
 from threadline.verdict import Criterion, Result, Status, judge
 
 BEGIN, TICKS = 60, 90  # the hold: its first tick, and how many pass until all rows go on

@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.plan import Plan
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError, RecordingError
+from threadline.files import ChannelKind, Recording, tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.machine.numbers import with_numbers
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.plan import Plan
-from threadline.plant.values import Values
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.search import judge_runs
 from threadline.search.judge_runs import RunsJudge
-from threadline.signals import ChannelKind, Recording, tick_table
 from threadline.twin import simulate, simulate_runs
 from threadline.verdict import Criterion, Judge, Spec, judge, load_spec
 from threadline.verdict.measure import MeasureKind, OfPlan, RunReading

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 from tools import fuzz_metamorphic as cases
 
+from threadline.files import Recording
 from threadline.jobs.gcode import modal
-from threadline.signals import Recording
 from threadline.verdict import each_run, judge
 
 VALUE_OF = modal.value_of

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.verdict.builders import TICK_S, follow, plan_through, record, spec_of, winder
-from threadline.arrays import FloatArray
-from threadline.plan import Plan
-from threadline.signals import ChannelKind
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.files import ChannelKind
 from threadline.verdict import Criterion, Judge, Status, judge, verdict_json, verdict_rows
 
 AXES = ("X", "Y")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from threadline.errors import RecordingError
-from threadline.signals import Clock, Recording, RecordingBlock
-from threadline.signals.recording import ChannelKind
+from threadline.files import Clock, Recording, RecordingBlock
+from threadline.files.recording import ChannelKind
 from threadline.verdict import Criterion, judge, load_spec
-from threadline.verdict.follower import MOST_WAITING
+from threadline.verdict.samples import MOST_WAITING
 
 from .builders import SERVO, follow, plan_through, record, spec_of
 from .long_jobs import long_job

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import open_job, plan_job
-from threadline.trajectory.types import Trajectory, TrajectoryBlock
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.verdict.needle import planned_stitches
-from threadline.verdict.passing import Passing
+from threadline.verdict.window import Passing
 
 SEAM = """
 [stitching]

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from threadline.signals import ChannelKind, Recording, Stream
+from threadline.files import ChannelKind, Recording, Stream
 from threadline.verdict import Criterion, Judge, advance, judge
 
 from .builders import TICK_S, follow, plan_through, record, spec_of

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from threadline.files import ChannelKind
 from threadline.machine import load_machine
 from threadline.machine.load import library_names
-from threadline.signals import ChannelKind
 from threadline.verdict import Criterion, Status, judge, load_spec
 
 from .builders import TICK_S, follow, plan_through, record, spec_of

@@ -11,10 +11,10 @@ import pytest
 
 from threadline import __version__
 from threadline.errors import SpecError
+from threadline.files import ChannelKind
 from threadline.jobs import read_job
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.signals import ChannelKind
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.verdict import (
     Criterion,
     Result,

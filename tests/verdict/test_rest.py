@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.verdict.builders import follow, move_s, plan_through, record, spec_of, winder
-from threadline.arrays import FloatArray
-from threadline.plan import Plan
-from threadline.signals import ChannelKind, Recording
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.files import ChannelKind, Recording
 from threadline.verdict import Criterion, Status, Verdict, judge
 from threadline.verdict.samples import Steady
 

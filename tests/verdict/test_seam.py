@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from threadline.drawing.arclength import arc_table
-from threadline.drawing.line import DrawnLine
-from threadline.drawing.shapes import chords, ellipse_arc
+from threadline.files import ChannelKind, Stream
+from threadline.geometry.arclength import arc_table
+from threadline.geometry.contours import DrawnLine
+from threadline.geometry.curves import chords, ellipse_arc
 from threadline.jobs.operations import Feed, FeedMode, Move, Source
 from threadline.machine import load_machine
-from threadline.options import Options
-from threadline.pipeline import prove
-from threadline.signals import ChannelKind, Stream
+from threadline.proof.options import Options
+from threadline.proof.pipeline import prove
 from threadline.verdict import Criterion, Status, judge, load_spec
 
 from .builders import TICK_S, plan_through, record, spec_of

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from threadline.errors import SpecError
+from threadline.files import ChannelKind
 from threadline.machine import load_machine
 from threadline.search.design_files import spec_toml
-from threadline.signals import ChannelKind
 from threadline.verdict import Status, judge, load_spec
 from threadline.verdict.registry import MEASURES
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from threadline.commands.plan import Stitched
 from threadline.machine import load_machine
-from threadline.plan import Stitched
 from threadline.units import parse_quantity
 from threadline.verdict import load_spec
 from threadline.verdict import spec as spec_module

@@ -8,8 +8,8 @@ import pytest
 
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import Options, options_of
-from threadline.pipeline import REPEATED, plan_job, prove_plan
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import REPEATED, plan_job, prove_plan
 from threadline.verdict import Status, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -11,9 +11,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
+from threadline.files import ChannelKind, Stream
 from threadline.jobs.operations import Feed, FeedMode, Move, Source, ToolEvent
-from threadline.signals import ChannelKind, Stream
 from threadline.verdict import Criterion, Status, judge
 from threadline.verdict.blocks import setting_of
 from threadline.verdict.samples import Block

@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from threadline.commands.plan import Plan
+from threadline.dynamics.values import Values
+from threadline.files import Recording, tick_table
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.options import options_of
-from threadline.pipeline import plan_job
-from threadline.plan import Plan
-from threadline.plant.values import Values
-from threadline.signals import Recording, tick_table
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import plan_job
 from threadline.twin import simulate_runs
 from threadline.verdict import load_spec, sweep
 from threadline.verdict.finding import Finding
-from threadline.verdict.intended_runs import open_run
+from threadline.verdict.judge import open_run
 from threadline.verdict.one_pass import Pass, read_all
 from threadline.verdict.registry import MEASURES
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from threadline.signals import ChannelKind
+from threadline.files import ChannelKind
 from threadline.verdict import Criterion, judge
 
 from .builders import TICK_S, follow, move_s, plan_through, record, spec_of

@@ -8,20 +8,20 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.arguments import JsonOption, ReportOption
+from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, say
-from threadline.cli.shared_options import JsonOption, ReportOption
-from threadline.cli.told import warning
-from threadline.control import LeadDesign, design_lead
+from threadline.dynamics import LeadDesign, design_lead
+from threadline.dynamics.loop import axis_loop
+from threadline.dynamics.responses import read_response
+from threadline.dynamics.suspicions import suspicions
+from threadline.dynamics.without_loop import Analysis, analyse_moving
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.machine.controllers import LeadFilter
 from threadline.machine.numbers import with_numbers
-from threadline.plant.loop import axis_loop
-from threadline.plant.measured import read_response
-from threadline.plant.suspicions import suspicions
-from threadline.plant.without_loop import Analysis, analyse_moving
 from threadline.report.analysis import analysis_tables, write_analysis
-from threadline.search.campaign import run_experiments
+from threadline.search.experiments import run_experiments
 from threadline.units import parse_quantity
 
 _LEAD_EXAMPLE = 'Write it like --lead "13.5 Hz, 65 deg".'

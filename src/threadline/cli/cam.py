@@ -8,19 +8,18 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
+from threadline.base.writing import together
+from threadline.cli.arguments import JsonOption, ReportOption
 from threadline.cli.law_characteristics import law_json
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import JsonOption, ReportOption
-from threadline.cli.told import warning
+from threadline.cli.messages import warning
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.errors import OptionError
-from threadline.laws import write_law
-from threadline.laws.cam import MeasuredCam, Triangle, read_cam
-from threadline.laws.cam_study import CamStudy, Faired, Fairing, study_cam
-from threadline.laws.fairing import MOST_PASSES
+from threadline.motion.laws import write_law
+from threadline.motion.laws.cam import MeasuredCam, Triangle, read_cam
+from threadline.motion.laws.cam_study import CamStudy, Faired, Fairing, study_cam
+from threadline.motion.laws.fairing import MOST_PASSES
 from threadline.report.document import Table
-from threadline.typed_number import parse_number
-from threadline.writing import together
+from threadline.units import parse_number
 
 _FEW = 20  # rows that are printed whole
 
@@ -100,7 +99,7 @@ def cam(
     written = None
     with together(out):
         if report is not None:
-            from threadline.report.cam import write_cam
+            from threadline.report.laws import write_cam
 
             written = write_cam(study, [_rows(study, everything=True), tables[1]], report)
         if out is not None:

@@ -9,26 +9,20 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.asked import Words, with_radii_of
+from threadline.base.option_defaults import AUTO, DEFAULT_INTERPOLATION, UNSHAPED_WORD
 from threadline.cli import option_parameters
+from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, ReportOption
 from threadline.cli.found import AXES_ALONE, command_line, limit_words
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import (
-    JobArgument,
-    JsonOption,
-    MachineOption,
-    ReportOption,
-)
-from threadline.cli.told import warning
+from threadline.cli.messages import warning
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
-from threadline.doubts import proof_warnings
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode
-from threadline.kinds import kind_of
-from threadline.option_defaults import AUTO, DEFAULT_INTERPOLATION, UNSHAPED_WORD
-from threadline.path.interpolations import FIRMWARE
-from threadline.pipeline import Proof, open_job
+from threadline.motion.path.interpolations import FIRMWARE
+from threadline.proof.asked import Words, with_radii_of
+from threadline.proof.kinds import kind_of
+from threadline.proof.pipeline import Proof, open_job
+from threadline.proof.recorded import proof_warnings
 from threadline.report import write_comparison
 from threadline.search import Comparison, FastestJob
 from threadline.search import compare as compare_job

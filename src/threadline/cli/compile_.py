@@ -7,23 +7,17 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.asked import Words, check_target
+from threadline.base.writing import is_stdout, together
 from threadline.cli import option_parameters
-from threadline.cli.output import print_json, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import (
-    JobArgument,
-    JsonOption,
-    MachineOption,
-    keep_inputs,
-)
-from threadline.cli.told import note
+from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, keep_inputs
+from threadline.cli.messages import note
+from threadline.cli.output import check_outputs, print_json, say
 from threadline.cli.warn import warn
-from threadline.doubts import tolerance_warnings
 from threadline.errors import OptionError
-from threadline.pipeline import open_job, plan_job, write
-from threadline.signals.files.common import Written
-from threadline.writing import is_stdout, together
+from threadline.files.formats.common import Written
+from threadline.proof.asked import Words, check_target
+from threadline.proof.pipeline import open_job, plan_job, write
+from threadline.proof.recorded import tolerance_warnings
 
 
 def compile_(

@@ -9,22 +9,22 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.asked import Words, level_option
+from threadline.base.option_defaults import FEED_FORWARD
+from threadline.base.writing import together
 from threadline.cli import option_parameters
-from threadline.cli.found import command_line, typed
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import (
+from threadline.cli.arguments import (
     JobArgument,
     JsonOption,
     MachineOption,
     ReportOption,
     keep_inputs,
 )
+from threadline.cli.found import command_line, typed
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.errors import OptionError
-from threadline.option_defaults import FEED_FORWARD
-from threadline.option_words import parse_width_s
-from threadline.pipeline import with_shaping
+from threadline.proof.asked import Words, level_option
+from threadline.proof.option_words import parse_width_s
+from threadline.proof.pipeline import with_shaping
 from threadline.report.design import (
     candidate_rows,
     change_rows,
@@ -33,11 +33,10 @@ from threadline.report.design import (
     what_binds,
     write_design_report,
 )
+from threadline.search.design import Candidate, DesignResult
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
-from threadline.search.design_result import Candidate, DesignResult
 from threadline.verdict import Verdict, closing, verdict_rows
-from threadline.writing import together
 
 _MOST_WIDTHS = 6
 

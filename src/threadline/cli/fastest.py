@@ -8,26 +8,20 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from threadline.asked import Words
 from threadline.cli import option_parameters
+from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, named_folder
 from threadline.cli.fastest_asked import Asked
 from threadline.cli.fastest_by_feed import fastest_by_feed
 from threadline.cli.fastest_cycle import fastest_moves
 from threadline.cli.fastest_optimal import fastest_optimal
-from threadline.cli.fastest_seam import fastest_seam
-from threadline.cli.fastest_shaft import fastest_design
-from threadline.cli.shared_options import (
-    JobArgument,
-    JsonOption,
-    MachineOption,
-    named_folder,
-)
+from threadline.cli.fastest_seam import fastest_design, fastest_seam
 from threadline.errors import OptionError
 from threadline.jobs.operations import Pace
-from threadline.path.interpolations import OPTIMAL
+from threadline.motion.path.interpolations import OPTIMAL
+from threadline.proof.asked import Words
 from threadline.search.by_pace import Question, refuse_for_pace
 from threadline.search.until import Until
-from threadline.typed_number import parse_number
+from threadline.units import parse_number
 
 
 def fastest(

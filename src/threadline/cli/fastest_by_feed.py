@@ -8,10 +8,16 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.asked import level_option
-from threadline.cli.certainty import certainty_of
-from threadline.cli.controller_settings import settings_words
-from threadline.cli.fastest_asked import Asked
+from threadline.cli.fastest_asked import (
+    ABOVE,
+    Asked,
+    certainty_of,
+    check_mismatch,
+    drawn_of,
+    mismatch_json,
+    report_of,
+    show_mismatch,
+)
 from threadline.cli.found import (
     AXES_ALONE,
     END,
@@ -23,36 +29,24 @@ from threadline.cli.found import (
     margin_words,
     merged,
     resolution_words,
+    settings_words,
     typed,
     until_words,
 )
-from threadline.cli.mismatch import (
-    ABOVE,
-    check_mismatch,
-    drawn_of,
-    mismatch_json,
-    report_of,
-    show_mismatch,
-)
 from threadline.cli.output import print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
-from threadline.doubts import tolerance_warnings
+from threadline.commands.plan import Following
 from threadline.errors import OptionError
 from threadline.jobs import Job
-from threadline.jobs.gcode.f_words import as_f_words
+from threadline.jobs.gcode.feeds import as_f_words
 from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
-from threadline.option_words import parse_feed, share_words
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.plan import Following
-from threadline.search import (
-    Fastest,
-    FastestJob,
-    Mismatch,
-    fastest_job,
-    feed_over_tolerances,
-)
+from threadline.proof.asked import level_option
+from threadline.proof.option_words import parse_feed, share_words
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
+from threadline.proof.recorded import tolerance_warnings
+from threadline.search import Fastest, FastestJob, Mismatch, fastest_job, feed_over_tolerances
 from threadline.search.by_pace import job_words
 from threadline.search.feed import search_range, searched_by
 from threadline.search.forbidden import joined

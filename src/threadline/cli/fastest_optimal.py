@@ -7,19 +7,16 @@ from typing import Any, NoReturn
 
 import typer
 
-from threadline.cli.certainty import certainty_of
-from threadline.cli.fastest_asked import Asked
+from threadline.base.option_defaults import NO_CONTOUR
+from threadline.cli.fastest_asked import Asked, certainty_of, report_of
 from threadline.cli.fastest_by_feed import best_of, metres_per_second, proving
 from threadline.cli.found import limit_words, margin_words, typed, until_words
-from threadline.cli.mismatch import report_of
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import warn
 from threadline.errors import OptionError
-from threadline.option_defaults import NO_CONTOUR
-from threadline.option_words import share_words
-from threadline.path.interpolations import OPTIMAL
-from threadline.pipeline import plan_job, with_shaping
+from threadline.motion.path.interpolations import OPTIMAL
+from threadline.proof.option_words import share_words
+from threadline.proof.pipeline import plan_job, with_shaping
 from threadline.report.strips import binding_lines, binding_of
 from threadline.search import FastestJob, Rung, fastest_job
 from threadline.search.allowance import options_at

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 from threadline import __version__
-from threadline.cli.told import warning
+from threadline.cli.messages import warning
 from threadline.errors import MachineError, OptionError, Place
 from threadline.machine import library_file, load_machine
 from threadline.machine.firmware import (

@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from threadline.cli.output import print_json, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import JsonOption, named_folder
+from threadline.cli.arguments import JsonOption, named_folder
+from threadline.cli.output import check_outputs, print_json, say
 from threadline.machine import load_machine
 from threadline.report.guide import guide_of, write_guide
 

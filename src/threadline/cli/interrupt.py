@@ -1,4 +1,4 @@
-"""Interrupts: the exit status and the line they end the program with, also during imports.
+"""Ends of the program that nobody asked for: interrupts and defects, each with its exit status.
 
 An interrupt is SIGINT from a person, SIGTERM from a time limit or a batch system, or SIGHUP from a
 terminal that is closed. Only the standard library is imported here.
@@ -8,17 +8,25 @@ from __future__ import annotations
 
 import math
 import os
+import platform
+import shlex
 import signal
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+import traceback
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from threadline import __version__
+
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
+
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
 _STDERR = 2
@@ -155,3 +163,46 @@ def _leave(number: int, _frame: FrameType | None) -> None:
     status, said = _ENDS[signal.Signals(number)]
     os.write(_STDERR, said.encode())
     os._exit(status)
+
+
+EXIT_DEFECT = 70
+"""EX_SOFTWARE of sysexits.h; a crash must not end with 1, which says "out of specification"."""
+_SHOWN = 120
+
+
+def keep_traceback(error: Exception, given: Sequence[str]) -> str:
+    """Write the traceback of ``error`` to a file of its own; return the line that says where.
+
+    Parameters
+    ----------
+    error
+        The exception that the program did not expect.
+    given
+        The arguments of the command.
+    """
+    where = traceback.extract_tb(error.__traceback__)
+    at = f" at {Path(where[-1].filename).name}:{where[-1].lineno}" if where else ""
+    said = " ".join(str(error).split())[:_SHOWN]
+    what = f"{type(error).__name__}{at}{f': {said}' if said else ''}"
+    text = "\n".join(
+        [
+            f"threadline {__version__}, Python {platform.python_version()}, {platform.platform()}",
+            f"command: threadline {shlex.join(given)}",
+            "",
+            "".join(traceback.format_exception(error)),
+        ]
+    )
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w",
+            prefix="threadline-defect-",
+            suffix=".txt",
+            delete=False,
+            encoding="utf-8",
+            errors="backslashreplace",
+        ) as file:
+            file.write(text)
+        kept = f"Please report it with the file {file.name}, which has the traceback."
+    except OSError as failure:
+        kept = f"Its traceback could not be kept: {failure.strerror or failure}."
+    return f"[DEFECT] this is a defect of the program, not of the input: {what}. {kept}"

@@ -7,14 +7,13 @@ from typing import Annotated
 
 import typer
 
+from threadline.base.writing import together
+from threadline.cli.arguments import JsonOption, ReportOption, ratio
 from threadline.cli.law_characteristics import law_json, law_row
-from threadline.cli.output import print_json, print_table, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import JsonOption, ReportOption, ratio
+from threadline.cli.output import check_outputs, print_json, print_table, say
 from threadline.errors import OptionError
-from threadline.laws import LAWS, Law, write_law
-from threadline.laws import law as law_of_catalogue
-from threadline.writing import together
+from threadline.motion.laws import LAWS, Law, write_law
+from threadline.motion.laws import law as law_of_catalogue
 
 
 def law(
@@ -122,7 +121,7 @@ def _called(name: str) -> Law:
     """Return the law of a name; shapers, which take a second to load, where one is in the name."""
     if "*" not in name:
         return law_of_catalogue(name)
-    from threadline.shaping.law_named import law_named
+    from threadline.motion.shaping.shaped_law import law_named
 
     return law_named(name)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from threadline.laws import Law
+from threadline.motion.laws import Law
 
 
 def law_row(law: Law) -> list[str]:

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from threadline.base.writing import together
 from threadline.cli.law_characteristics import law_json
+from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.told import warning
 from threadline.errors import OptionError
-from threadline.laws import LAWS, Law, write_law
-from threadline.report.document import Table
-from threadline.shaping import (
+from threadline.motion.laws import LAWS, Law, write_law
+from threadline.motion.shaping import (
     Demand,
     FlexibleMode,
     MadeLaw,
@@ -28,9 +28,9 @@ from threadline.shaping import (
     shaped_windows,
     usual_jerk_m_s3,
 )
-from threadline.shaping.types import MAX_DAMPING_RATIO
-from threadline.typed_number import parse_number
-from threadline.writing import together
+from threadline.motion.shaping.types import MAX_DAMPING_RATIO
+from threadline.report.document import Table
+from threadline.units import parse_number
 
 COPIED = "modified-sine"
 """The law that the made one is compared with: the cams of embroidery machines have it."""

@@ -11,9 +11,9 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
+from threadline.base.importing import collecting_no_garbage
 from threadline.cli.interrupt import leaving_on_interrupt
 from threadline.errors import OptionError
-from threadline.importing import collecting_no_garbage
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,17 +6,11 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.arguments import JsonOption
+from threadline.cli.messages import note
 from threadline.cli.output import print_json, say, say_lines
-from threadline.cli.shared_options import JsonOption
-from threadline.cli.told import note
-from threadline.machine import (
-    Machine,
-    library_file,
-    library_names,
-    load_machine,
-    overlay_names,
-)
-from threadline.machine.clocked import clocked
+from threadline.machine import Machine, library_file, library_names, load_machine, overlay_names
+from threadline.machine.model import clocked
 
 
 def machines(

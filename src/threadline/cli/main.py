@@ -13,20 +13,19 @@ import typer
 from typer.exceptions import TyperException
 
 from threadline import __version__
-from threadline.cli.crash import EXIT_DEFECT, keep_traceback
-from threadline.cli.interrupt import EXIT_INTERRUPTED, Termination, terminating
-from threadline.cli.lazy import LazyGroup
-from threadline.cli.told import STDOUT, note, tell_warnings, telling
-from threadline.errors import (
-    BudgetError,
-    InputError,
-    LinkFaultError,
-    OptionError,
-    ThreadlineError,
+from threadline.base.reading import noting_inputs
+from threadline.base.wording import field_fault
+from threadline.base.writing import noting_outputs
+from threadline.cli.interrupt import (
+    EXIT_DEFECT,
+    EXIT_INTERRUPTED,
+    Termination,
+    keep_traceback,
+    terminating,
 )
-from threadline.foreign_messages import field_fault
-from threadline.input_files import noting_inputs
-from threadline.writing import noting_outputs
+from threadline.cli.lazy import LazyGroup
+from threadline.cli.messages import STDOUT, note, tell_warnings, telling
+from threadline.errors import BudgetError, InputError, LinkFaultError, OptionError, ThreadlineError
 
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3

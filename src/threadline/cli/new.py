@@ -15,6 +15,8 @@ from typing import Annotated, TypeVar
 import typer
 
 from threadline import __version__
+from threadline.base.writing import staging_folder
+from threadline.cli.arguments import JsonOption
 from threadline.cli.from_settings import (
     ANSWERS_TO,
     FIRMWARES,
@@ -26,13 +28,10 @@ from threadline.cli.from_settings import (
     still_asked,
 )
 from threadline.cli.operator_keys import somebody_at_the_keys
-from threadline.cli.output import ask, print_json, print_table, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import JsonOption
+from threadline.cli.output import ask, check_outputs, print_json, print_table, say
 from threadline.errors import InputError, OptionError
 from threadline.machine import library_file
 from threadline.machine.firmware import check_answers, parse_answers
-from threadline.writing import staging_folder
 
 Answer = TypeVar("Answer")
 

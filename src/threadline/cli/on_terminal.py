@@ -14,9 +14,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from threadline.cli.told import STARTING, at_work
-from threadline.escaping import plain
-from threadline.progress_call import Progress as ProgressCall
+from threadline.base.progress import Progress as ProgressCall
+from threadline.base.wording import plain
+from threadline.cli.messages import STARTING, at_work
 
 _SHOW_AFTER_S = 1.0
 _WRAPPED = 40  # characters: a narrower column breaks a note too often

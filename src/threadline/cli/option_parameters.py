@@ -15,11 +15,9 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-from threadline.asked import Words
-from threadline.option_form import Option, Type
-from threadline.option_table import (
-    options_for,
-)
+from threadline.proof.asked import Words
+from threadline.proof.option_form import Option, Type
+from threadline.proof.option_table import options_for
 
 _NAMED: Mapping[Type, Any] = {
     Type.TEXT: str,

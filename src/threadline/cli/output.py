@@ -1,4 +1,4 @@
-"""Output of the commands: tables for people, one JSON object for programs.
+"""Output of the commands: tables for people, one JSON object for programs, and files.
 
 What needs rich is in ``on_terminal``, loaded where something is drawn: an object needs none of it.
 """
@@ -11,11 +11,15 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
+from itertools import product
+from pathlib import Path
 from typing import Any
 
-from threadline.cli.told import STARTING, STDOUT, at_work, note
-from threadline.escaping import plain
-from threadline.progress_call import Progress as ProgressCall
+from threadline.base.progress import Progress as ProgressCall
+from threadline.base.wording import plain
+from threadline.base.writing import check_output, is_stdout
+from threadline.cli.messages import STARTING, STDOUT, at_work, note
+from threadline.errors import OptionError
 
 _STDOUT = 1  # its file descriptor
 _FILE_WIDTH = 120  # of a table in a file or a pipe, which has no width of its own
@@ -109,3 +113,50 @@ def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
 
     with bar_on_terminal() as update:
         yield update
+
+
+_STEMS = ("report", "comparison", "shaper", "analysis", "design")
+"""Names of reports' pages, without suffix, at which no folder or read-only file may be."""
+
+
+def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> None:
+    """Refuse outputs that could not be written, before hours of work go into them.
+
+    Parameters
+    ----------
+    file
+        A file to be written; its folder may have to be made.
+    folder
+        A folder to be written into; it may have to be made.
+
+    Raises
+    ------
+    OptionError
+        If what should be a folder is a file, nothing can be written there, or something is in the
+        way.
+    """
+    if file is not None:
+        check_output(file)
+        if not is_stdout(file):
+            _check_folder(Path(os.path.realpath(file)).parent, file)
+    if folder is not None:
+        _check_folder(Path(os.path.realpath(folder)), folder)
+        for stem, ending in product(_STEMS, ("html", "pdf")):
+            if (page := folder / f"{stem}.{ending}").exists():
+                check_output(page)
+
+
+def _check_folder(folder: Path, wanted: Path) -> None:
+    there = folder
+    while not os.path.lexists(there) and there != there.parent:
+        there = there.parent
+    if not there.is_dir():
+        raise OptionError(
+            f"cannot write {str(wanted)!r}: {str(there)!r} is not a folder",
+            remedy="Give another path.",
+        )
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise OptionError(
+            f"cannot write {str(wanted)!r}: no permission to write in {str(there)!r}",
+            remedy="Give another path.",
+        )

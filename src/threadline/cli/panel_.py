@@ -12,18 +12,18 @@ from typing import Annotated
 
 import typer
 
-from threadline.asked import chosen_machine
+from threadline.cli.arguments import MachineOption, ParOption, SpecOption
 from threadline.cli.interrupt import TerminatedError
+from threadline.cli.messages import at_work, note
 from threadline.cli.output import say
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
-from threadline.cli.shared_options import MachineOption, ParOption, SpecOption
-from threadline.cli.told import at_work, note
 from threadline.errors import OptionError
-from threadline.live.host_names import bare, in_url, is_host
-from threadline.live.link_operated import at_link
+from threadline.live.grbl_words import bare, in_url, is_host
+from threadline.live.links import at_link
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
-from threadline.pipeline import check_machine
-from threadline.store.run_store import check_folder
+from threadline.live.store.run_store import check_folder
+from threadline.proof.asked import chosen_machine
+from threadline.proof.pipeline import check_machine
 from threadline.verdict import load_spec
 
 _MOST_SPEED = 100.0
@@ -83,10 +83,8 @@ def panel(
     import uvicorn
 
     from threadline.panel.admission import Admission, PromptHttp
-    from threadline.panel.calculation import Calculation
-    from threadline.panel.machine_guide import MachineGuide
-    from threadline.panel.owner_link import OwnerLink
-    from threadline.panel.owner_process import Owned, start_owner
+    from threadline.panel.calculation import Calculation, MachineGuide
+    from threadline.panel.owner_process import Owned, OwnerLink, start_owner
     from threadline.panel.panel import Panel
     from threadline.panel.protocol import MOST_TEXT
     from threadline.panel.server import check_page, make_app

@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
-from threadline.asked import Words
+from threadline.base.writing import together
 from threadline.cli import option_parameters
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import (
+from threadline.cli.arguments import (
     JobArgument,
     JsonOption,
     MachineOption,
@@ -21,15 +19,17 @@ from threadline.cli.shared_options import (
     keep_inputs,
     key_of,
 )
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell
-from threadline.doubts import doubts
-from threadline.kinds.watched import WRITING, Share
+from threadline.files.formats import write_recording
 from threadline.machine import Machine
-from threadline.pipeline import Proof, with_shaping
-from threadline.pipeline import prove as prove_job
-from threadline.proof_file import write_proof
+from threadline.proof.asked import Words
+from threadline.proof.kinds.kind import WRITING, Share
+from threadline.proof.pipeline import Proof, with_shaping
+from threadline.proof.pipeline import prove as prove_job
+from threadline.proof.proof_file import write_proof
+from threadline.proof.recorded import doubts
 from threadline.report import about, write_report
-from threadline.signals.files import write_recording
 from threadline.verdict import (
     Verdict,
     closing,
@@ -38,7 +38,6 @@ from threadline.verdict import (
     verdict_json,
     verdict_rows,
 )
-from threadline.writing import together
 
 
 def prove(

@@ -7,25 +7,24 @@ from typing import Annotated
 
 import typer
 
-from threadline.asked import Words
-from threadline.cli.output import print_json, say
-from threadline.cli.outputs import check_outputs
+from threadline.base.writing import together
+from threadline.cli.arguments import JsonOption, SpecOption, named_folder
+from threadline.cli.output import check_outputs, print_json, say
 from threadline.cli.prove import show_proof
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
-from threadline.cli.shared_options import JsonOption, SpecOption, named_folder
 from threadline.errors import StoreError
-from threadline.option_form import Door
-from threadline.pipeline import Proof
-from threadline.proof_file import read_proof, spec_sha256
-from threadline.recorded import judge_files
+from threadline.files.formats import read_recording, write_recording
+from threadline.live.store.index import REFUSED, RunRecord
+from threadline.live.store.run_store import INPUTS, PROOF, TRACE, opened
+from threadline.live.store.whole_trace import as_one, joined_with, whole_recording
+from threadline.proof.asked import Words
+from threadline.proof.option_form import Door
+from threadline.proof.pipeline import Proof
+from threadline.proof.proof_file import read_proof, spec_sha256
+from threadline.proof.recorded import judge_files
 from threadline.report import write_report
 from threadline.search.studied import studied
-from threadline.signals.files import read_recording, write_recording
-from threadline.store.index import REFUSED, RunRecord
-from threadline.store.run_store import INPUTS, PROOF, TRACE, opened
-from threadline.store.whole_trace import as_one, joined_with, whole_recording
 from threadline.verdict import verdict_json
-from threadline.writing import together
 
 
 def report(

@@ -12,22 +12,10 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.arrays import finite
-from threadline.asked import Words
+from threadline.base.arrays import finite
+from threadline.base.reading import inputs_read
 from threadline.cli import option_parameters
-from threadline.cli.continued import (
-    AtOption,
-    ConfirmedOption,
-    ContinueOption,
-    check_continued,
-    continued_run,
-)
-from threadline.cli.operator_keys import at_the_keys, somebody_at_the_keys
-from threadline.cli.output import as_far_as_possible, print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.prove import plot_every
-from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
-from threadline.cli.shared_options import (
+from threadline.cli.arguments import (
     JobArgument,
     JsonOption,
     KeyOption,
@@ -36,29 +24,44 @@ from threadline.cli.shared_options import (
     keep_inputs,
     key_of,
 )
-from threadline.cli.told import note, warning
-from threadline.cli.warn import tell
-from threadline.doubts import doubts
-from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
-from threadline.input_files import inputs_read
-from threadline.live.desk import Desk
-from threadline.live.hold_deviation import hold_waits, hold_words
-from threadline.live.links import Link, link_of
-from threadline.live.sim_faults import SimFault, parse_fault
-from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
-from threadline.live.supervised import (
-    check_halts,
-    check_override,
-    check_runnable,
+from threadline.cli.messages import note, warning
+from threadline.cli.operator_keys import (
+    AtOption,
+    ConfirmedOption,
+    ContinueOption,
+    at_the_keys,
+    check_continued,
+    continued_run,
+    somebody_at_the_keys,
 )
-from threadline.live.ways import way_of
-from threadline.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
-from threadline.plan import Plan
-from threadline.proof_file import read_proof, write_proof
-from threadline.signals import Ended, Recording
-from threadline.signals.files import write_recording
-from threadline.store.run_store import OpenRun, RunStore, check_folder
-from threadline.store.whole_trace import as_one, joined_with, whole_recording
+from threadline.cli.output import (
+    as_far_as_possible,
+    check_outputs,
+    print_json,
+    print_table,
+    progress_bar,
+    say,
+)
+from threadline.cli.prove import plot_every
+from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
+from threadline.cli.warn import tell
+from threadline.commands.plan import Plan
+from threadline.errors import LinkFaultError, OptionError, RecordingError, StoreError
+from threadline.files import Ended, Recording
+from threadline.files.formats import write_recording
+from threadline.live.hold_deviation import hold_waits, hold_words
+from threadline.live.kinds_run import way_of
+from threadline.live.links import Link, link_of
+from threadline.live.sim_machine import SimFault, parse_fault
+from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
+from threadline.live.states import Desk
+from threadline.live.store.run_store import OpenRun, RunStore, check_folder
+from threadline.live.store.whole_trace import as_one, joined_with, whole_recording
+from threadline.live.supervised import check_halts, check_override, check_runnable
+from threadline.proof.asked import Words
+from threadline.proof.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
+from threadline.proof.proof_file import read_proof, write_proof
+from threadline.proof.recorded import doubts
 from threadline.verdict import (
     Spec,
     Verdict,

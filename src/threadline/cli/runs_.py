@@ -8,11 +8,10 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli.arguments import JsonOption, named_folder
 from threadline.cli.output import print_json, print_table, say
-from threadline.cli.shared_options import JsonOption, named_folder
-from threadline.store.index import RUNNING, RunRecord
-from threadline.store.run_store import opened
-from threadline.store.told_verdicts import verdict_of_proof, verdict_of_run
+from threadline.live.store.index import RUNNING, RunRecord
+from threadline.live.store.run_store import opened, verdict_of_proof, verdict_of_run
 
 DEFAULT_STORE = Path("runs")
 StoreOption = Annotated[

@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from threadline.cli.klipper_axes import doubted, shape_two_axes
+from threadline.cli.arguments import JsonOption, ReportOption, ratio
+from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table, progress_bar, say, say_lines
 from threadline.cli.shaper_move import rest_to_rest, study_content, study_tables
 from threadline.cli.shaper_text import (
@@ -17,20 +18,18 @@ from threadline.cli.shaper_text import (
     bands_of,
     curve_lines,
     designed,
+    doubted,
     missed,
     modes_of,
     price_content,
     price_table,
     refuse_worse_than_none,
+    shape_two_axes,
     suspicions,
     tolerances_of,
 )
-from threadline.cli.shared_options import JsonOption, ReportOption, ratio
-from threadline.cli.told import warning
 from threadline.errors import OptionError
-from threadline.report.document import Table
-from threadline.report.shaper import write_shaper
-from threadline.shaping import (
+from threadline.motion.shaping import (
     ControllerLimits,
     FlexibleMode,
     Insensitivity,
@@ -43,9 +42,10 @@ from threadline.shaping import (
     realise,
     vibration_of,
 )
-from threadline.shaping.onoff.study import MoveStudy, study_move
-from threadline.typed_number import parse_number
-from threadline.units import without_noise
+from threadline.motion.shaping.onoff.study import MoveStudy, study_move
+from threadline.report.document import Table
+from threadline.report.shaper import write_shaper
+from threadline.units import parse_number, without_noise
 
 _STILL = 0.01  # of one full step: 1 %
 _SI_BAND = 0.2  # of the frequency to either side: how well a stiffness is usually known

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from threadline.errors import OptionError
+from threadline.motion.shaping import FlexibleMode
+from threadline.motion.shaping.onoff.body_and_modes import Command, RestToRest, worst_ringing
+from threadline.motion.shaping.onoff.study import WITHIN, MoveStudy
 from threadline.report.document import Table
-from threadline.shaping import FlexibleMode
-from threadline.shaping.onoff.body_and_modes import Command, RestToRest, worst_ringing
-from threadline.shaping.onoff.study import WITHIN, MoveStudy
-from threadline.typed_number import parse_number
+from threadline.units import parse_number
 
 
 def rest_to_rest(

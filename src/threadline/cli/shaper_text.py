@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from threadline.cli.messages import warning
+from threadline.cli.output import print_json, say, say_lines
 from threadline.errors import OptionError
-from threadline.report.document import Table
-from threadline.shaping import (
+from threadline.motion.shaping import (
     FlexibleMode,
     Realised,
     Requirement,
@@ -26,7 +27,9 @@ from threadline.shaping import (
     unit_magnitude_over_bands,
     vibration_of,
 )
-from threadline.shaping.types import MAX_DAMPING_RATIO
+from threadline.motion.shaping.firmwares import klipper_export
+from threadline.motion.shaping.types import MAX_DAMPING_RATIO
+from threadline.report.document import Table
 from threadline.units import without_noise
 
 BANDED = ("si", "um-si")
@@ -315,3 +318,66 @@ def curve_lines(
         middle = f"{m.frequency_hz:.4g}"
         ends = f"{left}{middle:^{_COLUMNS - len(left) - len(right)}}{right}"
         yield f"          {ends}"
+
+
+_HEADER = "[input_shaper]\n"
+
+
+DEFAULT_DAMPING = 0.1
+"""Klipper's default damping ratio: no warning is given where a mode repeats it."""
+
+
+def doubted(modes: Sequence[FlexibleMode]) -> list[str]:
+    """Return warnings of suspicious damping ratios; Klipper's default is none."""
+    own = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
+    return list(suspicions(tuple(own)))
+
+
+def shape_two_axes(
+    kind: str,
+    asked: Sequence[Asked],
+    tolerances: Sequence[float],
+    bands: Sequence[float],
+    others: Sequence[object],
+    json: bool,
+) -> None:
+    """Print one section of Klipper's for both axes: the first mode is of X, the second of Y.
+
+    Parameters
+    ----------
+    others
+        Values of the options that need one train of impulses; each must be None.
+
+    Raises
+    ------
+    OptionError
+        If there are more than two modes, or one of ``others`` is given.
+    """
+    if len(asked) > 2:
+        raise OptionError(
+            f"Klipper shapes one mode per axis, {len(asked)} are given",
+            remedy="Give one --mode for both axes, or two: of X, then of Y.",
+        )
+    if any(other is not None for other in others):
+        raise OptionError(
+            "--klipper with a mode for X and one for Y gives two trains, and --tick, --move and "
+            "--report take one",
+            remedy="Leave them out, or give one --mode.",
+        )
+    lines, found = _HEADER, {}
+    for axis, one, tolerance, band in zip("xy", asked, tolerances, bands, strict=True):
+        made = designed(kind, (one.mode,), (tolerance,), (band,))
+        export = klipper_export(made, one.mode, axes=axis)
+        found[axis] = export
+        lines += export.section.removeprefix(_HEADER)
+    whole = lines if all(export.section for export in found.values()) else ""
+    if json:
+        notes = {axis: export.explanation for axis, export in found.items()}
+        print_json({"klipper": whole or None, "klipper_note": notes})
+        return
+    for said in doubted([one.mode for one in asked]):
+        warning(said)
+    for axis, export in found.items():
+        say(f"{axis.upper()}: {export.explanation}")
+    if whole:
+        say_lines(whole)

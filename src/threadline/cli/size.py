@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
+from threadline.cli.arguments import JsonOption, ratio
+from threadline.cli.messages import warning
 from threadline.cli.output import print_json, print_table
-from threadline.cli.shared_options import JsonOption, ratio
-from threadline.cli.told import warning
 from threadline.sizing import PROFILES, Demands, Sizing
 from threadline.sizing import size as size_demands
-from threadline.typed_number import parse_number
+from threadline.units import parse_number
 
 _EXAMPLES = {"m": "0.1 in", "s": "50 ms", "rad": "90 deg", "kg*m^2": "4.75 kg cm^2"}
 

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
+from threadline.cli.arguments import JsonOption, KeyOption
 from threadline.cli.output import print_json, say
-from threadline.cli.shared_options import JsonOption, KeyOption
 from threadline.errors import Place, ProofError
-from threadline.proof_file import read_key, read_proof, verify_proof
+from threadline.proof.proof_file import read_key, read_proof, verify_proof
 from threadline.verdict.types import Level
 
 _SIGNED = {

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from threadline.cli.told import warning
+from threadline.cli.messages import warning
+from threadline.dynamics.suspicions import suspicions
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.plant.suspicions import suspicions
 
 
 def warn(machine: Machine, job: Job, more: Iterable[str] = (), *, own_feed: bool) -> None:

@@ -12,42 +12,50 @@ import numpy as np
 import typer
 
 from threadline import __version__
-from threadline.arrays import finite
-from threadline.asked import Words
+from threadline.base.arrays import finite
+from threadline.base.writing import together
 from threadline.cli import option_parameters
-from threadline.cli.cheapest import set_content, show_set, yield_words
-from threadline.cli.found import command_line
-from threadline.cli.output import print_json, print_table, progress_bar, say
-from threadline.cli.outputs import check_outputs
-from threadline.cli.shared_options import (
+from threadline.cli.arguments import (
     JobArgument,
     JsonOption,
     MachineOption,
     ReportOption,
     keep_inputs,
 )
+from threadline.cli.found import command_line
+from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
-from threadline.cli.why import Why, counted, show_why, why_content, why_of
+from threadline.cli.yield_tables import (
+    Why,
+    counted,
+    set_content,
+    show_set,
+    show_why,
+    why_content,
+    why_of,
+    yield_words,
+)
+from threadline.commands.plan import Plan
 from threadline.errors import OptionError
 from threadline.machine.variants import not_drawn
-from threadline.option_words import parse_yield
-from threadline.pipeline import check_machine, open_job, plan_job
-from threadline.plan import Plan
-from threadline.proof_file import spec_sha256
-from threadline.search.cheapest_set import MACHINES, cheapest_set
+from threadline.proof.asked import Words
+from threadline.proof.option_words import parse_yield
+from threadline.proof.pipeline import check_machine, open_job, plan_job
+from threadline.proof.proof_file import spec_sha256
+from threadline.search.influence import MACHINES, cheapest_set
 from threadline.search.machine_yield import (
     MachineYield,
     Worst,
     Yield,
+    limited_rows,
+    quantile,
     worst_toml,
 )
-from threadline.search.yield_rows import limited_rows, quantile
 from threadline.search.yield_state import YieldState
 from threadline.verdict import CriterionRow, Spec
-from threadline.verdict.binomial import CONFIDENCE, clopper_pearson
+from threadline.verdict.each_run import CONFIDENCE, clopper_pearson
 from threadline.verdict.rendering import shown
 from threadline.verdict.types import Level
-from threadline.writing import together
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,7 +185,7 @@ def _check_files(
 
 def _drawn(found: Yield, title: str, folder: Path) -> Path:
     """Draw a yield into a folder; return the path of the picture."""
-    from threadline.report.machine_yield import write_yield  # slow to import: it draws
+    from threadline.report.searches import write_yield  # slow to import: it draws
 
     return write_yield(found, title, folder)
 

@@ -1,16 +1,17 @@
-"""The time that a move takes at a feed, by the meaning of the feed."""
+"""Times of moves and of whole jobs at their programmed feeds."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray, largest_of_axes
+from threadline.base.arrays import FloatArray, largest_of_axes
 from threadline.errors import Place, PlanError
-from threadline.jobs.gcode.f_words import as_f_words
-from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.jobs.gcode.feeds import as_f_words
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, MoveRun, Pace, gathered
 from threadline.machine import Machine
 
 _MM_AS_DEGREE_M = 1e-3 * 180.0 / math.pi  # m per rad: a degree as a millimetre
@@ -150,3 +151,56 @@ def nominal_time_s(
     normal = Feed(FeedMode.COUNT_PER_TICK, share * operator.normal_feed.si)
     slowest = feed_time_s(displacement, normal, job.axes, machine)
     return np.maximum(nominal, slowest), int((slowest > nominal * (1 + 1e-9)).sum())
+
+
+def programmed_time_s(job: Job, machine: Machine, feed: Feed | None = None) -> float:
+    """Return the nominal time of a job, in s.
+
+    Every move takes the time that its feed gives, as if the machine had no inertia, and every rapid
+    move the time at the velocity limits of the axes. Dwells take their own time, stops none. The
+    operator's normal feed is ignored. A CAM program that knows nothing but feeds reports this time.
+
+    Parameters
+    ----------
+    feed
+        Feed in place of the programmed ones; None for the programmed.
+
+    Raises
+    ------
+    JobError
+        If a block lacks a feed or a mode of motion.
+    PlanError
+        If a feed is missing or not above 0.
+    """
+    column = [machine.axis_names.index(axis) for axis in job.axes]
+    velocity = machine.velocity_limit[column]
+    position = np.array(job.start)
+    total = 0.0
+    for operation, times, _ in job.folded():
+        if isinstance(operation, Dwell):
+            total += times * operation.duration_s
+            continue
+        run = gathered([operation]) if isinstance(operation, Move) else operation
+        if not isinstance(run, MoveRun):
+            continue
+        way = np.diff(run.targets, axis=0, prepend=position[None])
+        position = run.targets[-1]
+        ends = [begin for begin, _ in run.feeds[1:]] + [len(way)]
+        for (begin, programmed), end in zip(run.feeds, ends, strict=True):
+            place = Place(run.file, int(run.line[begin]))
+            wanted = wanted_feed(programmed, feed, place, job, machine)
+            if wanted.mode is FeedMode.RAPID:
+                moves_s = (np.abs(way[begin:end]) / velocity).max(axis=1)
+            else:
+                moves_s = feed_time_s(way[begin:end], wanted, job.axes, machine)
+            total += times * float(moves_s.sum())
+    return total
+
+
+SLOWER: Mapping[Pace, str] = {
+    "feed": "Lower the feed",
+    "needle": "Lower the speed of the needle",
+    "shaft": "Lower the speed of the shaft",
+    "switchings": "Shape its moves (--shaper), or let it rest longer",
+}
+"""By what sets the speed of a job, see ``Job.paced_by``; each begins a remedy."""

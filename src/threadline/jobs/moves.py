@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
+from threadline.base.reading import open_binary
+from threadline.base.wording import line_in_rows, nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
-from threadline.foreign_messages import line_in_rows, nearest, toml_fault
-from threadline.input_files import open_binary
+from threadline.files import Stream
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -31,7 +32,6 @@ from threadline.jobs.operations import (
     WaitInput,
 )
 from threadline.machine import Machine
-from threadline.signals import Stream
 from threadline.units import parse_quantity
 
 TOP_KEYS = ("name", "home", "operation")

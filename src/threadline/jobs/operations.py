@@ -12,10 +12,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.drawing.line import DrawnLine
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import Place
-from threadline.signals import Stream
+from threadline.files import Stream
+from threadline.geometry.contours import DrawnLine
 
 Tags: TypeAlias = Mapping[str, float | str]
 Column: TypeAlias = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.str_] | NDArray[np.object_]
@@ -426,3 +426,21 @@ def gathered(moves: list[Move]) -> MoveRun:
         columns=columns_of([move.tags for move in moves]),
         acts=tuple((index, move.acts) for index, move in enumerate(moves) if move.acts),
     )
+
+
+def begins_circuit(before: Source | None, now: Source) -> bool:
+    """Say whether a circuit begins between two operations that follow each other.
+
+    Parameters
+    ----------
+    before
+        Where the operation before comes from; None at the beginning of the job.
+    now
+        Where the operation comes from.
+    """
+    if not now.passes:
+        return False
+    if before is None or not before.passes or before.passes[0] != now.passes[0]:
+        return True
+    # Two calls of one pass each, one after the other: the lines begin again.
+    return len(before.passes) == len(now.passes) == 1 and now.line < before.line

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from threadline.errors import OptionError, UnitError
+from threadline.files import Stream
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, OperationStream
 from threadline.machine import Machine
-from threadline.signals import Stream
 from threadline.units import parse_quantity
 
 Offset = tuple[float, ...]

@@ -1,1 +1,1 @@
-"""Execution of proved plans on a machine, over a link, with guards that stop it safely."""
+"""Execution of proved plans over links to machines, guards that stop runs, and the kept runs."""

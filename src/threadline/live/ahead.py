@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 from threadline.errors import CommandError, LimitError
+from threadline.files import Commands, Event, tick_table
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
+from threadline.live.pace import place_words
 from threadline.live.path_window import PathWindow
-from threadline.live.place_words import place_words
 from threadline.live.wire import Message, event_told
 from threadline.machine import Machine
-from threadline.signals import Commands, Event, tick_table
 
 _KEPT = 4  # past ticks that are kept
 SETTLE_S = 0.5

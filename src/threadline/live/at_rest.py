@@ -7,15 +7,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LinkFaultError
-from threadline.live.desk import Desk
+from threadline.files import Ended
 from threadline.live.far_end import FarEnd
-from threadline.live.kept import Sink
-from threadline.live.states import Cause, State, homed_after, next_state
+from threadline.live.states import Cause, Desk, Sink, State, homed_after, next_state
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
-from threadline.signals import Ended
 
 OPERATOR = "the operator"
 

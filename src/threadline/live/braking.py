@@ -14,10 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray
+from threadline.base.compiled import njit
+from threadline.dynamics.analysis import fastest
 from threadline.machine import Machine
-from threadline.plant.actuator import fastest
 
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
 """Durations of braking in ticks that are tried; the first one that keeps every limit is used."""

@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
 from threadline.errors import CommandError
-from threadline.live.path_window import rest_rows
-from threadline.machine import Machine
-from threadline.signals import (
+from threadline.files import (
     Commands,
     Event,
     StepPlay,
@@ -27,6 +25,8 @@ from threadline.signals import (
     switch_schedule,
     tick_table,
 )
+from threadline.live.path_window import rest_rows
+from threadline.machine import Machine
 
 _WORK = frozenset(("tool", "vacuum"))
 """Kinds of outputs that do the work; all others move cylinders, or give air."""

@@ -11,18 +11,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LimitError, LinkFaultError
+from threadline.files import Commands, Ended
 from threadline.live.ahead import ticks_in
 from threadline.live.at_rest import AtRest
-from threadline.live.desk import Desk
 from threadline.live.jogging import JogAhead, MoveAhead
-from threadline.live.kept import Sink
-from threadline.live.states import MOVING, Cause, State, next_state
-from threadline.live.ways import RunAhead, way_of
+from threadline.live.kinds_run import RunAhead, way_of
+from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
-from threadline.signals import Commands, Ended
 
 DEPTH_S = 0.1
 """Rows are sent no further ahead than this, s."""

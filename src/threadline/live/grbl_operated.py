@@ -8,22 +8,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
 from threadline.errors import CommandError, LinkFaultError
-from threadline.live.desk import Desk
+from threadline.files import Channel, Ended
 from threadline.live.executor import LEASE_S
-from threadline.live.grbl_by_hand import GrblJog, fastest_by_hand
-from threadline.live.grbl_controller import Controller
+from threadline.live.grbl_controller import Controller, GrblJog, fastest_by_hand
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_run import POLL_S, GrblRun
 from threadline.live.grbl_words import Status
-from threadline.live.kept import Sink
-from threadline.live.lateness import clock_s
+from threadline.live.guards import clock_s
+from threadline.live.kinds_run import way_of
 from threadline.live.operated import Load
-from threadline.live.states import Cause, State, next_state
-from threadline.live.ways import way_of
-from threadline.plan import Plan
-from threadline.signals import Channel, Ended
+from threadline.live.states import Cause, Desk, Sink, State, next_state
 
 _AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
 """States in which it does not matter what a controller at rest tells: nothing is begun in them."""

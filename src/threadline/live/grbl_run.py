@@ -11,12 +11,12 @@ import select
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.errors import CommandError, LinkFaultError
+from threadline.files import Ended
 from threadline.live.at_rest import OPERATOR
-from threadline.live.desk import Desk
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_trace import ReportTrace, way_passed
+from threadline.live.grbl_program import ReportTrace, way_passed
 from threadline.live.grbl_words import (
     HOLD,
     PAUSES,
@@ -29,11 +29,9 @@ from threadline.live.grbl_words import (
     program_of,
     status_of,
 )
-from threadline.live.kept import Sink
-from threadline.live.lateness import clock_s
-from threadline.live.place_words import place_words
-from threadline.live.states import MOVING, Cause, State, homed_after, next_state
-from threadline.signals import Ended
+from threadline.live.guards import clock_s
+from threadline.live.pace import place_words
+from threadline.live.states import MOVING, Cause, Desk, Sink, State, homed_after, next_state
 
 POLL_S = 0.1
 """Time in s from one question for the position to the next."""

@@ -1,17 +1,60 @@
-"""Guards of a run: checks of every report, the first of which that fails is a fault."""
+"""Time that passes unseen: the guard of late ticks, and a clock that counts sleep."""
 
 from __future__ import annotations
 
+import sys
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.compiled import njit
-from threadline.live.lateness import Lateness
+from threadline.base.arrays import FloatArray
+from threadline.base.compiled import njit
+from threadline.dynamics.responses import answers_of
 from threadline.machine import Machine
-from threadline.plant.closed_loop import answers_of
+
+LATE_IN_A_ROW = 3
+LATE_PERIODS = 5.0
+"""A fault is this number of consecutive late reports, and a report late by this number of periods.
+"""
+# Python's monotonic clock stands while Linux or macOS sleep. What macOS calls monotonic does not.
+_COUNTS_SLEEP: int | None = getattr(time, "CLOCK_BOOTTIME", None)
+if _COUNTS_SLEEP is None and sys.platform == "darwin":
+    _COUNTS_SLEEP = time.CLOCK_MONOTONIC
+
+
+def clock_s() -> float:
+    """Return seconds of a clock that never goes back, the same in all processes.
+
+    It goes on while the computer sleeps, on Linux and macOS. On other systems it may stand then: a
+    silence is told by the time for which the computer was awake.
+    """
+    return time.monotonic() if _COUNTS_SLEEP is None else time.clock_gettime(_COUNTS_SLEEP)
+
+
+class Lateness:
+    """Counts reports that came late one after the other."""
+
+    def __init__(self) -> None:
+        self._late = 0
+
+    def trip(self, late: bool, late_periods: float) -> str:
+        """Return the text of the fault, or nothing.
+
+        Parameters
+        ----------
+        late, late_periods
+            Whether a report came late, and by how many of its periods.
+        """
+        self._late = self._late + 1 if late else 0
+        if late_periods >= LATE_PERIODS:
+            return f"a tick came {late_periods:.0f} periods late"
+        if self._late >= LATE_IN_A_ROW:
+            return f"{self._late} ticks in a row came late"
+        return ""
+
 
 FOLLOWING_M = 1e-3
 """Following error in m that is allowed in addition to twice the lag of the model; rotary axes at
@@ -296,3 +339,76 @@ def _in_order(
     if len(volts):
         last[2] = volts[len(volts) - 1]
     return True, after
+
+
+_FREE = frozenset(("light-grid", "enable"))
+"""Kinds of contacts that are on while the machine may move."""
+
+
+class ScanGuards:
+    """Checks the reports of one run.
+
+    Parameters
+    ----------
+    machine
+        Machine with the contacts, and the interlocks of its outputs.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._lateness = Lateness()
+        contacts = machine.contacts.items()
+        self._grids = [name for name, contact in contacts if contact.kind in _FREE]
+        self._needs = {name: output.needs for name, output in machine.outputs.items()}
+        ends = [(name, one) for name, one in contacts if one.cylinder and one.beyond and one.at]
+        self._both = [
+            (str(one.cylinder), first, second)
+            for (first, one), (second, other) in combinations(ends, 2)
+            if one.cylinder == other.cylinder and one.beyond != other.beyond
+        ]
+
+    def trip(
+        self,
+        tick: int,  # noqa: ARG002
+        samples: Mapping[str, FloatArray],
+        late: bool,
+        late_periods: float,
+    ) -> str:
+        """Return the text of the fault in a report; empty where there is none.
+
+        Parameters
+        ----------
+        samples
+            (n,) samples of each channel.
+        late, late_periods
+            Whether the report came late, and by how many of its periods.
+        """
+        if why := self._lateness.trip(late, late_periods):
+            return why
+        for grid in self._grids:
+            if not samples[grid].all():
+                return f"{grid} is off: a broken beam, or no enable"
+        for cylinder, first, second in self._both:
+            if (samples[first] * samples[second]).any():
+                return f"{first} and {second} are on together: a contact of cylinder {cylinder}"
+        for name, needed in self._needs.items():
+            for contact in needed:
+                if (samples[name] * (1.0 - samples[contact])).any():
+                    return f"{name} is on, and {contact}, which it needs, is not"
+        return ""
+
+
+class TurnGuards:
+    """Checks the reports of one run: that they come in time."""
+
+    def __init__(self) -> None:
+        self._lateness = Lateness()
+
+    def trip(
+        self,
+        tick: int,  # noqa: ARG002
+        samples: Mapping[str, FloatArray],  # noqa: ARG002
+        late: bool,
+        late_periods: float,
+    ) -> str:
+        """Return the text of the fault in a report; empty where there is none."""
+        return self._lateness.trip(late, late_periods)

@@ -12,15 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError
+from threadline.files import Channel, ChannelKind, Ended, RecordingBlock
 from threadline.live.hal_session import SILENT_S, HalSession, Samples
-from threadline.live.sim_rows import SimRows
+from threadline.live.sim_kinds import SimRows
 from threadline.live.wire import Message
 from threadline.machine import Machine
-from threadline.signals import Channel, ChannelKind, Ended, RecordingBlock
-from threadline.twin.row_session import RowSession
-from threadline.twin.session_part import Part
+from threadline.twin.row_session import Part, RowSession
 
 _REPORTS_S = 0.005
 """Lateness is told in periods of reports, which are no shorter than this, in s."""

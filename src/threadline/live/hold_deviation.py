@@ -16,13 +16,13 @@ from math import ceil
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.files import Event, RecordingBlock, Stream, TickBlock, TickTable, tick_table
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import HALTS, PathWindow, rest_rows
-from threadline.pipeline import simulate
-from threadline.plan import Plan
-from threadline.signals import Event, RecordingBlock, Stream, TickBlock, TickTable, tick_table
-from threadline.trajectory import TrajectoryReader
+from threadline.motion.timing import TrajectoryReader
+from threadline.proof.pipeline import simulate
 from threadline.verdict import Result, Spec, Status, judge
 from threadline.verdict.rendering import shown
 

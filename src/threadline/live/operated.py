@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
+from threadline.commands.plan import Plan
+from threadline.files import Channel, Commands, Ended
 from threadline.live.derived import Rest
 from threadline.live.grbl_words import Program
 from threadline.live.states import State
-from threadline.plan import Plan
-from threadline.signals import Channel, Commands, Ended
 
 
 @dataclass(frozen=True, slots=True, eq=False)

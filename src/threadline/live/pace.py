@@ -6,10 +6,13 @@ known only where it was played: rows carry their places, and the machine tells w
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.signals import Clock, Event
+from threadline.base.arrays import FloatArray
+from threadline.files import Clock, Event
+from threadline.machine import Machine
 
 
 class Pace:
@@ -60,3 +63,15 @@ class Pace:
     def stood(self, first: int, ticks: int) -> tuple[Event, ...]:
         """Return the events of ticks from ``first`` on at which nothing was played."""
         return self.played(first, np.full(ticks, self.place))
+
+
+def place_words(machine: Machine, axis: str, place: float) -> str:
+    """Return a place of an axis, m or rad, as mm or degrees with the unit."""
+    if machine.axes[axis].kind == "linear":
+        return f"{1e3 * place:.5g} mm"
+    return f"{math.degrees(place):.5g} deg"
+
+
+def speed_words(machine: Machine, axis: str, speed: float) -> str:
+    """Return a speed of an axis, m/s or rad/s, as mm/s or degrees/s with the unit."""
+    return f"{place_words(machine, axis, speed)}/s"

@@ -10,9 +10,9 @@ from math import ceil
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
-from threadline.signals import Event, TickBlock, TickTable
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.files import Event, TickBlock, TickTable
 
 HALTS = frozenset(("stop", "wait"))
 """Kinds of events at which a run stands until the operator or an input answers."""

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LimitError
+from threadline.files import Commands, Event, switch_schedule
 from threadline.live.wire import Message, event_told
 from threadline.machine import Machine
-from threadline.signals import Commands, Event, switch_schedule
 
 _AT_REST = frozenset(("soft-start", "vacuum"))
 """Kinds of outputs that may be on while nothing moves: air, and the grip on what is held."""

@@ -1,4 +1,6 @@
-"""The process of the simulated machine, and the link to it.
+"""What is at the far end of a link to the simulated machine: one row for each kind of work.
+
+The process of that machine takes this table alone: to plan and to judge is what others do.
 
 In real time each report is due at an instant; one that comes more than half of its period late is
 counted, and the following ones are not hurried. At any other speed the machine's time goes on only
@@ -15,14 +17,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
 
-from threadline.arrays import IntArray
-from threadline.importing import words_of
+from threadline.base.arrays import IntArray
+from threadline.base.importing import words_of
 from threadline.live.machine_process import be_told, process_link
-from threadline.live.sim_faults import SimFault
-from threadline.live.sim_machine import LATE, SimMachine
-from threadline.live.simulated import simulated_of
+from threadline.live.sim_kinds import SimRows, SimScans, SimTurns
+from threadline.live.sim_machine import LATE, SimFault, SimMachine
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
+
+_SIMULATED: dict[str, type[SimMachine]] = {
+    "ticks": SimRows,
+    "switches": SimScans,
+    "steps": SimTurns,
+}
+"""By the name of what machines are commanded by."""
+
+
+def simulated_of(machine: Machine) -> type[SimMachine]:
+    """Return the type of the simulated machine that does what ``machine`` does."""
+    return _SIMULATED[machine.commanded_by]
+
 
 REAL_TIME = 1.0
 SLOWER = "sim:slower"

@@ -5,9 +5,16 @@ A cause without a transition is refused and changes nothing. ``docs/safety.md`` 
 
 from __future__ import annotations
 
+import socket
+from collections import deque
+from collections.abc import Mapping
+from contextlib import suppress
 from enum import StrEnum
+from typing import Protocol
 
+from threadline.commands.plan import Plan
 from threadline.errors import CommandError
+from threadline.files import Channel, Recording, RecordingBlock, Stream
 
 
 class State(StrEnum):
@@ -108,3 +115,110 @@ def next_state(state: State, cause: Cause) -> State:
             remedy=f"Possible now: {', '.join(possible)}.",
         )
     return found
+
+
+class Desk:
+    """Takes commands from keys, signal handlers and other threads, without a lock.
+
+    It wakes an executor that waits on its ``fileno``.
+    """
+
+    def __init__(self) -> None:
+        self._asked: deque[Cause] = deque()
+        self._stop = False
+        self._reads, self._writes = socket.socketpair()
+        self._reads.setblocking(False)
+        self._writes.setblocking(False)
+
+    def ask(self, cause: Cause) -> None:
+        """Ask for something; may be called in a signal handler and from any thread."""
+        if cause is Cause.STOP:
+            self._stop = True
+        else:
+            self._asked.append(cause)
+        self.wake()
+
+    def wake(self) -> None:
+        """Wake an executor that waits, for something that is not in the queue."""
+        with suppress(OSError):  # full: it is woken already
+            self._writes.send(b"!")
+
+    def take(self) -> Cause | None:
+        """Return the next command, a stop before any other; None where there is none.
+
+        A stop drops all commands before it, so that a waiting resume cannot undo it.
+        """
+        if self._stop:
+            self._stop = False
+            self._asked.clear()
+            return Cause.STOP
+        return self._asked.popleft() if self._asked else None
+
+    def fileno(self) -> int:
+        """Return the file descriptor that is readable while commands wait."""
+        return self._reads.fileno()
+
+    def woken(self) -> None:
+        """Clear the signal of waiting commands."""
+        with suppress(OSError):
+            while self._reads.recv(4096):
+                pass
+
+    def close(self) -> None:
+        """Close its sockets."""
+        self._reads.close()
+        self._writes.close()
+
+
+class Sink(Protocol):
+    """The receiver of what happens in a run."""
+
+    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
+        """Receive the channels of the blocks that follow."""
+
+    def block(self, block: RecordingBlock) -> None:
+        """Receive samples and events."""
+
+    def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
+        """Receive a change of the executor's state."""
+
+
+class Kept:
+    """A sink of an executor that keeps everything in memory.
+
+    Attributes
+    ----------
+    blocks
+        Samples and events.
+    log
+        Each change of state: tick, state, cause, text.
+    """
+
+    def __init__(self) -> None:
+        self._channels: tuple[Channel, ...] = ()
+        self._simulated = True
+        self.blocks: list[RecordingBlock] = []
+        self.log: list[tuple[int, State, Cause, str]] = []
+
+    def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
+        """Keep the channels."""
+        self._channels, self._simulated = channels, simulated
+
+    def block(self, block: RecordingBlock) -> None:
+        """Keep a block."""
+        self.blocks.append(block)
+
+    def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
+        """Keep a change of state."""
+        self.log.append((tick, state, cause, text))
+
+    def recording(self, plan: Plan, told: Mapping[str, str] | None = None) -> Recording:
+        """Return the recording of a plan; its origin is the plan's options and ``told``."""
+        return Recording(
+            channels=self._channels,
+            blocks=Stream.of(self.blocks),
+            job_sha256=plan.job.sha256,
+            machine_sha256=plan.machine.sha256,
+            simulated=self._simulated,
+            origin={**plan.options, **(told or {})},
+        )

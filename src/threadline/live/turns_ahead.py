@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import CommandError, LimitError
+from threadline.files import Commands, Event, StepPlay, played
 from threadline.live.wire import Message, event_told
 from threadline.machine import Machine
-from threadline.signals import Commands, Event, StepPlay, played
 
 _REST_S = 2.0
 """Time in s for which it is recorded after the last turn, as in a simulation."""

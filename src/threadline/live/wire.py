@@ -20,10 +20,10 @@ from typing import Any, get_args
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import LinkFaultError
-from threadline.signals import Event
-from threadline.signals.event import EventKind
+from threadline.files import Event
+from threadline.files.clock import EventKind
 
 PROTOCOL = 3
 MOST_BYTES = 1 << 24

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.machine.quantity import Quantity, Units
 
 _MOST_PLACES = 1000

@@ -1,19 +1,22 @@
-"""The machine as a whole, and the checks that need more than one part of it."""
+"""What the axes of a machine may do, as arrays in the order of its axes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.errors import Place
-from threadline.machine.acting_radius import check_radii
-from threadline.machine.axis_arrays import AxisArrays
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError, Place
+from threadline.files import Clock
 from threadline.machine.controllers import Controller
-from threadline.machine.design import Design
+from threadline.machine.mandrel import LocalRadii, local_radii
 from threadline.machine.motion_planner import (
     FirmwarePlanner,
+    Programs,
     check_by_axis,
     check_units_of_axes,
 )
@@ -22,14 +25,16 @@ from threadline.machine.parts import (
     Axis,
     Body,
     DcMotor,
+    Guide,
     LimitSwitch,
     Link,
     Operator,
     Period,
     Sensor,
     Tool,
+    check_known,
 )
-from threadline.machine.path_limits import PathLimits, check_asked_of_paths
+from threadline.machine.path_limits import PathLimits, acts_at_m, check_asked_of_paths, check_radii
 from threadline.machine.pneumatics import (
     MOST_SCANS,
     Contact,
@@ -39,20 +44,83 @@ from threadline.machine.pneumatics import (
     check_addresses,
     check_contacts,
 )
-from threadline.machine.program_rules import Programs
 from threadline.machine.quantity import Quantity, Units
-from threadline.machine.references import check_known
-from threadline.machine.sources import (
-    Kinematic,
-    PulseServo,
-    Source,
-    Stepper,
-    check_limits_alone,
-)
-from threadline.machine.stitching import Shaft, Tables
-from threadline.machine.tolerances import Tolerances, check_named, quantities
-from threadline.machine.wiring import Guide
-from threadline.signals import Clock
+from threadline.machine.shaft import Shaft, Tables
+from threadline.machine.sources import Kinematic, PulseServo, Source, Stepper, check_limits_alone
+from threadline.machine.tables import Design, Tolerances, check_named, quantities
+
+
+class AxisArrays:
+    """Arrays over the axes of a machine."""
+
+    __slots__ = ()
+    axes: dict[str, Axis]
+    path: PathLimits | None
+    tool: Tool | None
+
+    def _column(self, field: Literal["counts", "velocity", "acceleration"]) -> FloatArray:
+        return np.array([getattr(axis, field).si for axis in self.axes.values()])
+
+    @property
+    def counts_per_unit(self) -> FloatArray:
+        """(axes,) counts per m or rad."""
+        return self._column("counts")
+
+    @property
+    def velocity_limit(self) -> FloatArray:
+        """(axes,) m/s or rad/s."""
+        return self._column("velocity")
+
+    @property
+    def acceleration_limit(self) -> FloatArray:
+        """(axes,) m/s^2 or rad/s^2, of speeding up and braking alike: the lower of both."""
+        return np.minimum(*self.sides)
+
+    @property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """(axes,) m/s^2 or rad/s^2: the limits of speeding up, and of braking."""
+        braking = [axis.deceleration or axis.acceleration for axis in self.axes.values()]
+        return self._column("acceleration"), np.array([limit.si for limit in braking])
+
+    def least_acceleration(self, axes: Sequence[str]) -> float:
+        """Return the acceleration that each of ``axes`` and the path allow, braking too: m/s^2."""
+        column = [list(self.axes).index(axis) for axis in axes]
+        own = [] if self.path is None else [self.path.acceleration, self.path.deceleration]
+        along = [limit.si for limit in own if limit is not None]
+        return min([float(self.acceleration_limit[column].min()), *along])
+
+    @property
+    def jerk_limit(self) -> FloatArray:
+        """(axes,) m/s^3 or rad/s^3; infinite where the file gives none."""
+        return np.array(
+            [np.inf if axis.jerk is None else axis.jerk.si for axis in self.axes.values()]
+        )
+
+    @property
+    def travel(self) -> FloatArray:
+        """(axes, 2) lowest and highest position, m or rad; infinite for an endless axis."""
+        return np.array(
+            [
+                (-np.inf, np.inf) if axis.travel is None else [end.si for end in axis.travel]
+                for axis in self.axes.values()
+            ]
+        )
+
+    @property
+    def radius_m(self) -> FloatArray:
+        """(axes,) 1 for a linear axis, for a rotary one its own radius, else that of the tool.
+
+        With a profile it is the largest.
+        """
+        return np.array([acts_at_m(axis, self.tool) for axis in self.axes.values()])
+
+    def local_radii(self, axes: Sequence[str]) -> LocalRadii | None:
+        """Return by how much less the radii are from place to place, for a path of ``axes``."""
+        profiles = {
+            name: axis.profile for name, axis in self.axes.items() if axis.profile is not None
+        }
+        return local_radii(profiles, axes)
+
 
 Drive = Annotated[DcMotor | Stepper | PulseServo | Kinematic, Field(discriminator="kind")]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
@@ -270,7 +338,7 @@ class Machine(AxisArrays):
 
     @property
     def commanded_by(self) -> CommandedBy:
-        """Kind of commands that it takes, by which ``threadline.kinds.KINDS`` lists its work."""
+        """Kind of commands that it takes, by which ``KINDS`` lists its work."""
         if self.shaft is not None:
             return "steps"
         return "switches" if self.cylinders else "ticks"
@@ -352,3 +420,39 @@ class Machine(AxisArrays):
             return self.clock(told.clock)
         first = self.controller_of(name)
         return self.clock(first.reference_clock or first.clock)
+
+
+def clocked(machine: Machine) -> list[tuple[str, str]]:
+    """Return the kind of each controller, and the scan of a PLC, each with the name of its clock.
+
+    >>> from threadline.machine.load import load_machine
+    >>> clocked(load_machine("letter-placer"))
+    [('PLC, a scan', 'scan')]
+    """
+    scans = [] if machine.plc is None else [("PLC, a scan", machine.plc.clock)]
+    return [*((loop.kind, loop.clock) for loop in machine.controllers.values()), *scans]
+
+
+def check_dynamics(asked: str, *machines: Machine | None) -> None:
+    """Refuse a question that needs dynamics about machines of which only limits are known.
+
+    Parameters
+    ----------
+    asked
+        The question, as the subject of a sentence: ``"how axis X swings"``.
+    machines
+        The machines that it is about; None for one that was not given.
+
+    Raises
+    ------
+    OptionError
+        If one of the machine files has no dynamics.
+    """
+    for machine in machines:
+        if machine is not None and machine.without_dynamics:
+            raise OptionError(
+                f"the machine file of {machine.name} has no dynamics, only limits: {asked} "
+                "cannot be told from it",
+                place=machine.place,
+                remedy="Leave it out, or describe the bodies and drives: docs/machines.md.",
+            )

@@ -20,8 +20,8 @@ import hashlib
 import re
 from pathlib import Path
 
+from threadline.base.reading import refuse_special
 from threadline.errors import MachineError, Place
-from threadline.input_files import refuse_special
 from threadline.machine.controllers import PdController
 from threadline.machine.model import Machine
 from threadline.machine.parts import Operator

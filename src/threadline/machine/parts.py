@@ -7,8 +7,9 @@ frame, a rack on the ground and a gear are links that differ in their weights.
 
 from __future__ import annotations
 
+import difflib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field, StrictBool, model_validator
@@ -331,3 +332,52 @@ class Operator:
     manual_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
     limit_feed: Annotated[Quantity, Units(("count/tick",), positive=True)] | None = None
     knots_between: Annotated[Quantity, Units(("",), positive=True, whole=True)] | None = None
+
+
+def check_known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:
+    """Check that what a key names exists.
+
+    Parameters
+    ----------
+    names, among
+        Those that the key gives; those that there are.
+    where, what
+        The key; what it names, for people.
+
+    Raises
+    ------
+    ValueError
+        With the first name that is none of ``among``.
+    """
+    known = list(among)
+    for name in names:
+        if name not in known:
+            close = difflib.get_close_matches(name, known, n=1)
+            hint = f"did you mean {close[0]!r}?" if close else f"there are: {', '.join(known)}."
+            raise ValueError(f"{where} names the {what} {name!r}, which does not exist; {hint}")
+
+
+Said = Annotated[str, Field(min_length=1, max_length=400)]
+_Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Connector:
+    """A connector: what and where it is, and the signal at each pin that is used."""
+
+    title: Said
+    pins: dict[_Pin, Said] = Field(min_length=1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
+class Guide:
+    """What ``threadline guide`` prints besides what follows from the other parts.
+
+    ``presets`` are the steps that the drives ask for by their own manual, before the steps of
+    calibration that are the same for every such drive.
+    """
+
+    presets: tuple[Said, ...] = ()
+    connectors: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,20}$")], Connector] = Field(
+        default_factory=dict
+    )

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from threadline.base.reading import read_text
 from threadline.errors import OptionError, UnitError
-from threadline.input_files import read_text
 from threadline.machine.mandrel import Mandrel
 from threadline.machine.model import Machine
 from threadline.machine.parts import Axis

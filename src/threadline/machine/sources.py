@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import model_validator
 from pydantic.dataclasses import dataclass
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.machine.parts import STRICT, Axis
 from threadline.machine.quantity import Quantity, Units
 

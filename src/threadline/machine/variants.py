@@ -15,15 +15,14 @@ from itertools import product
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray, Recent
 from threadline.errors import OptionError
 from threadline.machine.load import place_in
 from threadline.machine.model import NUMBERED, Machine
 from threadline.machine.numbers import is_whole, number_at, with_numbers
 from threadline.machine.pneumatics import TIMES
 from threadline.machine.quantity import Quantity
-from threadline.machine.tolerances import matches, quantities
-from threadline.recent import Recent
+from threadline.machine.tables import matches, quantities
 
 MOST_CORNERS = 12
 """Most numbers that may vary for ``corners``, which then are 2 to this power."""

@@ -15,19 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.asked import chosen_machine, trials_of
-from threadline.doubts import doubts
+from threadline.base.arrays import FloatArray
+from threadline.base.reading import noting_inputs, reading_within
 from threadline.errors import ThreadlineError
-from threadline.input_files import noting_inputs, reading_within
-from threadline.jobs.circuit import begins_circuit
-from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source
-from threadline.live.ways import way_of
+from threadline.files import ChannelKind
+from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source, begins_circuit
+from threadline.live.kinds_run import way_of
 from threadline.machine import Machine
-from threadline.panel.priorities import PROGRAMMED, by_priority
-from threadline.panel.project_programs import planned, program_path, words_of
-from threadline.panel.wound_on import mandrel_of
-from threadline.pipeline import (
+from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
+from threadline.panel.welcoming import mandrel_of
+from threadline.proof.asked import chosen_machine, trials_of
+from threadline.proof.pipeline import (
     Proof,
     Trials,
     check_machine,
@@ -35,8 +33,8 @@ from threadline.pipeline import (
     prove_plan,
     with_shaping,
 )
-from threadline.proof_file import read_proof, write_proof
-from threadline.signals import ChannelKind
+from threadline.proof.proof_file import read_proof, write_proof
+from threadline.proof.recorded import doubts
 from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
 

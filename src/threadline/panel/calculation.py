@@ -1,4 +1,4 @@
-"""The calculation of the panel that is under way, and what was proven last."""
+"""Processes that answer one request of the panel: they are ended when nobody waits any more."""
 
 from __future__ import annotations
 
@@ -10,10 +10,106 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from fastapi import FastAPI, Response
+from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
+
+from threadline.base.importing import words_of
 from threadline.errors import CommandError
-from threadline.importing import words_of
 from threadline.machine import Machine
 from threadline.panel.protocol import Calculate, Figures, Proven
+
+
+async def answer_of(
+    *words: str, sent: bytes = b"", longest_s: float | None = None
+) -> tuple[int, bytes, bytes]:
+    """Return the exit status of a process, and what it wrote on its outputs.
+
+    It is killed where its time is over, and where the request or the panel ends before it: work in
+    a thread could not be, and the panel would have to wait for it.
+
+    Parameters
+    ----------
+    words
+        The program and its arguments.
+    sent
+        What it is sent on its standard input.
+    longest_s
+        Time in s that it may take; None for any.
+
+    Raises
+    ------
+    TimeoutError
+        If it takes longer.
+    """
+    pipe = asyncio.subprocess.PIPE
+    process = await asyncio.create_subprocess_exec(
+        *words, stdin=pipe, stdout=pipe, stderr=pipe, start_new_session=True
+    )
+    try:
+        async with asyncio.timeout(longest_s):
+            told, why = await process.communicate(sent)
+    finally:
+        if process.returncode is None:
+            with suppress(ProcessLookupError):
+                process.kill()
+            await process.wait()
+    return process.returncode or 0, told, why
+
+
+_WHY = {422: {"description": "there is no guide; a line says why"}}
+
+
+class MachineGuide:
+    """Writes the guide to a machine when it is asked for first.
+
+    Parameters
+    ----------
+    machine, kept
+        The machine, and the folder in which its guide is kept.
+    """
+
+    def __init__(self, machine: Machine, kept: Path) -> None:
+        self._reference, self._folder = machine.reference, kept / "guide"
+        self._one_at_a_time = asyncio.Lock()
+        self._found: dict[str, Any] | None = None
+
+    @property
+    def printable(self) -> Path:
+        """The guide as PDF; it is there once ``tables`` was called."""
+        return self._folder / "guide.pdf"
+
+    async def tables(self) -> dict[str, Any] | str:
+        """Return the machine's name and the tables of its guide, or why there is none."""
+        async with self._one_at_a_time:
+            if self._found is None:
+                status, told, why = await answer_of(
+                    sys.executable, "-m", "threadline", "guide", self._reference,
+                    "-o", str(self._folder), "--json",
+                )  # fmt: skip
+                if status:
+                    return why.decode("utf-8", "replace").strip()[-500:]
+                found = json.loads(told)
+                self._found = {"machine": found["machine"], "tables": found["tables"]}
+        return self._found
+
+
+def add_guide(app: FastAPI, guide: MachineGuide) -> None:
+    """Add the requests of the guide, which is only read."""
+
+    @app.get("/api/guide", responses=_WHY)  # type: ignore[arg-type]
+    async def tables() -> Response:
+        found = await guide.tables()
+        if isinstance(found, str):
+            return PlainTextResponse(f"{found}\n", 422)
+        return JSONResponse(found)
+
+    @app.get("/api/guide.pdf", responses=_WHY)  # type: ignore[arg-type]
+    async def printable() -> Response:
+        found = await guide.tables()
+        if isinstance(found, str):
+            return PlainTextResponse(f"{found}\n", 422)
+        return FileResponse(guide.printable, media_type="application/pdf")
+
 
 _CHILD = words_of("threadline.panel.calculating", "main")
 _MOST_LINE = 32 << 20

@@ -1,14 +1,67 @@
-"""Who controls the machine: one client, by a lease that it has to renew; all others watch.
+"""What is told to people at the page, in the words of the page and not of a command line.
+
+Errors and warnings are shared with the command line, and name its options. The page has fields for
+some of them, by other names; what it has none for is said to be of the command line.
 
 Time is an argument of every method, so that nothing here waits.
 """
 
 from __future__ import annotations
 
+import asyncio
 import hmac
+import re
 import secrets
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass
+
+from pydantic import BaseModel
+
+from threadline.panel import protocol as say
+
+FIELDS = {
+    "at": "from",
+    "contour": "Contour",
+    "feed": "Feed",
+    "feed-forward": "Loads follow",
+    "interpolation": "Interpolation",
+    "law": "Law",
+    "offset": "Mandrel offset",
+    "override": "Reason to run out of specification",
+    "radius": "Radius",
+    "robust": "Robust",
+    "shaper": "Shaper",
+    "smoothing": "Smoothing",
+    "tolerance": "Tolerance",
+}
+"""Labels of the page by the options that they stand for."""
+_OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*[a-z])(?![\w-])")
+
+
+def in_page_words(text: str) -> str:
+    """Return a text with the labels of the page in place of options of the command line.
+
+    >>> in_page_words("Choose another feed with --feed, or another dialect (--dialect).")
+    "Choose another feed with 'Feed', or another dialect (--dialect of the command line)."
+    """
+    return _OPTION.sub(_label, text)
+
+
+def _label(found: re.Match[str]) -> str:
+    label = FIELDS.get(found[1])
+    return f"{found[0]} of the command line" if label is None else f"'{label}'"
+
+
+def told_on_page(message: BaseModel) -> BaseModel:
+    """Return a message with what people read of it in the words of the page."""
+    if isinstance(message, say.Said | say.Answer):
+        return message.model_copy(update={"text": in_page_words(message.text)})
+    if isinstance(message, say.Figures):
+        warnings = [in_page_words(one) for one in message.warnings]
+        return message.model_copy(update={"warnings": warnings})
+    return message
+
 
 CONTROL_LEASE_S = 5.0
 """Time in s after which control is free unless its holder was heard."""
@@ -132,3 +185,68 @@ class ControlLease:
         self._held = Lease(client, self._make())
         self._until_s = now_s + CONTROL_LEASE_S
         return self._held
+
+
+SEEN_S = 0.5
+"""Age in s of the latest state on which a client may act."""
+_MOST_SENT = 64
+_MOST_WAITING = 64
+
+
+class Client:
+    """A client, and what waits to be sent to it.
+
+    A state replaces the one before it, so that a slow client gets fewer, and none that is old.
+
+    Parameters
+    ----------
+    number, name
+        Its number, and what it calls itself.
+    """
+
+    def __init__(self, number: int, name: str) -> None:
+        self.number, self.name = number, name
+        self._sent: OrderedDict[int, float] = OrderedDict()  # when each state was sent
+        self._waiting: deque[str] = deque()
+        self._state: tuple[int, str] | None = None
+        self._ready = asyncio.Event()
+        self._last = 0  # number of its latest command
+        self.full = False
+        """Whether it does not take what it is sent."""
+
+    def show(self, seq: int, text: str) -> None:
+        """Let it have a state next."""
+        self._state = (seq, text)
+        self._ready.set()
+
+    def tell(self, message: BaseModel) -> None:
+        """Let it have a message, in order: a state that waits is older, and is left out."""
+        self._state = None
+        self.full = self.full or len(self._waiting) >= _MOST_WAITING
+        self._waiting.append(told_on_page(message).model_dump_json())
+        self._ready.set()
+
+    async def next_text(self, clock: Callable[[], float]) -> str | None:
+        """Wait for what is to be sent, and return it; None if there is nothing after all."""
+        await self._ready.wait()
+        if self._waiting:
+            return self._waiting.popleft()
+        self._ready.clear()
+        if self._state is None:
+            return None
+        (seq, text), self._state = self._state, None
+        self._sent[seq] = clock()
+        while len(self._sent) > _MOST_SENT:
+            self._sent.popitem(last=False)
+        return text
+
+    def saw(self, seq: int, now_s: float) -> bool:
+        """Return whether a state was sent to it a short time ago: it may act on that."""
+        sent_s = self._sent.get(seq)
+        return sent_s is not None and now_s - sent_s <= SEEN_S
+
+    def is_next(self, number: int) -> bool:
+        """Return whether the number of a command is larger than all before it, and note it."""
+        later = number > self._last
+        self._last = max(self._last, number)
+        return later

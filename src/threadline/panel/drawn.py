@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
+import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from fastapi import FastAPI, Request, Response
+from fastapi.responses import JSONResponse, PlainTextResponse
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from starlette.requests import ClientDisconnect
 
-from threadline.arrays import FloatArray
-from threadline.drawing.contours import drop_zero_lengths
-from threadline.drawing.curves import Pieces
-from threadline.drawing.dxf_remarks import filled_by, measured_rings, read_remarks
-from threadline.drawing.line_styles import LineStyle
-from threadline.drawing.read_dxf import read_dxf
-from threadline.drawing.strokes import Drawing, Stroke
-from threadline.drawing.svg.read_svg import read_svg
-from threadline.drawing.write_dxf import DrawnShape, Fill, ShapeKind, dxf_of, ring_of
-from threadline.errors import JobError, Place
+from threadline.base.arrays import FloatArray
+from threadline.base.importing import words_of
+from threadline.errors import InputError, JobError, Place
+from threadline.geometry.contours import drop_zero_lengths
+from threadline.geometry.curves import Pieces
+from threadline.geometry.dxf_remarks import filled_by, measured_rings, read_remarks
+from threadline.geometry.read_dxf import read_dxf
+from threadline.geometry.strokes import Drawing, LineStyle, Stroke
+from threadline.geometry.svg.read_svg import read_svg
+from threadline.geometry.write_dxf import DrawnShape, Fill, ShapeKind, dxf_of, ring_of
+from threadline.panel.calculation import answer_of
+from threadline.panel.programs import MOST_UPLOAD
 
 MOST_SHAPES = 5000
 MOST_POINTS = 400_000
@@ -252,3 +260,126 @@ def outlines(asked: Lettering) -> list[dict[str, Any]]:
         for ring in rings
         if len(ring) > 3
     ]
+
+
+LONGEST_S = 20.0
+"""Time in s that a drawing may take."""
+_CHILD = words_of("threadline.panel.drawn", "main")
+_WRONG = 2
+_one_at_a_time = asyncio.Semaphore(1)
+
+
+async def read_apart(name: str, content: bytes) -> bytes | str:
+    """Return, as JSON, what ``opened`` finds in a drawing, or a line that says why nothing."""
+    return await _apart("shapes", name, content)
+
+
+async def written_apart(content: bytes) -> bytes | str:
+    """Return the DXF of shapes that come as JSON, or a line that says why there is none."""
+    return await _apart("dxf", "drawing.dxf", content)
+
+
+async def _apart(what: str, name: str, content: bytes) -> bytes | str:
+    words = (sys.executable, "-c", _CHILD, what, name)
+    try:
+        async with _one_at_a_time:
+            status, told, why = await answer_of(*words, sent=content, longest_s=LONGEST_S)
+    except TimeoutError:
+        return f"{name[:60]!r} takes longer than {LONGEST_S:g} s. Split it, or simplify it."
+    except (OSError, ValueError) as error:  # a name that no process can be told
+        return f"{name[:60]!r} cannot be read: {getattr(error, 'strerror', None) or error}"
+    if status == 0:
+        return told
+    if status == _WRONG:
+        return why.decode("utf-8", "replace").strip()
+    return f"{name[:60]!r} cannot be read: the process that did has ended"
+
+
+def why_invalid(error: ValidationError) -> str:
+    """Return what is wrong with the first part that is, and where it stands."""
+    first = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(map(str, first['loc'])) or 'it'}: {first['msg']}"
+
+
+def main() -> None:
+    """Answer what standard input has: a drawing, or shapes of which one is to be made."""
+    what, name = sys.argv[1:]
+    content = sys.stdin.buffer.read()
+    try:
+        if what == "shapes":
+            made = json.dumps(opened(name, content), allow_nan=False).encode()
+        else:
+            made = dxf(SHAPES.validate_json(content))
+    except (InputError, ValidationError) as error:
+        why = why_invalid(error) if isinstance(error, ValidationError) else str(error)
+        sys.stderr.write(f"{why}\n")
+        sys.exit(_WRONG)
+    sys.stdout.buffer.write(made)
+
+
+_TELLS: dict[int | str, dict[str, Any]] = {
+    413: {"description": "more than is taken"},
+    422: {"description": "what was sent cannot be read; a line says why"},
+}
+
+
+class TooLongError(Exception):
+    """More was sent than is taken."""
+
+
+def add_drawing(app: FastAPI) -> None:
+    """Add the requests."""
+
+    @app.post("/api/drawing/shapes", responses=_TELLS)
+    async def shapes(request: Request, name: str) -> Response:
+        return await _answered(
+            request, lambda sent: read_apart(name, sent), media_type="application/json"
+        )
+
+    @app.post("/api/drawing/dxf", responses=_TELLS)
+    async def as_dxf(request: Request) -> Response:
+        return await _answered(request, written_apart, media_type="image/vnd.dxf")
+
+    @app.post("/api/drawing/text", responses=_TELLS)
+    async def text(request: Request) -> Response:
+        return await _answered(request, _lettered, media_type="application/json")
+
+
+async def _lettered(sent: bytes) -> bytes | str:
+    asked = Lettering.model_validate_json(sent)
+    return bytes(JSONResponse(await asyncio.to_thread(outlines, asked)).body)
+
+
+async def _answered(
+    request: Request, answer: Callable[[bytes], Awaitable[bytes | str]], media_type: str
+) -> Response:
+    """Return what is made of the body of a request, or why nothing is."""
+    try:
+        made = await answer(await whole_body(request))
+    except TooLongError:
+        return PlainTextResponse(f"more than {MOST_UPLOAD} bytes\n", 413)
+    except ClientDisconnect:  # nobody reads the answer
+        return PlainTextResponse("the request broke off\n", 400)
+    except ValidationError as error:
+        return PlainTextResponse(f"{why_invalid(error)}\n", 422)
+    if isinstance(made, str):
+        return PlainTextResponse(f"{made}\n", 422)
+    return Response(made, media_type=media_type)
+
+
+async def whole_body(request: Request) -> bytes:
+    """Return the body of a request.
+
+    Raises
+    ------
+    TooLongError
+        If it is longer than a program may be.
+    ClientDisconnect
+        If it breaks off.
+    """
+    content = bytearray()
+    async for part in request.stream():
+        content += part
+        if len(content) > MOST_UPLOAD:
+            raise TooLongError
+    return bytes(content)

@@ -19,7 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import finite
+from threadline.base.arrays import finite
+from threadline.base.importing import words_of
+from threadline.base.reading import inputs_read, noting_inputs
+from threadline.commands.plan import Plan
 from threadline.errors import (
     CommandError,
     InputError,
@@ -28,27 +31,34 @@ from threadline.errors import (
     StoreError,
     ThreadlineError,
 )
-from threadline.importing import words_of
-from threadline.input_files import inputs_read, noting_inputs
-from threadline.live.continued_sink import ContinuedSink
-from threadline.live.continuing import Continued, continued_by, last_executed, operation_at
+from threadline.files import Channel, RecordingBlock
+from threadline.live.continuing import (
+    Continued,
+    ContinuedSink,
+    continued_by,
+    last_executed,
+    operation_at,
+)
 from threadline.live.hold_deviation import hold_waits, hold_words
-from threadline.live.kept import Sink
+from threadline.live.kinds_run import way_of
 from threadline.live.operated import Load, Operated
-from threadline.live.states import Cause, State
+from threadline.live.states import Cause, Sink, State
+from threadline.live.store.run_store import OpenRun, RunStore
+from threadline.live.store.whole_trace import (
+    as_one,
+    joined_with,
+    refuse_other_rows,
+    trace_of,
+    unfinished_run,
+    whole_recording,
+)
 from threadline.live.supervised import check_halts, check_override, check_runnable
-from threadline.live.ways import way_of
 from threadline.machine import Machine
-from threadline.panel.project_programs import planned
-from threadline.pipeline import with_shaping
-from threadline.plan import Plan
-from threadline.proof_file import ProofFile
-from threadline.signals import Channel, RecordingBlock
-from threadline.store.run_store import OpenRun, RunStore
-from threadline.store.unfinished import refuse_other_rows, trace_of, unfinished_run
-from threadline.store.whole_trace import as_one, joined_with, whole_recording
+from threadline.panel.programs import planned
+from threadline.proof.pipeline import with_shaping
+from threadline.proof.proof_file import ProofFile
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
-from threadline.verdict.plan_clock import PlanClock
+from threadline.verdict.progress import PlanClock
 
 _JUDGE = words_of("threadline.panel.kept_runs", "be_judge")
 _NICE = 10  # the executor comes first

@@ -12,11 +12,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from threadline.base.importing import words_of
 from threadline.errors import StoreError
-from threadline.importing import words_of
-from threadline.panel.children import answer_of
-from threadline.store.run_store import TRACE, opened
-from threadline.store.told_verdicts import verdict_of_run
+from threadline.live.store.run_store import TRACE, opened, verdict_of_run
+from threadline.panel.calculation import answer_of
 
 _CHILD = words_of("threadline.panel.thinned_traces", "main")
 _TOLD = ("run", "started", "job", "ended", "text", "passed")

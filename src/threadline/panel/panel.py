@@ -8,19 +8,18 @@ from collections.abc import Mapping
 from typing import Any, assert_never
 
 from threadline.errors import CommandError, ThreadlineError
+from threadline.live.guards import clock_s
 from threadline.live.jogging import manual_feed
-from threadline.live.lateness import clock_s
-from threadline.live.link_operated import AtLink
+from threadline.live.kinds_run import way_of
+from threadline.live.links import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
-from threadline.live.ways import way_of
 from threadline.live.wire import Message
 from threadline.machine import Machine
 from threadline.panel import protocol as say
 from threadline.panel.calculation import Calculation
-from threadline.panel.clients import SEEN_S, Client
-from threadline.panel.control import ControlLease, Lease
+from threadline.panel.control import SEEN_S, Client, ControlLease, Lease
 from threadline.panel.owner import TELL_S
-from threadline.panel.owner_link import OwnerLink
+from threadline.panel.owner_process import OwnerLink
 from threadline.panel.welcoming import welcome_of
 
 BEAT_S = 0.04

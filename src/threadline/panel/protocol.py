@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, create_model
 
-from threadline.option_form import Door, Type
-from threadline.option_table import (
-    options_for,
-)
+from threadline.proof.option_form import Door, Type
+from threadline.proof.option_table import options_for
 
 PANEL_PROTOCOL = 1
 MOST_TEXT = 1 << 16

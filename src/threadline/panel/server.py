@@ -19,20 +19,15 @@ from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp
 
 from threadline.errors import InputError, OptionError, StoreError
-from threadline.live.lateness import clock_s
+from threadline.live.guards import clock_s
 from threadline.panel import protocol as say
 from threadline.panel.admission import HEADERS, Admission, AdmittingApp
-from threadline.panel.clients import Client
-from threadline.panel.drawing_requests import TooLongError, add_drawing, whole_body
+from threadline.panel.calculation import MachineGuide, add_guide
+from threadline.panel.control import Client
+from threadline.panel.drawn import TooLongError, add_drawing, whole_body
 from threadline.panel.kept_traces import in_process, kept_runs, temporary, trace_file
-from threadline.panel.machine_guide import MachineGuide, add_guide
 from threadline.panel.panel import Panel
-from threadline.panel.project_programs import (
-    MOST_UPLOAD,
-    ThereAlreadyError,
-    program_names,
-    take_program,
-)
+from threadline.panel.programs import MOST_UPLOAD, ThereAlreadyError, program_names, take_program
 
 PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""

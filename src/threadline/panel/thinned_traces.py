@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import ThreadlineError
-from threadline.signals import Channel, ChannelKind, Recording
-from threadline.signals.files import read_recording, write_recording
+from threadline.files import Channel, ChannelKind, Recording
+from threadline.files.formats import read_recording, write_recording
 
 STRETCHES = 1000
 """Stretches of time of a trace; each shows where a deviation is least, and where largest."""

@@ -1,18 +1,89 @@
-"""What a client is told that has said who it is: the machine, its link, and what it takes."""
+"""What the latest report of a machine says of its axes, inputs and outputs."""
 
 from __future__ import annotations
 
-from threadline.kinds import kind_of
+from collections.abc import Iterable, Mapping
+
+from threadline.base.arrays import IntArray
+from threadline.files import Channel, ChannelKind
 from threadline.live.executor import LEASE_S
 from threadline.live.jogging import manual_feed
-from threadline.live.link_operated import AtLink
+from threadline.live.kinds_run import way_of
+from threadline.live.links import AtLink
 from threadline.live.sim_process import SLOWER
-from threadline.live.ways import way_of
 from threadline.machine import Machine
 from threadline.panel import protocol as say
 from threadline.panel.control import CONTROL_LEASE_S
-from threadline.panel.project_programs import untaught
-from threadline.panel.wound_on import mandrel_of
+from threadline.panel.programs import untaught
+from threadline.panel.protocol import Mandrel
+from threadline.proof.kinds import kind_of
+
+_STATES = (ChannelKind.INPUT, ChannelKind.OUTPUT)
+_PLACES = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD)
+
+
+def positions(
+    channels: Iterable[Channel],
+    latest: Mapping[str, float],
+    machine: Machine,
+    stands: IntArray | None,
+) -> dict[str, list[float | None]]:
+    """Return commanded, measured and load position of all that moves, SI; None where not known.
+
+    Of an axis that is not homed no position is known, whatever its encoder counts.
+
+    Parameters
+    ----------
+    channels
+        Channels that the machine reports.
+    latest
+        The last sample of each, by its name.
+    machine, stands
+        The machine, and its (axes,) commanded position in counts, for what was not reported yet;
+        None where it is not homed.
+    """
+    found: dict[str, list[float | None]] = {name: [None, None, None] for name in machine.axes}
+    if stands is not None:
+        for name, at in zip(machine.axes, (stands / machine.counts_per_unit).tolist(), strict=True):
+            found[name][0] = at
+    for channel in channels:
+        if stands is None and channel.axis in machine.axes:
+            continue
+        if channel.kind in _PLACES and channel.axis:
+            row = found.setdefault(channel.axis, [None, None, None])
+            column = _PLACES.index(channel.kind)
+            row[column] = latest.get(channel.name, row[column])
+    return found
+
+
+def signals(channels: Iterable[Channel], latest: Mapping[str, float]) -> dict[str, float]:
+    """Return the state of every input and output that was reported."""
+    return {
+        channel.name: latest[channel.name]
+        for channel in channels
+        if channel.kind in _STATES and not channel.axis and channel.name in latest
+    }
+
+
+def mandrel_of(machine: Machine) -> Mandrel | None:
+    """Return the mandrel of a machine: its first rotary axis beside a linear one; None for none.
+
+    Where the machine has no profile of it, it is as thick everywhere as the radius at which that
+    axis acts.
+    """
+    linear = [name for name, axis in machine.axes.items() if axis.kind == "linear"]
+    for (name, axis), radius_m in zip(machine.axes.items(), machine.radius_m, strict=True):
+        if axis.kind != "rotary" or not linear:
+            continue
+        if axis.profile is None:
+            return Mandrel(axis=name, along=linear[0], at=[0.0], radius=[float(radius_m)])
+        return Mandrel(
+            axis=name,
+            along=axis.profile.along,
+            at=[place.si for place in axis.profile.at],
+            radius=[radius.si for radius in axis.profile.radius],
+        )
+    return None
 
 
 def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say.Welcome:

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from threadline.dynamics.analysis import HERTZ, AxisAnalysis
+from threadline.dynamics.poles import root_locus
+from threadline.dynamics.responses import MeasuredResponse, speed_response
+from threadline.dynamics.without_loop import Analysis, CylinderAnalysis, ToldAnalysis
 from threadline.machine import Machine
-from threadline.plant.analysis import HERTZ, AxisAnalysis
-from threadline.plant.locus import root_locus
-from threadline.plant.measured import MeasuredResponse, speed_response
-from threadline.plant.without_loop import Analysis, CylinderAnalysis, ToldAnalysis
 from threadline.report.document import Document, Table, origin_facts
-from threadline.report.experiments import NOTHING_TRIED, experiment_figure, experiment_table
 from threadline.report.publish import write_document
+from threadline.report.searches import NOTHING_TRIED, experiment_figure, experiment_table
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, WORST, figure_style
-from threadline.search.campaign import Campaign
+from threadline.search.experiments import Campaign
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

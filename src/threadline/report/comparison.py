@@ -1,20 +1,22 @@
-"""The report of a comparison of interpolations and feeds, one figure after another."""
+"""The cases of a comparison in one figure: turning points of an axis, paths of two axes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from threadline.doubts import doubts_of_all
-from threadline.foreign_messages import grouped
-from threadline.pipeline import Proof
+import numpy as np
+
+from threadline.base.wording import grouped
+from threadline.proof.pipeline import Proof
+from threadline.proof.recorded import doubts_of_all
 from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
 from threadline.report.motion import shared_facts, summary_facts
-from threadline.report.overlay import Case, overlays, turns_s
 from threadline.report.publish import write_document
-from threadline.report.style import figure_style
+from threadline.report.style import AXES, LIMIT, PROGRAMMED, figure_style
 from threadline.report.traces import Traces, collect
 from threadline.verdict import closing_of_all
 
@@ -22,6 +24,142 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from threadline.search import Comparison
+
+
+Case: TypeAlias = tuple[str, Proof, Traces]
+"""A label, the proof and its traces."""
+
+_AROUND_S = 0.3
+_TALL_IN = 8.6  # of all panels together: a page of paper has room for them
+
+
+def overlays(cases: list[Case]) -> tuple[dict[str, Figure], dict[str, str]]:
+    """Return the figures that show all cases, and their captions, both by name."""
+    figures: dict[str, Figure] = {}
+    captions: dict[str, str] = {}
+    _, proof, traces = cases[0]
+    machine = proof.plan.machine
+    linear = [
+        axis
+        for axis in traces.actual
+        if moves(traces, axis) and machine.axes[axis].kind == "linear"
+    ]
+    for axis in linear:
+        figures[f"turning-{axis}"] = turning_figure(cases, axis)
+        captions[f"turning-{axis}"] = (
+            "The carriage at the outermost programmed point that is missed by most: above 0 it "
+            "goes past the point (over-travel), below it stops short."
+        )
+    for first, second in pairwise(linear):
+        figures[f"paths-{first}{second}"] = paths_figure(cases, first, second)
+        captions[f"paths-{first}{second}"] = (
+            "Where the eye went in each case, and the programmed points; how far it goes beyond "
+            "the outermost of them is its over-travel."
+        )
+    return figures, captions
+
+
+def turns_s(traces: Traces) -> list[float]:
+    """Return the instants, s, at which each axis has its largest and its least position."""
+    return [
+        float(traces.time_s[at])
+        for position in traces.actual.values()
+        for at in (np.nanargmax(position), np.nanargmin(position))
+    ]
+
+
+def turning_figure(cases: list[Case], axis: str) -> Figure:
+    """Draw the actual position of ``axis`` around its outermost point, a panel for each feed."""
+    from matplotlib.figure import Figure
+
+    feeds = list(dict.fromkeys(proof.plan.options["feed"] for _, proof, _ in cases))
+    figure = Figure(figsize=(7.2, _tall_in(len(feeds), 3.0)))
+    panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
+    point_m, sign = _outermost(cases, axis)
+    for panel, feed in zip(panels, feeds, strict=True):
+        here = [case for case in cases if case[1].plan.options["feed"] == feed]
+        deepest_mm = 1.0
+        for number, (_, proof, traces) in enumerate(here):
+            way_mm = sign * (traces.actual[axis] - point_m) * 1e3
+            at = int(np.argmax(way_mm))
+            near = np.abs(traces.time_s - traces.time_s[at]) <= 2.0 * _AROUND_S
+            deepest_mm = max(deepest_mm, abs(float(way_mm[at])))
+            panel.plot(
+                traces.time_s[near] - traces.time_s[at],
+                way_mm[near],
+                label=proof.plan.motion.path.interpolation,
+                **AXES[number % len(AXES)],
+            )
+        limit_m = _limit_m(here[0][1], axis)
+        if limit_m is not None:
+            panel.axhline(limit_m * 1e3, label=f"limit {limit_m * 1e3:g} mm", **LIMIT)
+            panel.axhline(-limit_m * 1e3, **LIMIT)
+        panel.set_ylim(-1.3 * deepest_mm - 0.5, 0.35 * deepest_mm + 0.5)
+        panel.set_xlim(-_AROUND_S, _AROUND_S)
+        panel.set_ylabel(f"{axis} beyond the point [mm]")
+        panel.set_title(f"Feed {feed}: {axis} turning at {point_m * 1e3:g} mm")
+    panels[-1].set_xlabel("time from the extreme [s]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    return figure
+
+
+def _tall_in(panels: int, each_in: float) -> float:
+    """Return the height of a figure, inches; many panels are made lower to fit a page."""
+    return 1.0 + min(each_in * panels, max(_TALL_IN, 1.5 * panels))
+
+
+def _outermost(cases: list[Case], axis: str) -> tuple[float, float]:
+    """Return the end of the programmed travel, m, with the larger error, and its sign."""
+    _, proof, traces = cases[0]
+    programmed = traces.vertices[:, proof.plan.motion.programmed.axes.index(axis)]
+    ends = [(float(programmed.max()), 1.0), (float(programmed.min()), -1.0)]
+
+    def missed(end: tuple[float, float]) -> float:
+        point_m, sign = end
+        return max(
+            abs(float((sign * (case[2].actual[axis] - point_m)).max(initial=-np.inf)))
+            for case in cases
+        )
+
+    return max(ends, key=missed)
+
+
+def _limit_m(proof: Proof, axis: str) -> float | None:
+    for result in proof.verdict.results:
+        if result.name == "turning_point_error" and result.axis == axis:
+            return result.limit
+    return None
+
+
+def paths_figure(cases: list[Case], first: str, second: str) -> Figure:
+    """Draw the path of two linear axes in every case, to scale, a panel for each feed."""
+    from matplotlib.figure import Figure
+
+    feeds = list(dict.fromkeys(proof.plan.options["feed"] for _, proof, _ in cases))
+    figure = Figure(figsize=(7.2, _tall_in(len(feeds), 3.2)))
+    panels = figure.subplots(len(feeds), 1, squeeze=False)[:, 0]
+    for panel, feed in zip(panels, feeds, strict=True):
+        here = [case for case in cases if case[1].plan.options["feed"] == feed]
+        for number, (_, proof, traces) in enumerate(here):
+            panel.plot(
+                traces.actual[first] * 1e3,
+                traces.actual[second] * 1e3,
+                label=proof.plan.motion.path.interpolation,
+                **AXES[number % len(AXES)],
+            )
+        _, proof, traces = here[0]
+        columns = [proof.plan.motion.trajectory.axes.index(axis) for axis in (first, second)]
+        points = traces.vertices[:, columns] * 1e3
+        panel.plot(points[:, 0], points[:, 1], label="programmed", **PROGRAMMED)
+        panel.set_aspect("equal", adjustable="datalim")
+        panel.margins(0.06)
+        panel.set_xlabel(f"{first} [mm]")
+        panel.set_ylabel(f"{second} [mm]")
+        panel.set_title(f"Feed {feed}: the eye's path {first}-{second}")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=5)
+    return figure
 
 
 def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:

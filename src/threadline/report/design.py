@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.machine.numbers import number_at
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.style import figure_style
-from threadline.search.design_result import Candidate, DesignResult, Found
+from threadline.search.design import Candidate, DesignResult, Found
 from threadline.verdict import Verdict, closing, percent_used, verdict_rows
 
 if TYPE_CHECKING:

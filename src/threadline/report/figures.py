@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.pipeline import Proof
-from threadline.report.drawn_run import run_words, worst_result
+from threadline.base.arrays import FloatArray
+from threadline.proof.pipeline import Proof
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, PROGRAMMED, WORST
-from threadline.report.thinning import envelope
-from threadline.report.traces import Traces
+from threadline.report.traces import Traces, envelope, run_words, worst_result
 from threadline.verdict import Result, Status, of_moving_axes, percent_used
 
 if TYPE_CHECKING:

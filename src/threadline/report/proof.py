@@ -7,21 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from threadline.pipeline import Proof
-from threadline.plan import Motion, Scheduled, Stitched
+from threadline.commands.plan import Motion, Scheduled, Stitched
+from threadline.proof.pipeline import Proof
 from threadline.report.comparison import write_motion_comparison
 from threadline.report.document import Printed
 from threadline.report.motion import about_motion, write_motion
-from threadline.report.stitched import (
-    about_stitched,
-    write_stitched,
-    write_stitched_comparison,
-)
-from threadline.report.switching import (
-    about_switching,
-    write_switching,
-    write_switching_comparison,
-)
+from threadline.report.stitched import about_stitched, write_stitched, write_stitched_comparison
+from threadline.report.switching import about_switching, write_switching, write_switching_comparison
 
 if TYPE_CHECKING:
     from threadline.search import Comparison
@@ -56,7 +48,7 @@ REPORTS: Mapping[type, KindReport] = {
         write=write_stitched, about=about_stitched, compare=write_stitched_comparison
     ),
 }
-"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``threadline.kinds.KINDS``."""
+"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``KINDS``."""
 
 
 def write_report(studied: Studied, folder: Path) -> Path:

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import Any
 
+from threadline.base.writing import remove_with, staging_folder, together
 from threadline.report.document import Document
 from threadline.report.style import headed, laid_out
-from threadline.writing import remove_with, staging_folder, together
 
 _PNG_DPI = 160
 _PNG: dict[str, Any] = {"compress_level": 2}
@@ -27,9 +27,9 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
         If the folder cannot be written.
     """
     # Imported late: their libraries are heavy.
+    from threadline.report.document import svg_text, without_head
     from threadline.report.html_page import html_page
     from threadline.report.pdf import write_pdf
-    from threadline.report.svg import svg_text, without_head
 
     document = document.shown()
     with together():

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from threadline.motion.shaping import FlexibleMode, Shaper, residual_vibration
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
 from threadline.report.style import ACTUAL, LIMIT, PLANNED, PROGRAMMED, figure_style
-from threadline.shaping import FlexibleMode, Shaper, residual_vibration
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from threadline.described import options_from
+from threadline.commands.plan import Following, Plan
 from threadline.machine.vary import derate
-from threadline.path.types import Timing
-from threadline.plan import Following, Plan
+from threadline.motion.path.types import Timing
+from threadline.motion.timing.optimal.binding import BINDS, KINDS, Binding, binding
+from threadline.proof.options import options_from
 from threadline.report.style import LIMIT, PLANNED
-from threadline.report.thinning import envelope
-from threadline.trajectory.optimal.binding import BINDS, KINDS, Binding, binding
+from threadline.report.traces import envelope
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.pipeline import Proof
-from threadline.plan import Plan
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.files import Recording
+from threadline.proof.pipeline import Proof
 from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED
-from threadline.report.thinning import extremes
-from threadline.signals import Recording
+from threadline.report.traces import extremes
 from threadline.verdict.switch_run import SwitchRun
 
 if TYPE_CHECKING:

@@ -1,24 +1,129 @@
-"""A recording and its plan, thinned for figures, but with every sample at the marked places."""
+"""Choice of the run that a figure shows: the one with the worst value of a criterion."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray
-from threadline.pipeline import Proof
-from threadline.plan import Plan
-from threadline.report.drawn_run import DrawnRun, drawn_run, worst_result
-from threadline.report.thinning import extremes
-from threadline.trajectory import Trajectory
-from threadline.trajectory.at_times import TrajectoryReader
-from threadline.verdict import as_intended
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.files import Recording
+from threadline.motion.timing import Trajectory
+from threadline.motion.timing.types import TrajectoryReader
+from threadline.proof.pipeline import Proof
+from threadline.verdict import Result, Verdict, as_intended
 from threadline.verdict.along import contour_along
 from threadline.verdict.blocks import judged_blocks, setting_of
 from threadline.verdict.samples import Block
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawnRun:
+    """The run that a figure shows.
+
+    Parameters
+    ----------
+    recording
+        Recording of this run alone.
+    number
+        Its number, as in ``Result.run``: from 1, runs of other machines last.
+    worst_of
+        The criterion that is worst in this run; empty where no run is worse than another, and the
+        first one is drawn.
+    """
+
+    recording: Recording
+    number: int
+    worst_of: str
+
+    def words(self, proof: Proof) -> str:
+        """Return the sentence for a caption; empty where only one run was judged."""
+        if len(proof.judged) == proof.judged[0].runs == 1:
+            return ""
+        why = f", in which {self.worst_of} is worst" if self.worst_of else ""
+        return f" Drawn is {run_words(proof.verdict, self.number)}{why}."
+
+
+def run_words(verdict: Verdict, number: int) -> str:
+    """Return the name of a run in a caption: a run of the machine, or a machine in tolerance."""
+    if number <= verdict.runs:
+        return f"run {number} of {verdict.runs}"
+    return f"machine {number - verdict.runs} of {verdict.machines} within the tolerances"
+
+
+def drawn_run(proof: Proof, names: Sequence[str]) -> DrawnRun:
+    """Return the run that is worst in the first of the criteria in which runs differ.
+
+    Parameters
+    ----------
+    names
+        Criteria that the figure marks or shows, the most important first.
+    """
+    for name in names:
+        worst = worst_result(proof.verdict, name)
+        if worst is not None and worst.run is not None:
+            return DrawnRun(recording=proof.run(worst.run), number=worst.run, worst_of=name)
+    return DrawnRun(recording=proof.recording, number=1, worst_of="")
+
+
+def worst_result(verdict: Verdict, name: str) -> Result | None:
+    """Return the result of ``name`` that is nearest to, or furthest over, its limit."""
+    results = [
+        r
+        for r in verdict.results
+        if r.name == name and r.measured is not None and r.time_s is not None
+    ]
+    if not results:
+        return None
+    return max(results, key=lambda r: abs(r.measured or 0.0) / (r.limit or 1.0))
+
+
+def envelope(
+    time_s: FloatArray, values: FloatArray, stretches: int = 800
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return starts of stretches of time, (k,), and their least and largest values, (k,) each.
+
+    A stretch includes the first value of the next one, so that the drawn bands have no gap. The
+    last entry of all three is that of the last sample; NaN is left out.
+
+    Parameters
+    ----------
+    time_s, values
+        (n,) each, times increasing.
+    """
+    width_s = max(float(time_s[-1] - time_s[0]), 1e-9) / stretches
+    number = ((time_s - time_s[0]) / width_s).astype(np.int64)
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    low, high = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    low[:-1] = np.fmin(low[:-1], values[starts[1:]])
+    high[:-1] = np.fmax(high[:-1], values[starts[1:]])
+    return (
+        np.append(time_s[starts], time_s[-1]),
+        np.append(low, low[-1]),
+        np.append(high, high[-1]),
+    )
+
+
+def extremes(columns: FloatArray, stretch: IntArray) -> NDArray[np.bool_]:
+    """Return (n,) True where one of the (n, m) ``columns`` is at an extreme of its stretch.
+
+    ``stretch`` is the (n,) number of each row's stretch. The first and the last row are True.
+    """
+    keep = np.zeros(len(columns), dtype=bool)
+    keep[[0, -1]] = True
+    edges = [0, *(np.flatnonzero(np.diff(stretch)) + 1).tolist(), len(columns)]
+    across = np.isfinite(columns).all(axis=0)
+    for begin, end in pairwise(edges):
+        part = columns[begin:end, across]
+        if part.size:
+            keep[begin + np.concatenate([part.argmin(axis=0), part.argmax(axis=0)])] = True
+    return keep
+
 
 MAX_SAMPLES = 20_000
 MAX_VERTICES = 2_000

@@ -1,13 +1,12 @@
 """Searches over the whole pipeline: the fastest motion in spec, and comparisons."""
 
+from threadline.search.allowance import Bound, FastestJob, Rung
 from threadline.search.compare import PLACEMENT, Comparison, compare, placement_spec
-from threadline.search.edges import Interval
 from threadline.search.fastest import Fastest, find_fastest
-from threadline.search.feed import fastest_feed, feed_range_m_s
-from threadline.search.gentle import fastest_job
+from threadline.search.feed import fastest_feed, fastest_needle, feed_range_m_s, needle_range_hz
+from threadline.search.forbidden import Interval
+from threadline.search.least_limits import fastest_job
 from threadline.search.mismatch import Mismatch, feed_over_tolerances, needle_over_tolerances
-from threadline.search.needle import fastest_needle, needle_range_hz
-from threadline.search.rungs import Bound, FastestJob, Rung
 
 __all__ = [
     "PLACEMENT",

@@ -1,4 +1,4 @@
-"""The fastest plan in spec with ``--interpolation optimal``, for which no feed is searched.
+"""What a search for the fastest plan of a job tells: every plan that it proved, and the best.
 
 ``optimal`` plans the fastest motion within the limits that it is given. Without feed-forward one of
 them is the contour allowance: how far the loads may leave the path. Encoder counts, levels of the
@@ -14,26 +14,104 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from threadline.control import EARLIEST
+from threadline.base.progress import Progress
+from threadline.dynamics import EARLIEST
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.option_words import LEAST_CONTOUR_M
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, Trials, plan_job, try_plan
-from threadline.progress_call import Progress
-from threadline.search.edges import Interval
+from threadline.motion.timing.optimal.fastest_motion import least_time_s
+from threadline.motion.timing.optimal.motion_limits import axis_limits, limits_of
+from threadline.proof.option_words import LEAST_CONTOUR_M
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Trials, plan_job, try_plan
 from threadline.search.fastest import Fastest
-from threadline.search.feed import feed_range_m_s
-from threadline.search.forbidden import closeness, worst_criterion
-from threadline.search.refused import beyond
-from threadline.search.rungs import Bound, FastestJob, Rung
+from threadline.search.feed import beyond, feed_range_m_s
+from threadline.search.forbidden import Interval, closeness, worst_criterion
 from threadline.search.until import Until, as_far_as
-from threadline.trajectory.optimal.drives import axis_limits, limits_of
-from threadline.trajectory.optimal.fastest_motion import least_time_s
 from threadline.verdict import Spec, Verdict
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rung:
+    """The fastest plan at one share of the limits, or with one contour allowance.
+
+    Parameters
+    ----------
+    share
+        Share of the machine's acceleration and jerk limits that was used.
+    found
+        The feeds in spec.
+    duration_s
+        Duration of the job at the best of them; None where no feed passes.
+    contour_m
+        How far the loads were allowed to leave the path; None where the timing has no such limit.
+    """
+
+    share: float
+    found: Fastest
+    duration_s: float | None
+    contour_m: float | None = None
+
+    @property
+    def alone(self) -> bool:
+        """Whether its neighbours are out of specification."""
+        return self.found.fastest is not None and self.found.fastest.alone
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bound:
+    """A lower bound on the time along a path.
+
+    Parameters
+    ----------
+    within
+        Whose limits alone it keeps: ``"the axes"``, or ``"axes and drives"``.
+    duration_s
+        The least time within them.
+    """
+
+    within: str
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FastestJob:
+    """What was found: the rung with the shortest job, and all that were tried, by share.
+
+    Parameters
+    ----------
+    bounds
+        With ``optimal``: lower bounds on the time of the best plan; otherwise empty.
+    left_out
+        Shares of the limits that were not searched, because even at the highest feed the job takes
+        no less time with them than with the best.
+    moves, judged_moves, parts
+        How many moves the job has, and how many of them in how many distinct stretches every try
+        was judged by; 0 where it was judged by all of them.
+    cut
+        Whether tries were judged without the middles of moves that last long.
+    whole
+        Whether the best plan of the whole job was judged, too, where tries were judged by less.
+    ended
+        Why the search stopped before its end; empty where it did not.
+    by
+        What its feeds are of.
+    """
+
+    best: Rung
+    rungs: tuple[Rung, ...]
+    bounds: tuple[Bound, ...] = ()
+    left_out: tuple[float, ...] = ()
+    moves: int = 0
+    judged_moves: int = 0
+    parts: int = 0
+    cut: bool = False
+    whole: bool = True
+    ended: str = ""
+    by: FeedMode = FeedMode.FASTEST_AXIS
+
 
 LIMITS = "limits"
 """``limited_by`` of a plan that passes with the full limits of axes and drives."""

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.schedule import Scheduled, ScheduledMove
+from threadline.dynamics.pneumatic import StepRinging, flow_mode, step_ringing
 from threadline.machine import Machine
-from threadline.plant.pneumatic import StepRinging, flow_mode, step_ringing
-from threadline.shaping import FlexibleMode, Shaper, convolve, design
-from threadline.shaping.types import UNSHAPED
-from threadline.targets.schedule import Scheduled, ScheduledMove
+from threadline.motion.shaping import FlexibleMode, Shaper, convolve, design
+from threadline.motion.shaping.types import UNSHAPED
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 
 KINDS = ("zv", "zvd", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei", "negative-zv")

@@ -11,25 +11,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from threadline.asked import Words, with_radii_of
+from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD, USUAL
 from threadline.errors import OptionError
 from threadline.jobs.operations import Feed, FeedMode, Job, Pace
 from threadline.machine import Machine
-from threadline.option_defaults import NO_CONTOUR, UNSHAPED_WORD, USUAL
-from threadline.option_form import Word
-from threadline.option_words import (
+from threadline.proof.asked import Words, with_radii_of
+from threadline.proof.option_form import Word
+from threadline.proof.option_words import (
     feed_words,
     parse_margin,
     parse_robust,
     share_words,
     tolerance_words,
 )
-from threadline.options import Options
-from threadline.pipeline import Trials, open_job
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Trials, open_job
+from threadline.search.allowance import FastestJob
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
-from threadline.search.gentle import fastest_job
-from threadline.search.needle import fastest_needle
-from threadline.search.rungs import FastestJob
+from threadline.search.feed import fastest_needle
+from threadline.search.least_limits import fastest_job
 from threadline.search.shaft import FastestShaft, fastest_shaft
 from threadline.verdict import Spec
 

@@ -8,24 +8,17 @@ from contextvars import Context
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from threadline.base.progress import Progress
+from threadline.commands.plan import Plan
 from threadline.errors import PlanError
 from threadline.jobs.operations import Job
-from threadline.kinds import kind_of
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.path.interpolations import FIRMWARE
-from threadline.pipeline import (
-    NOMINAL,
-    Proof,
-    Trials,
-    check_machine,
-    plan_job,
-    prove_plan,
-)
-from threadline.plan import Plan
-from threadline.progress_call import Progress
-from threadline.search.gentle import fastest_job
-from threadline.search.rungs import FastestJob
+from threadline.motion.path.interpolations import FIRMWARE
+from threadline.proof.kinds import kind_of
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Proof, Trials, check_machine, plan_job, prove_plan
+from threadline.search.allowance import FastestJob
+from threadline.search.least_limits import fastest_job
 from threadline.verdict import Spec
 
 PLACEMENT = ("contour_error", "turning_point_error")

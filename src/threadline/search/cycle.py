@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from threadline.base.progress import Progress
 from threadline.errors import PlanError, RecordingError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, Proof, Trials, plan_job, try_plan
-from threadline.progress_call import Progress
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Proof, Trials, plan_job, try_plan
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import overlapped, with_choices

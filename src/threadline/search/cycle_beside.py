@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from threadline.base.progress import Progress
 from threadline.errors import PlanError, RecordingError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, plan_job, prove_plan
-from threadline.progress_call import Progress
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, plan_job, prove_plan
 from threadline.search.cycle import FastestCycle, cycle_s
-from threadline.search.cycle_band import MEASURE, BandRun, band_machines, over_band
-from threadline.search.cycle_robust import RobustCycle
+from threadline.search.cycle_robust import MEASURE, BandRun, RobustCycle, band_machines, over_band
 from threadline.search.move_list import overlapped, with_choices
 from threadline.verdict import Spec, Verdict
 

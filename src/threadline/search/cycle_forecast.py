@@ -8,18 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from threadline.commands.schedule import ScheduledMove
+from threadline.commands.schedule_moves import levels_text, valves_of
+from threadline.dynamics.pneumatic import step_ringing
+from threadline.files import ChannelKind
 from threadline.jobs.moves import REST
 from threadline.jobs.operations import Job, Move
 from threadline.machine import Machine
-from threadline.pipeline import Proof
-from threadline.plant.pneumatic import step_ringing
-from threadline.search.levels import LevelCommand, time_optimal_s
-from threadline.search.move_commands import MoveCommands, step_scans
+from threadline.motion.shaping.onoff.switched import Valves
+from threadline.proof.pipeline import Proof
+from threadline.search.move_commands import LevelCommand, MoveCommands, step_scans, time_optimal_s
 from threadline.search.move_list import levels_of_operations, with_choices
-from threadline.shaping.onoff.valves import Valves
-from threadline.signals import ChannelKind
-from threadline.targets.schedule import ScheduledMove
-from threadline.targets.schedule_moves import levels_text, valves_of
 from threadline.verdict import Spec
 from threadline.verdict.switch_run import SwitchRun
 

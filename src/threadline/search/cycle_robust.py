@@ -1,4 +1,4 @@
-"""The shortest cycle of an on/off machine that stays in spec whatever its modes are in a band.
+"""Machines all over a band of modes, and what each of them makes of a cycle.
 
 Each move gets the shortest command that its flow controls can make and that rings little enough at
 every frequency of the band. What earlier moves left ringing counts with its full amplitude, because
@@ -14,28 +14,84 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
+from threadline.base.progress import Progress
+from threadline.commands.plan import Plan
+from threadline.commands.schedule import ScheduledMove
+from threadline.commands.schedule_moves import levels_text, valves_of
+from threadline.dynamics.pneumatic import flow_mode, step_ringing
 from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.vary import mode_off
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, Proof, Trials, plan_job, try_plan
-from threadline.plan import Plan
-from threadline.plant.pneumatic import flow_mode, step_ringing
-from threadline.progress_call import Progress
-from threadline.search.cycle_band import MEASURE, BandRun, band_machines, over_band
-from threadline.search.move_list import levels_of_operations, overlapped, with_choices
-from threadline.search.until import Until
-from threadline.shaping.onoff.flow_levels import (
+from threadline.motion.shaping.onoff.flow_levels import (
     FlowCommand,
     FlowMove,
     least_scans,
     shortest_flow_command,
 )
-from threadline.targets.schedule import ScheduledMove
-from threadline.targets.schedule_moves import levels_text, valves_of
-from threadline.verdict import Criterion, Spec, Status
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Proof, Trials, plan_job, simulate, try_plan
+from threadline.search.move_list import levels_of_operations, overlapped, with_choices
+from threadline.search.until import Until
+from threadline.verdict import Criterion, Judge, Spec, Status, Verdict
+
+MEASURE = "residual_vibration"
+_MACHINES = 17
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BandRun:
+    """What one machine of the band made of a cycle.
+
+    Parameters
+    ----------
+    relative
+        By how much its modes are off, -0.2 ... 0.2 for instance.
+    verdict
+        Of one run.
+    """
+
+    relative: float
+    verdict: Verdict
+
+    @property
+    def worst_m(self) -> float:
+        """The largest residual vibration."""
+        found = [r.measured for r in self.verdict.results if r.name == MEASURE]
+        return max((value for value in found if value is not None), default=0.0)
+
+
+def band_machines(machine: Machine, band: float) -> tuple[tuple[float, Machine], ...]:
+    """Return machines all over the band, each with by how much its modes are off.
+
+    Raises
+    ------
+    OptionError
+        If the band is not above 0 and below 1.
+    """
+    if not 0.0 < band < 1.0:
+        raise OptionError(
+            f"a band of +-{band * 100:g} % must be above 0 % and below 100 %",
+            remedy='A fifth to either side is "20 %".',
+        )
+    parts = np.linspace(-band, band, _MACHINES).tolist()
+    return tuple((part, mode_off(machine, part)) for part in parts)
+
+
+def over_band(
+    plan: Plan, spec: Spec, machines: Sequence[tuple[float, Machine]]
+) -> tuple[BandRun, ...]:
+    """Return what each machine of a band makes of a plan, in one run each."""
+    return tuple(
+        BandRun(
+            relative=part,
+            # Amplitudes that follow from place and speed go by the mode of the machine that ran.
+            verdict=Judge(replace(plan, machine=one), spec).verdict([simulate(plan.commands, one)]),
+        )
+        for part, one in machines
+    )
+
 
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)
 """Shares of the limit that a command of a move may use alone: earlier moves may use up the rest."""

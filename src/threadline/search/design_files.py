@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from threadline.escaping import ascii_only, toml_string
+from threadline.base.wording import ascii_only, toml_string
+from threadline.base.writing import together
+from threadline.files.formats.common import atomic_file
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.machine.numbers import number_at, number_tables
 from threadline.machine.quantity import Quantity
-from threadline.search.design_result import DesignResult, Found
-from threadline.signals.files.common import atomic_file
+from threadline.search.design import DesignResult, Found
 from threadline.verdict import Spec
 from threadline.verdict.registry import MEASURES
-from threadline.writing import together
 
 _SPEC_SUFFIX = ".spec.toml"
 

@@ -8,15 +8,15 @@ from itertools import product
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.errors import MachineError, OptionError
-from threadline.kinds import kind_of
 from threadline.machine import Machine
 from threadline.machine.controllers import LeadFilter
-from threadline.machine.design import Design, DesignParameter
 from threadline.machine.load import place_in
 from threadline.machine.numbers import is_whole, number_at
 from threadline.machine.quantity import Quantity
+from threadline.machine.tables import Design, DesignParameter
+from threadline.proof.kinds import kind_of
 from threadline.units import parse_quantity
 
 _LEVELS = 3

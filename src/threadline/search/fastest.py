@@ -17,17 +17,20 @@ from typing import Any
 
 import numpy as np
 
+from threadline.base.progress import Progress
 from threadline.errors import OptionError
-from threadline.progress_call import Progress
-from threadline.search.edges import (
+from threadline.search.forbidden import (
     INSIDE,
+    Forbidden,
     Interval,
     Judged,
+    closest_of,
+    forbidden,
     held_parts,
     refined,
     typeable,
+    worst_criterion,
 )
-from threadline.search.forbidden import Forbidden, closest_of, forbidden, worst_criterion
 from threadline.search.until import HaltError, Until
 from threadline.verdict import Verdict
 

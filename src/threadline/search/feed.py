@@ -1,37 +1,48 @@
-"""The fastest feed of a job: the search run over the whole pipeline."""
+"""The fastest feed of a job, and the needle speeds of a seam, searched over the whole pipeline."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from threadline.errors import LimitError
+from threadline.base.progress import Progress
+from threadline.commands.plan import Following
+from threadline.errors import LimitError, OptionError
 from threadline.jobs.feed_times import feed_time_s
-from threadline.jobs.gcode.f_words import RULES, as_f_words
-from threadline.jobs.operations import Feed, FeedMode, Job, MoveRun, move_runs
+from threadline.jobs.gcode.feeds import RULES, as_f_words
+from threadline.jobs.operations import Feed, FeedMode, Job, Move, MoveRun, move_runs
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.path import programmed_path
-from threadline.pipeline import NOMINAL, Trials, plan_job, try_plan
-from threadline.plan import Following
-from threadline.progress_call import Progress
-from threadline.search.distinct import moves_in
-from threadline.search.edges import used
-from threadline.search.fastest import (
-    EDGE_RELATIVE,
-    NEAR_POINTS,
-    SCAN_POINTS,
-    Fastest,
-    find_fastest,
-)
+from threadline.motion.path import programmed_path
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Trials, open_job, plan_job, try_plan
+from threadline.search.distinct import LongMoves, moves_in
+from threadline.search.fastest import EDGE_RELATIVE, NEAR_POINTS, SCAN_POINTS, Fastest, find_fastest
+from threadline.search.forbidden import used
 from threadline.search.judge_runs import kept_in_memory
-from threadline.search.long_moves import LongMoves
-from threadline.search.refused import beyond
 from threadline.search.until import Until
-from threadline.verdict import Spec, Verdict
+from threadline.verdict import Result, Spec, Status, Verdict
+
+_PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
+
+
+def beyond(error: LimitError, machine: Machine) -> Verdict:
+    """Return the verdict on a plan that breaks a limit: the criterion of that limit failed."""
+    over = error.quantity == "travel"
+    base = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
+    failed = Result(
+        name=error.quantity,
+        axis=error.axis,
+        measured=abs(error.value_si - error.limit_si) if over else abs(error.value_si),
+        limit=0.0 if over else error.limit_si,
+        unit=f"{base}{_PER[error.quantity]}",
+        status=Status.FAILED,
+        note="the plan is refused",
+    )
+    return Verdict(results=(failed,), simulated=False)
 
 
 def searched_by(job: Job, machine: Machine) -> FeedMode:
@@ -225,4 +236,91 @@ def fastest_feed(
         until=until,
         seen=seen,
         every=every,
+    )
+
+
+_SLOWEST = 0.025  # of the highest needle speed: where a search begins
+
+
+def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
+    """Return the needle speeds between which a search makes sense, stitches a second.
+
+    Up to where the slower axis moves its shortest wanted stitch at its velocity limit, and from the
+    lowest speed on of a needle that follows the head.
+
+    Raises
+    ------
+    OptionError
+        If the job has no stitches.
+    """
+    sewn = [o.tags for o in job if isinstance(o, Move) and "target_m" in o.tags]
+    lengths = {float(tags["target_m"]) for tags in sewn}
+    if not lengths:
+        raise OptionError(f"{job.name} has no stitches", remedy="Search the feed instead.")
+    high = min(machine.axes[axis].velocity.si for axis in job.axes) / min(lengths)
+    slowest = max(float(tags.get("slowest_hz", 0.0)) for tags in sewn)
+    return max(_SLOWEST * high, slowest), high
+
+
+def fastest_needle(
+    seam: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    *,
+    low: float | None = None,
+    high: float | None = None,
+    points: int = SCAN_POINTS,
+    near: int = NEAR_POINTS,
+    progress: Progress | None = None,
+    actual: Machine | None = None,
+    edge_relative: float = EDGE_RELATIVE,
+    trials: Trials = NOMINAL,
+    until: Until | None = None,
+) -> Fastest:
+    """Return every interval of needle speed (stitches a second) at which ``seam`` is in spec.
+
+    The seam is read anew at each speed, so that its stitches are placed for it; every contour is
+    sewn at the same speed. A speed at which the plan breaks a limit of the machine is out of spec.
+
+    Parameters
+    ----------
+    points, near
+        As ``find_fastest`` takes them; their steps are the resolution.
+    actual
+        The machine that sews, where it isn't the one that plans are made for.
+    trials
+        Which runs a speed is judged by.
+    until
+        When the search has to come to an answer, as ``find_fastest`` takes it.
+
+    Raises
+    ------
+    JobError, OptionError
+        If the seam cannot be read, or the range is empty.
+    HaltError
+        If the time is over before a speed was judged.
+    """
+    lowest, highest = needle_range_hz(open_job(seam, machine, options), machine)
+    begin, end = lowest if low is None else low, highest if high is None else high
+
+    def judged(speed_hz: float) -> Verdict:
+        at_speed = replace(options, needle=f"{speed_hz!r} stitch/s")
+        job = open_job(seam, machine, at_speed)
+        try:
+            plan = plan_job(job, machine, at_speed)
+        except LimitError as error:
+            return beyond(error, machine)
+        return try_plan(plan, spec, trials, actual).verdict
+
+    return find_fastest(
+        judged,
+        begin,
+        end,
+        points=points,
+        near=near,
+        edge_relative=edge_relative,
+        progress=progress,
+        unit="stitch/s",
+        until=until,
     )

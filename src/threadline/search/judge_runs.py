@@ -1,4 +1,4 @@
-"""Judges any number of variants of a machine under the commands of one plan: simulate, and measure.
+"""Judges variants of a machine one by one, for machines that are not simulated many at once.
 
 Variants go through in parts of some hundred, several parts at once; each is simulated block by
 block and measured as it comes, so that memory depends on the parts in hand alone. A variant is
@@ -7,6 +7,7 @@ judged to the same bits in any part and by any number of threads.
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -15,16 +16,84 @@ from os import cpu_count
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.errors import MachineError
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.dynamics.values import Values
+from threadline.errors import MachineError, RecordingError
+from threadline.files import ChannelKind, Stream, tick_table
 from threadline.machine import Machine
-from threadline.plan import Plan
-from threadline.plant.values import Values
-from threadline.search.kept_memory import keep_freed_memory
-from threadline.signals import ChannelKind, Stream, tick_table
+from threadline.machine.variants import uncertain, variant
+from threadline.proof.kinds import kind_of
+from threadline.proof.kinds.variants import retold
 from threadline.twin import fastest_rates, simulate_runs
 from threadline.twin.simulate import DEFAULT_SETTLE_S
 from threadline.verdict import EachRun, Judge, Spec, needed_channels
+
+
+class AloneJudge:
+    """Judges machines within the tolerances of a plan's, one by one, all under its commands.
+
+    Encoders stand in the middle of a count.
+    """
+
+    def __init__(self, plan: Plan, spec: Spec) -> None:
+        self._plan = plan
+        self._judge = Judge(plan, spec)
+
+    def judged(self, parts: FloatArray, done: Callable[[int], None] | None = None) -> EachRun:
+        """Return what comes of machines at (k, n) parts of their tolerances.
+
+        One that cannot be simulated, or that never ends what it waits for, fails every criterion
+        that has a limit, with an infinite value.
+
+        Parameters
+        ----------
+        done
+            Called with 1 after each machine.
+        """
+        found = []
+        for row in parts:
+            try:
+                found.append(self._one(row))
+            except (MachineError, RecordingError):
+                found.append(self._own.without_answer())
+            if done is not None:
+                done(1)
+        return EachRun.joined(found)
+
+    @cached_property
+    def _own(self) -> EachRun:
+        """What comes of the machine of the plan."""
+        return self._one(np.zeros(len(uncertain(self._plan.machine))))
+
+    def _one(self, row: FloatArray) -> EachRun:
+        plan = self._plan
+        machine = variant(plan.machine, row)
+        return self._judge.each(kind_of(machine).simulate(retold(plan.commands, machine), machine))
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # parameters of mallopt, malloc.h
+_LARGEST = 32 << 20
+"""Bytes from which an array is mapped by itself; glibc takes no larger number."""
+_KEPT = 512 << 20
+
+
+def keep_freed_memory() -> None:
+    """Let the C library of Linux keep what is freed for what is wanted next.
+
+    It gives the end of its memory back as soon as it is free, and arrays of some megabytes lie
+    there. Where a loop makes and drops them, every page is asked for, cleared and given back anew:
+    a fifth of the time of judging many machines. The most memory that is ever in use stays as it
+    is. Other C libraries are left alone.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):
+        return
+    mallopt(_MMAP_THRESHOLD, _LARGEST)
+    mallopt(_TRIM_THRESHOLD, _KEPT)
+    mallopt(_ARENA_MAX, 1)  # what one thread has freed the next one takes
+
 
 AT_ONCE = 256
 """Variants of a part: they share what is worked out once, and their samples fit a fast memory."""

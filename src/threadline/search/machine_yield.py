@@ -8,12 +8,14 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.wording import toml_string
+from threadline.commands.plan import Plan
+from threadline.dynamics.values import Values
 from threadline.errors import OptionError
-from threadline.escaping import toml_string
-from threadline.kinds import kind_of
+from threadline.files import tick_table
 from threadline.machine import Machine
-from threadline.machine.dynamics import check_dynamics
+from threadline.machine.model import check_dynamics
 from threadline.machine.numbers import number_at, number_tables, with_numbers
 from threadline.machine.variants import (
     MOST_CORNERS,
@@ -25,15 +27,12 @@ from threadline.machine.variants import (
     one_at_a_time,
     uncertain,
 )
-from threadline.plan import Plan
-from threadline.plant.values import Values
-from threadline.search.judge_alone import AloneJudge
-from threadline.search.judge_runs import RunsJudge
+from threadline.proof.kinds import kind_of
+from threadline.search.judge_runs import AloneJudge, RunsJudge
 from threadline.search.yield_state import YieldState
-from threadline.signals import tick_table
 from threadline.twin import fastest_rates
 from threadline.verdict import CriterionRow, EachRun, Spec, percent_used
-from threadline.verdict.binomial import clopper_pearson
+from threadline.verdict.each_run import clopper_pearson
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.rendering import shown
 
@@ -383,3 +382,30 @@ def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
         *number_tables(texts),
     ]
     return "\n".join(lines) + "\n"
+
+
+def limited_rows(found: Yield) -> list[CriterionRow]:
+    """Return the criteria with a limit that depend on the machine, not on the plan alone.
+
+    One that is required and was not measured is among them.
+    """
+    return [
+        row
+        for row in found.found.rows
+        if row.limit is not None and not row.of_plan
+        and ((row.values > 0.0).any() or row.missed.any())
+    ]  # fmt: skip
+
+
+def quantile(row: CriterionRow, share: float) -> float:
+    """Return what ``share`` of the machines that were measured come to at most; NaN if none was.
+
+    A machine whose motion grows without bound comes to infinity.
+    """
+    known = row.values[~np.isnan(row.values)]
+    if not len(known):
+        return float("nan")
+    if np.isfinite(known).all():
+        return float(np.quantile(known, share))
+    # Between a number and infinity nothing can be interpolated.
+    return float(np.quantile(known, share, method="inverted_cdf"))

@@ -7,17 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+from threadline.base.progress import Progress
 from threadline.errors import OptionError
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.vary import off_tolerance
-from threadline.options import Options
-from threadline.progress_call import Progress
+from threadline.proof.options import Options
 from threadline.search.cycle import fastest_cycle
-from threadline.search.edges import Interval
 from threadline.search.fastest import Fastest
-from threadline.search.feed import fastest_feed
-from threadline.search.needle import fastest_needle
+from threadline.search.feed import fastest_feed, fastest_needle
+from threadline.search.forbidden import Interval
 from threadline.search.shaft import constant_speeds, speed_range_hz
 from threadline.verdict import Spec
 

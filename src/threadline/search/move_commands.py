@@ -1,21 +1,193 @@
-"""The commands that one move of a cylinder may have: shapers, gaps, and levels of its own."""
+"""Commands that a move of a cylinder may have, and what each leaves ringing: in closed form.
+
+Open flow controls set a speed, so that each change of the level by h rings on by itself:
+``h exp(pole (t - t_i))`` in units of one full step. A sum of such terms, at the last switching, is
+all that counts of a command. Every command here covers the same distance as the unshaped one,
+because level times duration is the same.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.schedule import ScheduledMove
+from threadline.commands.schedule_moves import Levels, valves_of
 from threadline.errors import PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.options import Options
-from threadline.pipeline import plan_job
-from threadline.search.levels import LevelCommand, gapped, left_ringing, period_scans, stepped
+from threadline.motion.shaping.onoff.switched import Valves
+from threadline.proof.options import Options
+from threadline.proof.pipeline import plan_job
 from threadline.search.move_list import with_choices
-from threadline.shaping.onoff.valves import Valves
-from threadline.targets.schedule import ScheduledMove
-from threadline.targets.schedule_moves import Levels, valves_of
+
+_LONGEST_PERIODS = 1.6
+"""Longest first stretch of a command of three levels, in periods."""
+_INTERVALS = 800
+
+
+@dataclass(frozen=True, slots=True)
+class LevelCommand:
+    """A command of one move.
+
+    Parameters
+    ----------
+    name
+        A shaper's text, or ``levels``.
+    ticks, levels
+        Level from each scan on, the last 0.
+    left
+        Complex ringing at its last switching, in units of one full step.
+    """
+
+    name: str
+    ticks: tuple[int, ...]
+    levels: tuple[float, ...]
+    left: complex
+
+    @property
+    def scans(self) -> int:
+        """Duration in scans."""
+        return self.ticks[-1]
+
+    def on(self, turn: complex, valves: Valves) -> LevelCommand:
+        """Return the same command with what it leaves ringing on a machine with another mode."""
+        return replace(self, left=left_ringing(self.ticks, self.levels, turn, valves))
+
+
+def left_ringing(
+    ticks: tuple[int, ...], levels: tuple[float, ...], turn: complex, valves: Valves
+) -> complex:
+    """Return the complex ringing that a command leaves at its last switching, in full steps.
+
+    Parameters
+    ----------
+    ticks, levels
+        (n,) scans, and the level from each of them on.
+    turn
+        Factor on the complex ringing in one scan: ``exp(pole * scan_s)``.
+    """
+    at, heights = valves.switchings(ticks, levels)
+    return complex(np.sum(heights * np.exp(np.log(turn) * (ticks[-1] - at))))
+
+
+def gapped(
+    on_scans: float,
+    dwell: int,
+    turn: complex,
+    most: float,
+    total: int,
+    valves: Valves,
+    step: int = 1,
+) -> list[LevelCommand]:
+    """Return on/off commands with one or two gaps that leave at most ``most`` ringing.
+
+    Their flow lasts ``on_scans`` scans in all and they are off for ``total``; each stretch and each
+    gap takes at least ``dwell`` scans. Places and sizes of gaps are tried every ``step`` scans.
+    """
+    log = np.log(turn)
+    one, two = (round(on_scans - count * valves.longer) for count in (2, 3))
+    tables = [*_one_gap(one, dwell, total, step), *_two_gaps(two, dwell, total, step)]
+    found = []
+    for edges in tables:
+        late = np.tile([valves.opens, valves.closes], edges.shape[1] // 2)
+        heights = np.tile([1.0, -1.0], edges.shape[1] // 2)
+        left = np.exp(log * (edges[:, -1:] - edges - late)) @ heights
+        for row in np.flatnonzero(np.abs(left) <= most):
+            ticks = edges[row].tolist()
+            levels = tuple(float(v) for v in np.tile([1.0, 0.0], len(ticks) // 2))
+            found.append(LevelCommand("levels", tuple(ticks), levels, complex(left[row])))
+    return found
+
+
+def _one_gap(on: int, dwell: int, total: int, step: int) -> Iterator[IntArray]:
+    """Yield (n, 4) switchings of commands with one gap of ``total`` scans, where there are any."""
+    first = np.arange(dwell, on - dwell + 1, step)
+    if len(first):
+        zero = np.zeros_like(first)
+        yield np.column_stack((zero, first, first + total, zero + on + total))
+
+
+def _two_gaps(on: int, dwell: int, total: int, step: int) -> Iterator[IntArray]:
+    """Yield (n, 6) switchings of commands with two gaps of ``total`` scans together."""
+    first = np.arange(dwell, on - dwell + 1, step)
+    gaps = np.arange(dwell, total - dwell + 1, step)
+    if not len(first) or not len(gaps):
+        return
+    a, b, gap = (v.ravel() for v in np.meshgrid(first, first, gaps, indexing="ij"))
+    fits = a + b <= on - first[0]
+    a, b, gap = a[fits], b[fits], gap[fits]
+    begin, end = np.zeros_like(a), on + total
+    second = a + gap
+    yield np.column_stack((begin, a, second, second + b, second + b + total - gap, begin + end))
+
+
+def stepped(
+    on_scans: float,
+    dwell: int,
+    turn: complex,
+    most: float,
+    pairs: Sequence[tuple[float, float]],
+    valves: Valves,
+) -> list[LevelCommand]:
+    """Return commands of three levels, ``pairs`` at the ends, that leave at most ``most`` ringing.
+
+    The flow of the unshaped command has level 1 for ``on_scans`` scans. First and last stretch are
+    equally long, at least ``dwell`` scans, and the two levels of a pair add up to 1: so the
+    distance is the same.
+    """
+    found = []
+    longest = int(_LONGEST_PERIODS * period_scans(turn))
+    for begin, end in pairs:
+        levels = (begin, 1.0, end, 0.0)
+        nominal = round(on_scans)
+        whole = valves.covered((0, 1, nominal, nominal + 1), levels)
+        on = nominal + round(on_scans - whole)
+        for span in range(dwell, min(on - dwell, longest) + 1):
+            ticks = (0, span, on, on + span)
+            left = left_ringing(ticks, levels, turn, valves)
+            if abs(left) <= most:
+                found.append(LevelCommand("levels", ticks, levels, left))
+    return found
+
+
+def period_scans(turn: complex) -> float:
+    """Return the period of what rings, in scans."""
+    return float(2.0 * np.pi / np.angle(turn))
+
+
+@lru_cache(maxsize=256)  # some fifteen programs; searches over tolerances ask for the same again
+def time_optimal_s(on_s: float, pole: complex) -> float:
+    """Return the shortest duration of any command that leaves nothing ringing, s.
+
+    Levels free in [0, 1] that add up to ``on_s`` seconds of level 1: on a grid of the duration
+    whether there is one is a linear program, and there is one for every longer duration too, so
+    that bisection finds the shortest.
+    """
+    from scipy.optimize import linprog
+
+    period_s = float(2.0 * np.pi / pole.imag)
+
+    def reachable(duration_s: float) -> bool:
+        edges: FloatArray = np.linspace(0.0, duration_s, _INTERVALS + 1)
+        grown = np.exp(pole * (duration_s - edges))
+        ring = grown[:-1] - grown[1:]
+        rows = np.vstack((ring.real, ring.imag, np.diff(edges) / on_s))
+        found = linprog(np.zeros(_INTERVALS), A_eq=rows, b_eq=[0.0, 0.0, 1.0], bounds=(0.0, 1.0))
+        return bool(found.status == 0)
+
+    low, high = on_s, on_s + period_s
+    if reachable(low):
+        return low
+    while high - low > 1e-4 * period_s:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if reachable(middle) else (middle, high)
+    return high
+
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd")
 """Shapers that are tried for every move; others take longer than gaps or levels made for it."""

@@ -10,7 +10,9 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
+from threadline.commands.schedule_moves import joined_levels, levels_by_axis
 from threadline.errors import OptionError
+from threadline.files import Stream
 from threadline.jobs.moves import OVERLAP, REST
 from threadline.jobs.operations import (
     Dwell,
@@ -23,8 +25,6 @@ from threadline.jobs.operations import (
     WaitInput,
 )
 from threadline.machine import Machine
-from threadline.signals import Stream
-from threadline.targets.schedule_moves import joined_levels, levels_by_axis
 from threadline.units import parse_quantity
 
 _LEAST_LEFT_M = 1e-4

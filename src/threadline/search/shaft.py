@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from threadline.base.progress import Progress
+from threadline.commands.plan import Plan
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
-from threadline.option_words import parse_tolerance_m, tolerance_words
-from threadline.options import Options
-from threadline.pipeline import NOMINAL, Proof, Trials, check_machine, plan_job, try_plan
-from threadline.plan import Plan
-from threadline.progress_call import Progress
+from threadline.proof.option_words import parse_tolerance_m, tolerance_words
+from threadline.proof.options import Options
+from threadline.proof.pipeline import NOMINAL, Proof, Trials, check_machine, plan_job, try_plan
 from threadline.search.fastest import Fastest, find_fastest
 from threadline.search.until import Until, as_far_as
 from threadline.verdict import Spec, Verdict

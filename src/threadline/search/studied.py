@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from threadline.options import Options
-from threadline.pipeline import Proof, plan_job, prove_plan
-from threadline.plan import Motion, Scheduled, Stitched
+from threadline.commands.plan import Motion, Scheduled, Stitched
+from threadline.proof.options import Options
+from threadline.proof.pipeline import Proof, plan_job, prove_plan
 from threadline.search.broken_beam import BrokenBeam, broken_beam
 
 
@@ -48,7 +48,7 @@ STUDIES: Mapping[type, Callable[[Proof], Studied]] = {
     Scheduled: _schedule,
     Stitched: _alone,
 }
-"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``threadline.kinds.KINDS``."""
+"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``KINDS``."""
 
 
 def studied(proof: Proof) -> Studied:

@@ -24,13 +24,13 @@ from typing import IO, Any, NoReturn
 
 import numpy as np
 
+from threadline.base.reading import naming
+from threadline.base.writing import check_output, is_stdout
 from threadline.errors import OptionError, Place, RecordingError
-from threadline.input_files import naming
-from threadline.signals.files.common import parse_json
+from threadline.files.formats.common import parse_json
 from threadline.verdict import CriterionRow, EachRun
 from threadline.verdict.each_run import exceeded
 from threadline.verdict.registry import MEASURES
-from threadline.writing import check_output, is_stdout
 
 if sys.platform != "win32":
     import fcntl

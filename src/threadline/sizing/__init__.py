@@ -3,16 +3,15 @@
 Nothing here needs a machine or its plant; seams and searches use the same formulas.
 """
 
-from threadline.sizing.corner import (
+from threadline.sizing.profiles import (
+    PROFILES,
+    SpeedProfile,
     corner_acceleration_m_s2,
     corner_error_m,
     corner_speed_m_s,
     ramp_acceleration_m_s2,
 )
-from threadline.sizing.product import Demands
-from threadline.sizing.result import SizeLine, Sizing
-from threadline.sizing.size import size
-from threadline.sizing.speed_profile import PROFILES, SpeedProfile
+from threadline.sizing.size import Demands, SizeLine, Sizing, size
 
 __all__ = [
     "PROFILES",

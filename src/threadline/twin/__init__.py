@@ -1,9 +1,8 @@
 """Tick-exact simulation: commands and machine in, recording out; batches of variants."""
 
-from threadline.twin.batch import BatchResult, simulate_batch
+from threadline.twin.batch import BatchResult, simulate_batch, simulate_told_runs
 from threadline.twin.session import Session
 from threadline.twin.simulate import fastest_rates, session_of, simulate, simulate_runs
-from threadline.twin.told_runs import simulate_told_runs
 
 __all__ = [
     "BatchResult",

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
+from threadline.files import Channel, ChannelKind
 from threadline.machine import Machine
-from threadline.signals import Channel, ChannelKind
 from threadline.twin.kernel import Reading, Signal
 
 

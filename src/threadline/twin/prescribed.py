@@ -1,4 +1,4 @@
-"""Machines whose drives are told positions, simulated exactly from tick to tick.
+"""The exponential of many generators over a step that is short for all of them, by its series.
 
 Within a tick the pulses come evenly: the motor runs at a constant speed, and its load, a linear
 network on the other end of belt and gear, is advanced by one matrix exponential. What the load, the
@@ -7,18 +7,47 @@ rotor and friction ask of the motor stands beside what its curve has at that spe
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
-from threadline.errors import MachineError
+from threadline.base.arrays import FloatArray, IntArray, Recent
+from threadline.base.compiled import njit
+from threadline.dynamics.prescribed import Prescribed, prescribed, resonance_hz
+from threadline.errors import MachineError, OptionError
+from threadline.files import Channel, ChannelKind, Ended, RecordingBlock
 from threadline.machine import Machine
 from threadline.machine.sources import PulseServo, Source
-from threadline.plant.prescribed import Prescribed, prescribed, resonance_hz
-from threadline.recent import Recent
+from threadline.twin.channels import encoder_phases
+from threadline.twin.row_session import Part, RowSession
+
+_TERMS, _ROUNDING = 24, 1e-17
+_FAR = 1e3  # a series of so few terms has no chance to converge beyond
+
+
+def exponential_of_short_step(turned: FloatArray) -> FloatArray:
+    """Return the exponential of (V, K, n, n) generators by their series.
+
+    In the shortest part of a step even the stiffest beam turns by a thousandth of a radian, so that
+    a few terms are enough, much faster than a general exponential. Where the series has not
+    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used.
+    Where a generator is beyond ``_FAR`` its powers could overflow, and that one is used at once.
+    """
+    if float(np.abs(turned).max()) > _FAR:
+        return np.asarray(expm(turned))
+    total = np.broadcast_to(np.eye(turned.shape[-1]), turned.shape).copy()
+    term = total
+    for order in range(1, _TERMS):
+        term = term @ turned / order
+        total = total + term
+        if (np.abs(term) <= _ROUNDING * np.abs(total)).all():
+            return total
+    whole: FloatArray = expm(turned)
+    return whole
+
 
 _MOST_AVERAGED = 1_000_000
 """Ticks of which the speeds are kept: of the slowest swing of a stepper."""
@@ -268,3 +297,155 @@ def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArr
 
 
 follow = njit(nogil=True)(_follow)
+
+
+class ToldSession(RowSession):
+    """One machine whose drives are told positions, under rows that arrive piece by piece.
+
+    Channels, per axis: ``X.commanded``, ``X.load`` and, where it has one, ``X.frame`` in m or rad;
+    ``X.torque_share``, the torque asked of the drive over what it has at its speed, its largest
+    since the sample before. Then ``operation``. Of a machine without dynamics ``X.commanded`` and
+    ``operation`` are all that is known.
+
+    Where a run of a belt falls slack it has failed: it tells of a fault, and nothing is known from
+    there on.
+
+    Parameters
+    ----------
+    machine
+        What is driven; it starts at rest.
+    start_counts
+        (axes,) commanded position before the first row; 0 when None.
+    phases
+        (axes,) where in a full step each stepper stands at the start, in [0, 1); 0.5 when None.
+    record_every
+        Ticks from sample to sample.
+    advances
+        Those of ``advances_of(machine)``, where they are there already; it saves time.
+
+    Raises
+    ------
+    MachineError
+        If an axis has a loop, or a part is not linear.
+    OptionError
+        If a number or a phase is out of range.
+    """
+
+    def __init__(
+        self,
+        machine: Machine,
+        *,
+        start_counts: IntArray | None = None,
+        phases: FloatArray | None = None,
+        record_every: int = 1,
+        advances: Sequence[Advance] | None = None,
+    ) -> None:
+        if record_every < 1:
+            raise OptionError(f"record_every must be at least 1, got {record_every}")
+        super().__init__(machine, start_counts)
+        at = encoder_phases(machine, phases)
+        self._every = record_every
+        found = advances_of(machine) if advances is None else advances
+        self._pieces = [Moving(machine, advance, at) for advance in found]
+        self.channels = told_channels(machine, record_every)
+        self._tick = 0
+        self._carried: FloatArray = np.zeros(len(machine.axes))
+
+    @property
+    def tick(self) -> int:
+        """Ticks of the machine's clock so far."""
+        return self._tick
+
+    def _tripped(self, name: str) -> bool:
+        raise OptionError(f"{self._machine.name} has no limit switch {name}")
+
+    def _read(self, part: Part) -> Mapping[Any, FloatArray]:
+        travelled = np.concatenate((part.travelled, self._position[None]))
+        ran = [(piece.advance, *piece.run(travelled)) for piece in self._pieces]
+        known, why = min(
+            (far for _, _, _, far in ran), key=lambda far: far[0], default=(len(part.operation), "")
+        )
+        read: dict[str, FloatArray] = {}
+        for advance, whole, share, _ in ran:
+            piece = advance.piece
+            for index, name in enumerate(piece.axes):
+                axis, at = self._machine.axes[name], self._machine.axis_names.index(name)
+                offset = self._start[at] / axis.counts.si
+                read[f"{name}.load"] = offset + in_order(whole, piece.loads[index][None])[:known, 0]
+                if piece.has_frame[index]:
+                    read[f"{name}.frame"] = in_order(whole, piece.frames[index][None])[:known, 0]
+                drive = piece.drives.index(axis.drive)
+                read[f"{name}.torque_share"] = share[:known, drive]
+        if why:
+            self._fail(self._tick + known, int(part.operation[known]), why)
+            part.travelled, part.operation = part.travelled[:known], part.operation[:known]
+        self._tick += known
+        return read
+
+    def _fail(self, tick: int, operation: int, why: str) -> None:
+        """Tell of the fault that ends everything at ``tick``, and of nothing behind it."""
+        self._told = [event for event in self._told if event.tick < tick]
+        self._rows.clear()
+        self._events.clear()
+        self.failed, self._operation = True, operation
+        self._halted, self._held = None, False
+        self._ended, self._final = (Ended.FAULT, why), True
+        self._tell("fault", tick=tick, name=why)
+
+    def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
+        begin = -(-first // self._every)
+        kept = slice(begin * self._every - first, None, self._every)
+        axes = len(self._machine.axes)
+        nothing = np.zeros((0, axes), dtype=np.int64)
+        position = self._start + np.concatenate([nothing, *(part.travelled for part in parts)])
+        samples: dict[str, FloatArray] = {}
+        for channel in self.channels[:-1]:
+            name, at = channel.name, self._machine.axis_names.index(channel.axis)
+            if channel.kind is ChannelKind.COMMANDED:
+                samples[name] = position[kept, at] / self._machine.axes[channel.axis].counts.si
+                continue
+            values = np.concatenate([np.empty(0), *(part.read[name] for part in parts)])
+            if channel.kind is ChannelKind.TORQUE_SHARE:
+                samples[name], self._carried[at] = _since(values, kept, self._carried[at])
+            else:
+                samples[name] = values[kept]
+        operation = np.concatenate([nothing[:, 0], *(part.operation for part in parts)])
+        samples["operation"] = operation[kept].astype(np.float64)
+        events, self._told = tuple(self._told), []
+        clock = self._machine.tick_clock.name
+        return RecordingBlock(
+            first_tick={clock: begin * self._every}, samples=samples, events=events
+        )
+
+
+def told_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
+    """Return the channels of a machine whose drives are told positions."""
+    return tuple(_channels(machine, every))
+
+
+def _channels(machine: Machine, every: int) -> Iterator[Channel]:
+    clock = machine.tick_clock
+    for name, axis in machine.axes.items():
+        unit = "m" if axis.kind == "linear" else "rad"
+        kinds = [("commanded", ChannelKind.COMMANDED, unit)]
+        if not machine.without_dynamics:
+            kinds.append(("load", ChannelKind.LOAD, unit))
+            if axis.frame is not None:
+                kinds.append(("frame", ChannelKind.FRAME, unit))
+            kinds.append(("torque_share", ChannelKind.TORQUE_SHARE, ""))
+        for ending, kind, own in kinds:
+            yield Channel(
+                name=f"{name}.{ending}", kind=kind, unit=own, clock=clock, axis=name, stride=every
+            )
+    yield Channel(name="operation", kind=ChannelKind.OPERATION, unit="", clock=clock, stride=every)
+
+
+def _since(share: FloatArray, kept: slice, carried: float) -> tuple[FloatArray, float]:
+    """Return the largest share since the sample before, and since the last one of these."""
+    at = np.arange(len(share))[kept]
+    if not len(at):
+        return np.empty(0), float(max(carried, share.max(initial=0.0)))
+    begins = np.concatenate(([0], at[:-1] + 1))
+    largest = np.maximum.reduceat(share[: at[-1] + 1], begins)
+    largest[0] = max(largest[0], carried)
+    return largest, float(share[at[-1] + 1 :].max(initial=0.0))

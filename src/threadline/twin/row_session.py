@@ -1,4 +1,4 @@
-"""Rows of counts that a simulated machine takes up piece by piece, with halts at stops and waits.
+"""Ticks of a session in one piece, and pieces put together.
 
 What the rows do to a plant is up to the class that is derived: ``Session`` for machines with loops,
 ``ToldSession`` for those whose drives are told positions.
@@ -8,17 +8,49 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import OptionError
+from threadline.files import Channel, Ended, Event, EventKind, RecordingBlock, TickBlock
 from threadline.machine import Machine
-from threadline.signals import Channel, Ended, Event, EventKind, RecordingBlock, TickBlock
-from threadline.twin.session_part import Part
+from threadline.twin.kernel import Reading
+
+
+@dataclass(slots=True)
+class Part:
+    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, what is read at them."""
+
+    travelled: IntArray
+    operation: IntArray
+    read: Mapping[Any, FloatArray] = field(default_factory=dict)
+
+
+def joined(parts: Sequence[Part], axes: int, runs: int, readings: Sequence[Reading]) -> Part:
+    """Return parts that follow each other as one; without any, one of no ticks.
+
+    Parameters
+    ----------
+    axes, runs
+        How many axes and runs every part has.
+    readings
+        What every part holds.
+    """
+    nothing = np.zeros((0, axes), dtype=np.int64)
+    unread = np.zeros((0, runs))
+    return Part(
+        np.concatenate([nothing, *(part.travelled for part in parts)]),
+        np.concatenate([nothing[:, 0], *(part.operation for part in parts)]),
+        {
+            reading: np.concatenate([unread, *(part.read[reading] for part in parts)])
+            for reading in readings
+        },
+    )
+
 
 _HALTING = ("stop", "wait")
 _AT_ONCE = 1 << 16

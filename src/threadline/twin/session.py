@@ -10,15 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError, OptionError
+from threadline.files import Channel, ChannelKind, RecordingBlock
 from threadline.machine import Machine
-from threadline.plant.values import Values
-from threadline.signals import Channel, ChannelKind, RecordingBlock
 from threadline.twin.channels import run_phases, samples_of, sources_of, tick_channels
 from threadline.twin.kernel import Engine, Run
-from threadline.twin.row_session import RowSession
-from threadline.twin.session_part import Part, joined
+from threadline.twin.row_session import Part, RowSession, joined
 
 _REBUILT = frozenset(("channels", "_clock", "_sources", "_readings", "_run"))
 
@@ -69,7 +68,7 @@ class Session(RowSession):
     --------
     >>> import numpy as np
     >>> from threadline.machine.load import load_machine
-    >>> from threadline.signals import Event, TickBlock
+    >>> from threadline.files import Event, TickBlock
     >>> session = Session(load_machine("lathe-winder"))
     >>> stop = Event(tick=2, kind="stop", operation=0)
     >>> rows = TickBlock(first_tick=0, counts=np.full((4, 3), 5), operation=np.zeros(4, np.int64),

@@ -8,12 +8,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.dynamics.values import Values
 from threadline.errors import OptionError, RecordingError
-from threadline.machine import Machine
-from threadline.machine.pneumatics import TIMES
-from threadline.plant.values import Values
-from threadline.signals import (
+from threadline.files import (
     Channel,
     ChannelKind,
     Clock,
@@ -23,6 +21,9 @@ from threadline.signals import (
     Stream,
     SwitchSchedule,
 )
+from threadline.machine import Machine
+from threadline.machine.pneumatics import TIMES
+from threadline.twin.switching_cylinder import Cylinders, cylinders_of
 from threadline.twin.switching_run import (
     CALMING,
     NEVER,
@@ -33,11 +34,12 @@ from threadline.twin.switching_run import (
     UNBOUNDED,
     WAIT,
     Orders,
+    Units,
     begin,
+    flows_of,
     run,
+    units_of,
 )
-from threadline.twin.switching_tables import Cylinders, cylinders_of
-from threadline.twin.switching_units import Units, flows_of, units_of
 
 SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
+from threadline.dynamics.values import Values
 from threadline.errors import OptionError
+from threadline.files import Ended, Event, EventKind, RecordingBlock, SwitchSchedule
 from threadline.machine import Machine
-from threadline.plant.values import Values
-from threadline.signals import Ended, Event, EventKind, RecordingBlock, SwitchSchedule
 from threadline.twin.switching import (
     SAMPLE_S,
     SwitchOptions,
@@ -25,6 +25,7 @@ from threadline.twin.switching import (
     times_of,
     told_block,
 )
+from threadline.twin.switching_cylinder import cylinders_of
 from threadline.twin.switching_run import (
     CALMING,
     LATER,
@@ -43,7 +44,6 @@ from threadline.twin.switching_run import (
     begin,
     run,
 )
-from threadline.twin.switching_tables import cylinders_of
 
 _ENDLESS = 1 << 60
 """A number of scans that never pass."""

@@ -14,11 +14,11 @@ from itertools import groupby
 from math import gcd, lcm
 from operator import itemgetter
 
-from threadline.arrays import IntArray, Locked, read_only_int
+from threadline.base.arrays import IntArray, Locked, read_only_int
+from threadline.dynamics.network import Group
 from threadline.errors import MachineError
+from threadline.files import common_period_s
 from threadline.machine import Machine
-from threadline.plant.coupled import Group
-from threadline.signals import common_period_s
 
 TICK, CONTROL, ARRIVE = 0, 1, 2
 """What an action does: TICK takes the next row and a sample, CONTROL lets a controller act,

@@ -1,7 +1,6 @@
 """Specification, measures and the judge of recordings."""
 
 from threadline.verdict.each_run import CriterionRow, EachRun
-from threadline.verdict.intended import as_intended
 from threadline.verdict.judge import Judge, judge
 from threadline.verdict.registry import needed_channels
 from threadline.verdict.rendering import (
@@ -19,6 +18,7 @@ from threadline.verdict.rendering import (
 )
 from threadline.verdict.sewn import SewnStitches, sewn_stitches
 from threadline.verdict.spec import load_spec
+from threadline.verdict.tracking import as_intended
 from threadline.verdict.types import Criterion, Result, Spec, Status, Verdict
 
 __all__ = [

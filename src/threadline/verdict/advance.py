@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.trajectory import TrajectoryReader
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.motion.timing import TrajectoryReader
 from threadline.verdict.blocks import judged_blocks
 from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, Found, Worst

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.plan import Plan
-from threadline.signals import Recording
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.files import Recording
 from threadline.verdict.blocks import find_first, judged_blocks, setting_of
-from threadline.verdict.intended import as_intended
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.tracking import as_intended
 from threadline.verdict.window import PathWindow
 
 

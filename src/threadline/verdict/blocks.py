@@ -9,14 +9,21 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
-from threadline.plan import Plan
-from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
-from threadline.verdict.follower import MOST_WAITING, Follower, sample_interval_s
-from threadline.verdict.plan_clock import PlanClock
-from threadline.verdict.progress import chords_under_way
-from threadline.verdict.samples import Block, Setting, Steady, samples_of_lag, together
+from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.verdict.progress import PlanClock, chords_under_way
+from threadline.verdict.samples import (
+    MOST_WAITING,
+    Block,
+    Follower,
+    Setting,
+    Steady,
+    sample_interval_s,
+    samples_of_lag,
+    together,
+)
 from threadline.verdict.window import PathWindow
 
 _MASTERS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.COMMANDED)

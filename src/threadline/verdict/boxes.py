@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 from threadline.verdict.nearest import nearest_of_all
 
 COMPANY = 8

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
+from threadline.commands.plan import Plan
 from threadline.errors import RecordingError
-from threadline.jobs.operations import Job, MoveRun
-from threadline.plan import Plan
-from threadline.signals import (
+from threadline.files import (
     Channel,
     ChannelKind,
     Recording,
@@ -20,8 +19,10 @@ from threadline.signals import (
     TickTable,
     tick_table,
 )
+from threadline.jobs.operations import Job, MoveRun
 from threadline.verdict.blocks import master_channel
-from threadline.verdict.plan_clock import PlanClock
+from threadline.verdict.progress import PlanClock
+from threadline.verdict.types import Result
 
 OPERATION_BY_TIME = "operations from the plan by time"
 """Note of a result for which the operations were taken from the plan."""
@@ -153,3 +154,46 @@ class _Rows:
                 if len(block):
                     self._first, self._operation = block.first_tick, block.operation
         return found
+
+
+def with_passes(results: Sequence[Result], job: Job) -> Iterator[Result]:
+    """Yield ``results`` with the passes that their line was in; reads the job no further than that.
+
+    A place may be on the chord of the operation before or after the one that is under way; the
+    line tells which.
+    """
+    wanted = {
+        operation + step
+        for operation in (r.operation for r in results if r.job_line is not None)
+        if operation is not None
+        for step in (-1, 0, 1)
+    }
+    found = _sources(job, wanted)
+    for result in results:
+        if result.operation is not None and result.job_line is not None:
+            for step in (0, -1, 1):
+                line, passes = found.get(result.operation + step, (0, ()))
+                if line == result.job_line:
+                    if passes != result.passes:
+                        result = replace(result, passes=passes)  # noqa: PLW2901
+                    break
+        yield result
+
+
+def _sources(job: Job, wanted: set[int]) -> dict[int, tuple[int, tuple[int, ...]]]:
+    """Return line and passes of the operations wanted."""
+    found: dict[int, tuple[int, tuple[int, ...]]] = {}
+    due = sorted(number for number in wanted if number >= 0)
+    at = 0
+    for item in job.runs() if due else ():
+        count = len(item) if isinstance(item, MoveRun) else 1
+        while due and due[0] < at + count:
+            number = due.pop(0)
+            if isinstance(item, MoveRun):
+                found[number] = int(item.line[number - at]), item.passes
+            else:
+                found[number] = item.source.line, item.source.passes
+        at += count
+        if not due:
+            break
+    return found

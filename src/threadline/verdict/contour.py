@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
 from threadline.verdict.samples import Block, Setting

@@ -1,12 +1,17 @@
-"""Which instants of each channel a recording really holds: gaps, a late beginning, an early end."""
+"""Which instants of each channel a recording holds, and how its run ended."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from threadline.errors import RecordingError
-from threadline.signals import Channel, Recording, RecordingBlock, Stream
+from threadline.files import Channel, ChannelKind, Event, Outcome, Recording, RecordingBlock, Stream
+from threadline.files.recording import said_once
+from threadline.machine import Machine
+from threadline.verdict.types import Change, Happening, Result, Status
 
 _ROUNDING = 1e-9  # of a sample
 
@@ -130,3 +135,267 @@ class Coverage:
 
 def _s(channel: Channel, tick: int) -> str:
     return f"{channel.clock.time_s(tick):.6g} s"
+
+
+MOST_TOLD = 50
+"""Happenings of one kind that a verdict names; further ones are only counted."""
+_ENDS = {"stopped": Change.STOPPED, "fault": Change.FAULT}
+
+
+class Heard:
+    """The blocks of a recording; what their events say is known once they have been read.
+
+    Attributes
+    ----------
+    happenings
+        What changed the motion until then, by limit switches and events.
+    stopped_s
+        When the stop began that ended the run, s; None of a run that nobody stopped.
+    """
+
+    def __init__(self, recording: Recording, machine: Machine) -> None:
+        self._recording, self._machine = recording, machine
+        self._outcome: Outcome | None = None
+        self.happenings: list[Happening] = []
+        self.stopped_s: float | None = None
+
+    def __iter__(self) -> Iterator[RecordingBlock]:
+        known, self.happenings = Outcome(), []
+        switches = [
+            _Cut(channel, self._recording, self._machine)
+            for channel in self._recording.channels
+            if channel.kind is ChannelKind.INPUT and channel.name in self._machine.inputs
+        ]
+        events = _Events(self._recording)
+        for block in self._recording:
+            known = known.after(block.events)
+            for event in block.events:
+                events.take(event)
+            for switch in switches:
+                switch.take(block)
+            yield block
+        self._outcome = known
+        cuts = [switch.found for switch in switches if switch.found is not None]
+        self.happenings, self.stopped_s = [*cuts, *events.found()], events.stopped_s
+
+    def outcome(self) -> Outcome:
+        """Return how the run ended; reads the recording only if nothing else has read all of it."""
+        if self._outcome is None:
+            for _ in self:
+                pass
+        assert self._outcome is not None
+        return self._outcome
+
+
+class _Cut:
+    """Watches a limit switch until it cuts the supply of its drive, in whichever run first."""
+
+    def __init__(self, channel: Channel, recording: Recording, machine: Machine) -> None:
+        self._channel, self._runs = channel, recording.runs
+        self._operation = recording.find(ChannelKind.OPERATION)
+        self._switch = machine.inputs[channel.name]
+        self.found: Happening | None = None
+
+    def take(self, block: RecordingBlock) -> None:
+        """Look at the samples of a block."""
+        if self.found is not None:
+            return
+        channel = self._channel
+        values = block.samples[channel.name].reshape(-1, self._runs) != 0.0
+        on = np.flatnonzero(values.any(axis=1))
+        if not len(on):
+            return
+        first = int(on[0])
+        tick = block.first_tick[channel.clock.name] + first * channel.stride
+        operation = None
+        if self._operation is not None and self._operation.clock == channel.clock:
+            told = block.samples[self._operation.name]
+            at = (tick - block.first_tick[channel.clock.name]) // self._operation.stride
+            operation = int(told[min(at, len(told) - 1)]) if len(told) else None
+        runs = np.flatnonzero(values[first])
+        self.found = Happening(
+            change=Change.LIMIT_SWITCH,
+            text=f"the limit switch {channel.name} of {self._switch.axis} cut the supply of "
+            f"drives.{self._switch.cuts}",
+            time_s=float(channel.clock.time_s(tick)),
+            operation=operation if operation is not None and operation >= 0 else None,
+            axis=self._switch.axis,
+            run=int(runs[0]) + 1 if self._runs > 1 else None,
+        )
+
+
+class _Events:
+    """Collects the events of a recording that changed its motion."""
+
+    def __init__(self, recording: Recording) -> None:
+        self._clock = recording.channels[0].clock if recording.channels else None
+        self._found: list[Happening] = []
+        self._held: Event | None = None
+        self._holds = 0
+        self._late: Event | None = None
+        self._late_ticks = 0
+        self._brakes = (0, -1)  # ticks at which the latest hold began and ended
+        self.stopped_s: float | None = None
+
+    def take(self, event: Event) -> None:
+        """Take the next event."""
+        if event.kind == "hold" and self._held is None:
+            self._held = event
+        elif event.kind == "resume" and self._held is not None:
+            self._end_hold(event)
+        elif event.kind == "late":
+            self._late = self._late or event
+            self._late_ticks += int(event.value)
+        elif event.kind in _ENDS:
+            if event.kind == "stopped" and self._clock is not None:
+                held, until = self._brakes
+                began = (
+                    self._held.tick if self._held else held if until >= event.tick else event.tick
+                )
+                self.stopped_s = float(self._clock.time_s(began))
+            last = self._found[-1] if self._found else None
+            if self._brakes[1] >= event.tick and last and last.change is Change.HOLD:
+                self._found.pop()  # it braked to its end
+            why = said_once(event.kind, event.name)
+            self._add(_ENDS[event.kind], f"the run ended early, {why},", event)
+
+    def found(self) -> list[Happening]:
+        """Return what was collected, once all events were taken."""
+        if self._held is not None:
+            self._end_hold(None)
+        if self._holds > MOST_TOLD:
+            self._found.append(
+                Happening(
+                    change=Change.HOLD,
+                    text=f"it was held {self._holds} times in all",
+                    time_s=None,
+                )
+            )
+        if self._late is not None:
+            ticks = f"{self._late_ticks} tick{'s' if self._late_ticks > 1 else ''}"
+            self._add(Change.LATE, f"rows came late, at {ticks} in all, first", self._late)
+        return self._found
+
+    def _end_hold(self, until: Event | None) -> None:
+        assert self._held is not None
+        self._holds += 1
+        if until is not None:
+            self._brakes = self._held.tick, until.tick
+        if self._holds <= MOST_TOLD:
+            why = f", {self._held.name}," if self._held.name else ""
+            lasted = ""
+            if until is not None and self._clock is not None:
+                lasted_s = float(self._clock.time_s(until.tick - self._held.tick))
+                lasted = f" for {lasted_s:.3g} s"
+            self._add(Change.HOLD, f"it was held{why}{lasted}", self._held)
+        self._held = None
+
+    def _add(self, change: Change, text: str, event: Event) -> None:
+        self._found.append(
+            Happening(
+                change=change,
+                text=text,
+                time_s=None if self._clock is None else float(self._clock.time_s(event.tick)),
+                operation=event.operation if event.operation >= 0 else None,
+            )
+        )
+
+
+_CURRENT = "current_peak"
+_CHANGES = {
+    _CURRENT: (Change.SATURATION, 0.0, "the current of {axis} was at its limit, first"),
+    "dac_saturation": (
+        Change.SATURATION, 0.0, "the controller of {axis} gave all that it has, first",
+    ),
+    "step_loss": (
+        Change.LOST_STEPS, 1.0, "the drive of {axis} lost steps: it was asked for {share} of its "
+        "torque or force, the most",
+    ),
+    "servo_force": (
+        Change.LOST_STEPS, 1.0, "the drive of {axis} was asked for {share} of its torque or force, "
+        "the most",
+    ),
+}  # fmt: skip
+"""By measure: what changes the motion where more than so much of it is measured."""
+
+
+def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
+    """Return what changed the motion of the runs by the measured results of a verdict."""
+    found = []
+    for result in results:
+        if result.name not in _CHANGES or result.measured is None:
+            continue
+        change, limit, text = _CHANGES[result.name]
+        if result.name == _CURRENT:
+            most = machine.drive_of(result.axis).amplifier.current_limit
+            limit = np.inf if most is None else most.si * (1.0 - _ROUNDING)
+        if result.measured > limit:
+            share = f"{100.0 * result.measured:.4g} %"
+            found.append(
+                Happening(
+                    change=change,
+                    text=text.format(axis=result.axis, share=share),
+                    time_s=result.time_s,
+                    operation=result.operation,
+                    job_line=result.job_line,
+                    axis=result.axis,
+                    run=result.run,
+                )
+            )
+    return found
+
+
+def heard(recordings: Sequence[Recording], machine: Machine) -> list[tuple[Recording, Heard]]:
+    """Return each recording, its blocks read through a ``Heard``, and that ``Heard``."""
+    found = []
+    for recording in recordings:
+        listener = Heard(recording, machine)
+        found.append((replace(recording, blocks=listener), listener))
+    return found
+
+
+def told_end(outcome: Outcome) -> str:
+    """Say how a run ended before its last row; empty if it came to its end."""
+    if not outcome.incomplete:
+        return ""
+    assert outcome.ended is not None
+    # A controller that tells of no operation leaves -1.
+    told = outcome.operation is not None and outcome.operation >= 0
+    where = f" in operation {outcome.operation}" if told else ""
+    return f"the run ended{where}, {said_once(outcome.ended.value, outcome.text)}"
+
+
+def not_beyond(
+    result: Result, why: str, stopped_s: float | None = None, *, of_worst: bool = True
+) -> Result:
+    """Return ``result`` when a run ended early: only a failure seen until then is certain.
+
+    Parameters
+    ----------
+    why
+        How the run ended; empty where it came to its end.
+    stopped_s
+        When somebody began to stop it: what the stop itself does to the work fails nothing.
+    of_worst
+        Whether the measure is the worst of all samples. Others say nothing of a part of a run.
+    """
+    late = result.time_s is None or (stopped_s is not None and result.time_s >= stopped_s)
+    by_stop = stopped_s is not None and (late or not of_worst)
+    if not why or result.status is Status.NOT_MEASURED:
+        return result
+    if result.status is Status.FAILED and not by_stop:
+        return result
+    so_far = (
+        "" if result.measured is None else f" ({_told(result.measured, result.unit)} until then)"
+    )
+    note = "; ".join(filter(None, (result.note, f"{why}{so_far}")))
+    return replace(result, status=Status.NOT_MEASURED, measured=None, note=note)
+
+
+def _told(value: float, unit: str) -> str:
+    """Return a value with its unit; what has none is a share.
+
+    >>> _told(0.25e-3, "m"), _told(0.05, "")
+    ('0.00025 m', '5 %')
+    """
+    return f"{value:.4g} {unit}" if unit else f"{100.0 * value:.4g} %"

@@ -1,15 +1,274 @@
-"""What the trajectory asks of each axis: travel, velocity, acceleration, jerk, anywhere in time."""
+"""The criteria that every verdict lists, whatever the specification says, and the machine's limits.
+
+They depend on what moves: a servo axis, an axis driven by pulses or one of which limits alone are
+known, a cylinder, or an axis that plays step tables.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
 from threadline.machine.quantity import Quantity
-from threadline.plan import Plan
-from threadline.trajectory.extremes import derivatives, farthest, highest, hull_of, in_direction
-from threadline.trajectory.types import TrajectoryBlock
-from threadline.verdict.finding import Finding
+from threadline.motion.timing.extremes import derivatives, farthest, highest, hull_of, in_direction
+from threadline.motion.timing.optimal.along_path import path_use
+from threadline.motion.timing.optimal.motion_limits import along_of
+from threadline.motion.timing.types import TrajectoryBlock
+from threadline.verdict.finding import Finding, Found, Worst, largest
+from threadline.verdict.measure import Measure
+from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+from threadline.verdict.samples import Block, Setting
+from threadline.verdict.types import Criterion, Spec
+
+PLAN_DEMANDS = ("travel", "velocity", "acceleration", "jerk")
+BRAKING, PATH_USE = "deceleration", "path_use"
+"""Measures of plans on machines with limits of braking, and of the way of the tool."""
+_SWITCHING_LIMITS = ("switching_order", "switching_dwell", "valve_conflict", "over_level")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Always:
+    """The criteria of all machines of one kind of axis.
+
+    Parameters
+    ----------
+    listed
+        Measures that every verdict lists.
+    limited
+        Those among them whose limit is the machine's own.
+    limit
+        Returns the machine's limit, SI, of a measure for an axis; None where it has none.
+    keys
+        Further keys that a criterion of such a machine may have in a specification.
+    """
+
+    listed: tuple[str, ...]
+    limited: tuple[str, ...]
+    limit: Callable[[Machine, str, str], float | None]
+    keys: tuple[str, ...] = ()
+
+
+def _of_axis(machine: Machine, measure: str, axis: str) -> float | None:
+    if measure == PATH_USE:
+        return 1.0
+    limits = machine.axes[axis]
+    if measure == "travel":
+        return None if limits.endless else 0.0
+    own = {
+        "velocity": limits.velocity,
+        "acceleration": limits.acceleration,
+        BRAKING: limits.deceleration or limits.acceleration,
+        "jerk": limits.jerk,
+    }[measure]
+    return None if own is None else own.si
+
+
+def _of_cylinder(machine: Machine, measure: str, axis: str) -> float | None:  # noqa: ARG001
+    over = machine.plc is None or machine.plc.never_over
+    return 0.0 if over or measure != "over_level" else None
+
+
+_AXIS = Always(
+    listed=(*PLAN_DEMANDS, "path_deviation", "tracking_error", "dac_saturation"),
+    limited=PLAN_DEMANDS,
+    limit=_of_axis,
+)
+
+
+def _of_pulsed(machine: Machine, measure: str, axis: str) -> float | None:
+    return 1.0 if measure == "step_loss" else _of_axis(machine, measure, axis)
+
+
+_PULSED = Always(
+    listed=(*PLAN_DEMANDS, "path_deviation", "tracking_error", "step_loss"),
+    limited=(*PLAN_DEMANDS, "step_loss"),
+    limit=_of_pulsed,
+)
+_KINEMATIC = Always(listed=(*PLAN_DEMANDS, "path_deviation"), limited=PLAN_DEMANDS, limit=_of_axis)
+_STITCH_LIMITS = ("servo_force", "window_use", "step_rate", "fetch_use", "travel")
+
+
+def _of_stitched(machine: Machine, measure: str, axis: str) -> float | None:
+    if measure == "step_rate":
+        assert machine.tables is not None
+        return machine.tables.step_rate.si
+    return _of_axis(machine, measure, axis) if measure == "travel" else 1.0
+
+
+_ALWAYS_STEPPED = Always(
+    listed=("stitch_residual", *_STITCH_LIMITS), limited=_STITCH_LIMITS, limit=_of_stitched
+)
+_CYLINDER = Always(
+    listed=(
+        "residual_vibration",
+        "settling_time",
+        "end_position_error",
+        "cycle_time",
+        "travel",
+        *_SWITCHING_LIMITS,
+        "switching_error",
+    ),
+    limited=("travel", *_SWITCHING_LIMITS),
+    limit=_of_cylinder,
+    keys=("step",),
+)
+_BY_WHAT_MOVES: Mapping[str, Always] = {
+    "linear": _AXIS,
+    "rotary": _AXIS,
+    "stepper": _PULSED,
+    "pulse-servo": _PULSED,
+    "kinematic": _KINEMATIC,
+    "stepped": _ALWAYS_STEPPED,
+    "cylinder": _CYLINDER,
+}
+
+
+def always_of(machine: Machine) -> Always:
+    """Return the criteria of a machine that hold whatever its specification says."""
+    always = _BY_WHAT_MOVES[next(iter(machine.moving.values()))]
+    braking = any(axis.deceleration is not None for axis in machine.axes.values())
+    own = (*(BRAKING,) * braking, *(PATH_USE,) * (machine.path is not None))
+    return replace(always, listed=(*always.listed, *own), limited=(*always.limited, *own))
+
+
+def measure_path_use(plan: Plan) -> dict[str, list[Finding]]:
+    """Return the largest share of the limits along the path, and of which, at close instants.
+
+    Where the speed steps between two pieces of a historical plan, the step is not counted.
+    """
+    along = along_of(plan.machine, plan.motion.path.radius_m)
+    if along is None:
+        none = Finding(value=None, note="the machine file has no [path] with a limit")
+        return {PATH_USE: [none]}
+    used = path_use(plan.motion.trajectory, along)
+    if used is None:
+        return {PATH_USE: [Finding(value=0.0)]}
+    worst = Finding(
+        value=used.share,
+        time_s=used.time_s,
+        operation=used.operation,
+        note=f"of path.{used.quantity}",
+    )
+    return {PATH_USE: [worst]}
+
+
+NAME = "needle_use"
+
+
+def with_needle(spec: Spec, job: Job) -> Spec:
+    """Return the specification with a limit for the needle of a seam that sets one.
+
+    The limit is that of the seam file, as limits of axes are those of the machine: no
+    specification widens it.
+    """
+    if not np.isfinite(job.along_m_s2):
+        return spec
+    others = tuple(c for c in spec.criteria if c.name != NAME)
+    return replace(
+        spec, criteria=(*others, Criterion(name=NAME, limit=1.0, required=True, hard=True))
+    )
+
+
+def measure_needle_use(plan: Plan) -> dict[str, list[Finding]]:
+    """Return the largest change of the needle's speed from turn to turn, over what its drive can.
+
+    The speed of a turn is one over its time. It changes from the middle of a turn to the middle of
+    the next; beside a rest of the head it changes from, or to, nothing at that end of the turn.
+    """
+    if not has_stitches(plan.job):
+        return {NAME: [Finding(value=None, note="the job has no stitches")]}
+    worst = Finding(value=None, note="no seam sets the acceleration of a needle that follows")
+    before = (0.0, 0.0)  # speed, and how long half of that turn lasts
+    for run in planned_stitches(plan):
+        share, before = _shares(run, before)
+        known = np.flatnonzero(np.isfinite(share))
+        if not len(known):
+            continue
+        k = int(known[np.argmax(share[known])])
+        if worst.value is None or share[k] > worst.value:
+            worst = Finding(
+                value=float(share[k]),
+                time_s=float(run.down_s[k]),
+                operation=int(run.operation[k]),
+                job_line=int(run.line[k]),
+            )
+    return {NAME: [worst]}
+
+
+def _shares(run: Stitches, before: tuple[float, float]) -> tuple[FloatArray, tuple[float, float]]:
+    """Return (n,) shares of the limit used in each turn, NaN without one, and the last turn."""
+    hz, half_s = 1.0 / run.period_s, 0.5 * run.period_s
+    came_hz = np.append(before[0], hz[:-1])
+    came_s = np.append(before[1], half_s[:-1])
+    came_hz[run.departs], came_s[run.departs] = 0.0, 0.0
+    change = np.abs(hz - came_hz) / (half_s + came_s)
+    change = np.maximum(change, np.where(run.stops, hz / half_s, 0.0))
+    return change / run.most_hz_s, (float(hz[-1]), float(half_s[-1]))
+
+
+class _StepLoss:
+    """Per axis: the largest share of its drive's torque that is asked; above 1 it loses steps."""
+
+    def __init__(self, setting: Setting) -> None:
+        count = len(setting.axes)
+        self._worst = [Worst(setting.runs, count, axis) for axis in setting.axes]
+
+    def feed(self, block: Block) -> None:
+        assert block.torque_share is not None
+        sizes, at = largest(block.torque_share)
+        for column, worst in enumerate(self._worst):
+            lost = sizes[column] > 1.0
+            worst.offer(
+                sizes[column],
+                time_s=block.time_s[at[column]],
+                operation=block.operations_at(at[column]),
+                position=block.positions_at(at[column]),
+                note=np.where(lost, "it loses steps", "").astype(object),
+            )
+
+    def finish(self) -> Sequence[Found]:
+        found = (worst.found() for worst in self._worst)
+        return [one for one in found if not np.isnan(one.value).all()]
+
+
+def start_step_loss(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
+    """Begin measuring the share of the drives' torque that is asked."""
+    return _StepLoss(setting)
+
+
+def measure_braking(plan: Plan) -> dict[str, list[Finding]]:
+    """Return the exact largest acceleration against the motion of each axis.
+
+    A step of the velocity is none: it is counted as an acceleration.
+    """
+    axes = plan.motion.trajectory.axes
+    worst = [Finding(value=0.0, axis=axis) for axis in axes]
+    for block in plan.motion.trajectory:
+        for column, axis in enumerate(axes) if len(block) else ():
+            polys = derivatives(block, column, 2)
+            toward, piece, begin, width = in_direction(polys[1], polys[2])
+            known = worst[column].value
+            found = highest(-toward, 0.0 if known is None else known)
+            if found is None:
+                continue
+            value, part, place = found
+            k, where = int(piece[part]), float(begin[part] + place * width[part])
+            position = block.coefficients[k].T @ where ** np.arange(block.coefficients.shape[1])
+            worst[column] = Finding(
+                value=value,
+                axis=axis,
+                time_s=float(block.start_s[k] + where * block.duration_s[k]),
+                operation=int(block.operation[k]),
+                position=tuple(position.tolist()),
+            )
+    return {BRAKING: worst}
+
 
 SLACK = 1.001  # limits hold between samples too, to a thousandth
 _ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
@@ -20,7 +279,7 @@ _ROUNDED = 1e-12
 """Part by which a bound is taken to be further: it is rounded otherwise than what it bounds."""
 VELOCITY_STEPS = "the velocity steps"
 """Begins the note of an acceleration that is infinite but for the length of a tick."""
-_STEPPED = ("the position steps", VELOCITY_STEPS, "the acceleration steps")
+_DEMANDS_STEPPED = ("the position steps", VELOCITY_STEPS, "the acceleration steps")
 
 
 def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
@@ -131,7 +390,7 @@ class _Demand:
         """Compare a step of a derivative below, at a place in a piece."""
         value = size / self._tick_s ** (self._order - below)
         if value > self._value:
-            note = f"{_STEPPED[below]}; taken over one tick"
+            note = f"{_DEMANDS_STEPPED[below]}; taken over one tick"
             self._set(value, _place(block, piece, where), note)
 
     def _set(self, value: float, place: tuple[float, int, tuple[float, ...]], note: str) -> None:

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.plan import Plan
-from threadline.shaping import longest_delay_s, parse_shaper, shaping_deviation
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.motion.shaping import longest_delay_s, parse_shaper, shaping_deviation
 from threadline.verdict.contour import Contour
 from threadline.verdict.finding import Finding
 from threadline.verdict.samples import Block
@@ -27,7 +27,7 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
     the two beside them, and from each programmed vertex to the planned path there.
 
     This is the judge's own measure, made of its contour error: the planner measures its paths
-    with another (``threadline.path.deviation``), and does not mark its own work.
+    with another (``threadline.motion.path.deviation``), and does not mark its own work.
     """
     contour = Contour(plan.motion.programmed.radius_m)
     pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.motion.path if len(b))

@@ -1,4 +1,4 @@
-"""What came of every run by itself: how much of each limit it uses, and whether it passes."""
+"""Results of every run and machine: shares of the limits, the worst, and confidence intervals."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.path.types import Timing
-from threadline.plan import Plan
-from threadline.verdict.always import BRAKING, PATH_USE
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.motion.path.types import Timing
+from threadline.verdict.demands import BRAKING, PATH_USE
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import MeasureKind
-from threadline.verdict.types import Criterion
+from threadline.verdict.types import Criterion, Result, Status, Verdict
 
 _EXCUSED = ("acceleration", BRAKING, "jerk", PATH_USE)
 
@@ -181,3 +181,50 @@ def exceeded(kind: MeasureKind, limit: float | None, values: FloatArray) -> NDAr
     if limit is None:
         return np.zeros(len(values), dtype=np.bool_)
     return np.asarray(values > kind.slack * limit + kind.allowance)
+
+
+def worst_of(verdict: Verdict, ends: Sequence[tuple[str, Verdict]]) -> Verdict:
+    """Return ``verdict`` with every result as bad as it is on the worst machine.
+
+    Parameters
+    ----------
+    verdict
+        Of the machine as its file says.
+    ends
+        What sets each other machine apart, and its verdict by the same specification. What one of
+        them did not measure, as repeatability in one run, is left to ``verdict``.
+    """
+    results = list(verdict.results)
+    for told, other in ends:
+        found = {(r.name, r.axis, r.step): r for r in other.results}
+        for k, result in enumerate(results):
+            one = found.get((result.name, result.axis, result.step))
+            if one is not None and _worse(one, result):
+                note = ", ".join(filter(None, (one.note, told)))
+                results[k] = replace(one, note=note, run=None)
+    return replace(verdict, results=tuple(results), ends=len(ends))
+
+
+def _worse(one: Result, than: Result) -> bool:
+    return one.status is not Status.NOT_MEASURED and one.severity > than.severity
+
+
+CONFIDENCE = 0.95
+
+
+def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
+    """Return the exact two-sided interval of a proportion: ``passed`` of ``tried`` were counted.
+
+    Clopper and Pearson (1934), "The use of confidence or fiducial limits illustrated in the case
+    of the binomial".
+
+    >>> low, high = clopper_pearson(10_000, 10_000)
+    >>> f"{low:.5f} {high}"
+    '0.99963 1.0'
+    """
+    from scipy.special import betaincinv  # slow to import, and asked for by few commands
+
+    tail = 0.5 * (1.0 - confidence)
+    low = 0.0 if not passed else float(betaincinv(passed, tried - passed + 1, tail))
+    high = 1.0 if passed == tried else float(betaincinv(passed + 1, tried - passed, 1.0 - tail))
+    return low, high

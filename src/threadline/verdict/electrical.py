@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.machine.controllers import Dac
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import SweptMeasure

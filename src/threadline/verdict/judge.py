@@ -1,29 +1,60 @@
-"""Recordings, plan and specification -> verdict."""
+"""How a recording is opened beside a plan for the measures, by the type of the plan's intent."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
+from threadline.base.wording import nearest
+from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.errors import RecordingError, SpecError
-from threadline.foreign_messages import nearest
-from threadline.plan import Plan
-from threadline.signals import ChannelKind, Recording
-from threadline.verdict.by_time import OPERATION_BY_TIME
+from threadline.files import ChannelKind, Recording
+from threadline.verdict.by_time import OPERATION_BY_TIME, with_passes
+from threadline.verdict.coverage import Heard, heard, not_beyond, seen_in, told_end
+from threadline.verdict.demands import with_needle
 from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
-from threadline.verdict.ended import Heard, heard, not_beyond, seen_in, told_end
 from threadline.verdict.finding import Finding, Found, joined
-from threadline.verdict.intended_runs import open_run
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run
-from threadline.verdict.needle_use import with_needle
+from threadline.verdict.motion_run import motion_run
 from threadline.verdict.of_recording import kinds_of, with_recording
 from threadline.verdict.one_pass import Findings, Key, Pass, read_all
-from threadline.verdict.passes import with_passes
 from threadline.verdict.registry import MEASURES
+from threadline.verdict.stitch_run import StitchRun
+from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.types import Criterion, Happening, Result, Spec, Verdict
+
+
+def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
+    """Return a run beside its schedule; it has no lag, because it waits for its inputs."""
+    return SwitchRun(recording, plan)
+
+
+def _stitch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
+    """Return a run beside its stitches; it has no lag, because the needle tells their times."""
+    return StitchRun(recording, plan)
+
+
+RUNS: Mapping[type, Callable[[Recording, Plan, float], Run]] = {
+    Motion: motion_run,
+    Scheduled: _switch_run,
+    Stitched: _stitch_run,
+}
+"""By intent: opens a recording beside its plan with the lag, s, that the specification allows."""
+
+
+def open_run(recording: Recording, plan: Plan, lag_s: float) -> Run:
+    """Return ``recording`` beside ``plan``, as its measures read it.
+
+    Raises
+    ------
+    RecordingError
+        If channels are absent without which nothing at all can be judged.
+    """
+    return RUNS[type(plan.intent)](recording, plan, lag_s)
+
 
 _KIND_OF_UNIT = {"m": "linear", "rad": "rotary"}
 

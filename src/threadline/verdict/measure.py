@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from threadline.arrays import IntArray
-from threadline.plan import Plan
-from threadline.signals import ChannelKind, Recording
+from threadline.base.arrays import IntArray
+from threadline.commands.plan import Plan
+from threadline.files import ChannelKind, Recording
 from threadline.verdict.finding import Finding, Found
 from threadline.verdict.samples import Block
 from threadline.verdict.types import Status

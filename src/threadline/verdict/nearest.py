@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 
 _FINEST = 1.0 / 4096  # of the way between two points: finer parts of it are not looked at
 _NOTHING_M2 = 1e-26  # a place that is no farther from the path is on it, but for rounding

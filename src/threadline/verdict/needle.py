@@ -9,7 +9,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Motion, Plan
+from threadline.files import KeptStream
 from threadline.jobs.operations import (
     Feed,
     FeedMode,
@@ -20,11 +22,9 @@ from threadline.jobs.operations import (
     lacking,
     move_runs,
 )
-from threadline.plan import Motion, Plan
-from threadline.signals import KeptStream
-from threadline.trajectory.types import Trajectory, TrajectoryBlock
-from threadline.verdict.passing import Passing
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 from threadline.verdict.samples import PLANNED_RESOLUTION
+from threadline.verdict.window import Passing
 
 _MOST_MOVES = 1024  # in hand at once
 _ROUNDING = 1e-9  # of the time: pieces that are no farther apart than this meet

@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.plan import Plan
-from threadline.signals import ChannelKind
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.files import ChannelKind
 from threadline.verdict.each_run import unit_of
 from threadline.verdict.finding import Found, Worst
 from threadline.verdict.measure import Measure, MeasureKind, OfRun

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
 from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import MeasureKind, MeasureOfRuns, OfRuns, Run, Running
 from threadline.verdict.samples import Block

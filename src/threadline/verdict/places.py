@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 from threadline.verdict.boxes import MORE, Boxes
 
 _CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from threadline.plan import Motion, Plan, Stitched
-from threadline.signals import ChannelKind
-from threadline.verdict import (
-    demands,
-    electrical,
-    lost_steps,
-    repeat,
-    ripple,
-    seam,
-    settling,
-    stitch_measures,
-    stitches,
-    switch_measures,
-    turning,
-)
+from threadline.commands.plan import Motion, Plan, Stitched
+from threadline.files import ChannelKind
+from threadline.verdict import demands, electrical, repeat, seam, settling, switch_measures, turning
+from threadline.verdict import demands as lost_steps
+from threadline.verdict import settling as ripple
+from threadline.verdict import stitch_run as stitch_measures
+from threadline.verdict import stitch_run as stitches
 from threadline.verdict.advance import start_progress
-from threadline.verdict.always import BRAKING, PATH_USE
-from threadline.verdict.braking_demand import measure_braking
 from threadline.verdict.contour import start_contour
+from threadline.verdict.demands import (
+    BRAKING,
+    PATH_USE,
+    measure_braking,
+    measure_needle_use,
+    measure_path_use,
+)
+from threadline.verdict.demands import NAME as NEEDLE_USE
 from threadline.verdict.deviation import measure_path_deviation, measure_shaping_deviation
 from threadline.verdict.finding import Finding
 from threadline.verdict.measure import (
@@ -34,12 +32,9 @@ from threadline.verdict.measure import (
     whole,
     whole_runs,
 )
-from threadline.verdict.needle_use import NAME as NEEDLE_USE
-from threadline.verdict.needle_use import measure_needle_use
-from threadline.verdict.path_use import measure_path_use
-from threadline.verdict.rise_to_speed import OPTIONS as RISE_OPTIONS
-from threadline.verdict.rise_to_speed import start_rise
 from threadline.verdict.samples import Setting
+from threadline.verdict.seam import OPTIONS as RISE_OPTIONS
+from threadline.verdict.seam import start_rise
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
 from threadline.verdict.tracking import start_tracking

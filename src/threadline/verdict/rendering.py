@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 from threadline import __version__
-from threadline.arrays import finite
-from threadline.plan import Plan
+from threadline.base.arrays import finite
+from threadline.commands.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.demands import VELOCITY_STEPS
 from threadline.verdict.types import Change, Happening, Level, Result, Status, Verdict

@@ -9,7 +9,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, MeasureOfRuns, Option, Run
 from threadline.verdict.samples import Block, Setting

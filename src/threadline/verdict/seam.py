@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
-from threadline.drawing.line import DrawnLine
-from threadline.verdict.finding import Found, Worst
-from threadline.verdict.measure import Measure
-from threadline.verdict.needle import has_stitches
-from threadline.verdict.samples import Block, Setting
-from threadline.verdict.sewn import SewnStitches, StitchFollower
-from threadline.verdict.stitches import too_short
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.geometry.contours import DrawnLine
+from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.measure import Measure, Option
+from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
+from threadline.verdict.samples import Block, Setting, enough_of, lanes
+from threadline.verdict.sewn import PART_OF_STITCH, SewnStitches, StitchFollower
+from threadline.verdict.stitch_run import too_short
 
 _PARTS = 16  # of the drawn stretch of a stitch: a bow of 0.25 mm between two places is 1 um
 _NEAR = 4  # stitches about its own that a place may lie on: the lag that is free
@@ -216,3 +219,217 @@ _apart_fast = njit(nogil=True)(_apart)
 def start_seam(setting: Setting, options: Mapping[str, float]) -> Measure:
     """Begin measuring how far the sewn stitches are from the drawn line, and it from them."""
     return _Seam(setting, options["delay"])
+
+
+OPTIONS = {"over": Option(unit="s", default=0.002)}
+_HIGH, _STILL = 0.95, 0.01  # of the set speed
+_MOVES = 0.02  # of the highest speed of a needle that follows: less is a rest of the head
+
+
+class _Instant(NamedTuple):
+    """A sample, as a finding without a value, and the plan's time at it in s."""
+
+    finding: Finding
+    due_s: float
+
+
+@dataclass(slots=True)
+class _Dip:
+    """A stretch in which the command is below its speed.
+
+    ``turn`` is when the head is asked to depart: the last instant at which the command stands, or
+    the one at which it is slowest where it does not stop. ``stop`` is the first such instant.
+    """
+
+    least: float
+    stop: _Instant
+    turn: _Instant
+
+
+class _Rise:
+    """The longest of the times to the speed and from it, in turns of the needle.
+
+    The set speed of a needle that follows the head is what the head is told at that instant.
+
+    What is sewn while a run is held, or comes to its speed again, counts in no leg, and a leg takes
+    the time of the plan, which stands in a hold.
+
+    A rise goes from the turn of a dip of the command until the head has 95 % of the set speed, a
+    fall from the last time that it had so much until the command stops. Speeds are means over
+    ``over``, or ``PART_OF_STITCH`` of the first stitches' least time where that is less: a mean
+    over more than a dip of the command would not see the dip.
+    """
+
+    def __init__(self, setting: Setting, over_s: float) -> None:
+        self._columns = [setting.axes.index(axis) for axis in setting.plan.job.axes]
+        self._radius_m = setting.radius_m[self._columns, None]
+        self._source: Iterator[Stitches] = (
+            planned_stitches(setting.plan) if has_stitches(setting.plan.job) else iter(())
+        )
+        self._run: Stitches | None = next(self._source, None)
+        if self._run is not None:
+            least_s = float(np.fmin.reduce(self._run.period_s, initial=np.inf))
+            over_s = min(over_s, PART_OF_STITCH * least_s)
+        self._every = enough_of(over_s, setting.interval_s)
+        interval_s = self._every * setting.interval_s
+        self._span = max(round(over_s / interval_s), 1)
+        self._over_s = self._span * interval_s
+        self._sews = self._run is not None
+        self._tail: list[FloatArray] = []
+        self._legs = [_Legs() for _ in range(setting.runs)]
+
+    def feed(self, block: Block) -> None:
+        block = block.every(self._every)
+        assert block.actual is not None
+        rests = block.rests
+        if rests is None or not self._sews or not len(block):
+            return
+        taken = (rests[:, :, None], lanes(block.actual))
+        points = [p[:, self._columns] * self._radius_m for p in taken]
+        tails = self._tail or [np.repeat(p[:1], self._span, axis=0) for p in points]
+        whole = [np.concatenate([tail, p]) for tail, p in zip(tails, points, strict=True)]
+        self._tail = [p[-self._span :] for p in whole]
+        meant, actual = (
+            np.linalg.norm(p[self._span :] - p[: -self._span], axis=1) / self._over_s for p in whole
+        )
+        wanted, period_s, follows, sewn = self._set(block.due_s)
+        if block.slow is not None:  # its slowness in a hold is the operator's
+            sewn &= ~block.slow
+        # A needle that follows asks for what the head is told, as long as that moves at all.
+        geared = np.maximum(meant[:, 0], _MOVES * wanted)
+        wanted = np.where(follows, geared, wanted)
+        at = np.flatnonzero(sewn)
+        if not len(at):
+            return
+        share = meant[at, 0] / wanted[at]
+        for run, legs in enumerate(self._legs):
+            legs.take(block, at, share, actual[at, run] / wanted[at], period_s[at])
+
+    def finish(self) -> Sequence[Found]:
+        note = "no leg of the seam comes to its speed" if self._sews else "the job has no stitches"
+        none = Finding(value=None, note=note)
+        return [Found.made([legs.worst or none for legs in self._legs])]
+
+    def _set(
+        self, due_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return (n,) set speed and turn of the needle, whether it follows, and where it sews.
+
+        At (n,) instants of the plan. The speed is the highest where the needle follows the head.
+        """
+        wanted, period_s = np.ones(len(due_s)), np.ones(len(due_s))
+        follows = np.zeros(len(due_s), dtype=np.bool_)
+        known = np.zeros(len(due_s), dtype=np.bool_)
+        while self._run is not None:
+            run = self._run
+            mine = ~known & (due_s <= run.down_s[-1])
+            if not mine.any():
+                break
+            stitch = np.searchsorted(run.down_s, due_s[mine], side="left")
+            speed = np.where(run.follows, run.fastest_hz, 1.0 / run.period_s)
+            wanted[mine] = (run.target_m * speed)[stitch]
+            follows[mine] = run.follows[stitch]
+            period_s[mine] = run.period_s[stitch]
+            known |= mine
+            if due_s[-1] <= run.down_s[-1]:
+                break
+            self._run = next(self._source, None)
+        return wanted, period_s, follows, known & np.isfinite(period_s)
+
+
+class _Legs:
+    """The stretches of one run in which the head comes to its speed, and leaves it.
+
+    Attributes
+    ----------
+    worst
+        The longest so far.
+    """
+
+    def __init__(self) -> None:
+        self._dip: _Dip | None = None
+        self._turn: _Instant | None = None  # of the dip that is over, until the head has its speed
+        self._fast: _Instant | None = None  # when the head last had its speed
+        self.worst: Finding | None = None
+
+    def take(
+        self,
+        block: Block,
+        at: NDArray[np.intp],
+        meant: FloatArray,
+        actual: FloatArray,
+        period_s: FloatArray,
+    ) -> None:
+        """Follow relative speeds through stretches in which the command has its speed or not."""
+        low, fast = meant < _HIGH, actual >= _HIGH
+        edges = np.flatnonzero(np.diff(low)) + 1
+        for part in np.split(np.arange(len(at)), edges):
+            if low[part[0]]:
+                self._fall(block, at[part], meant[part], fast[part], period_s[part])
+            else:
+                self._rise(block, at[part], fast[part], period_s[part])
+
+    def _fall(
+        self,
+        block: Block,
+        at: NDArray[np.intp],
+        meant: FloatArray,
+        fast: NDArray[np.bool_],
+        period_s: FloatArray,
+    ) -> None:
+        still = np.flatnonzero(meant <= _STILL)
+        least = int(np.argmin(meant))
+        first, last = (int(still[0]), int(still[-1])) if len(still) else (least, least)
+        if self._dip is None or (self._dip.least > _STILL and meant[least] < self._dip.least):
+            before = np.flatnonzero(fast[:first])
+            if len(before):
+                self._fast = self._at(block, int(at[before[-1]]))
+            stop = self._at(block, int(at[first]))
+            self._dip = _Dip(float(meant[least]), stop, self._at(block, int(at[last])))
+            if self._fast is not None:
+                self._count(self._fast, stop, float(period_s[first]), "to the stop")
+        elif len(still):
+            self._dip.turn = self._at(block, int(at[last]))
+
+    def _rise(
+        self,
+        block: Block,
+        at: NDArray[np.intp],
+        fast: NDArray[np.bool_],
+        period_s: FloatArray,
+    ) -> None:
+        if self._dip is not None:
+            self._turn, self._dip = self._dip.turn, None
+        reached = np.flatnonzero(fast)
+        if not len(reached):
+            return
+        if self._turn is not None:
+            there = self._at(block, int(at[reached[0]]))
+            self._count(self._turn, there, float(period_s[reached[0]]), "from the start")
+            self._turn = None
+        self._fast = self._at(block, int(at[reached[-1]]))
+
+    def _at(self, block: Block, index: int) -> _Instant:
+        finding = Finding(
+            value=None,
+            time_s=float(block.time_s[index]),
+            operation=None if block.operation is None else int(block.operation[index]),
+            position=_position(block, index),
+        )
+        return _Instant(finding, float(block.due_s[index]))
+
+    def _count(self, begin: _Instant, end: _Instant, period_s: float, note: str) -> None:
+        value = max(end.due_s - begin.due_s, 0.0) / period_s
+        if self.worst is None or self.worst.value is None or value > self.worst.value:
+            self.worst = replace(end.finding, value=value, note=note)
+
+
+def _position(block: Block, index: int) -> tuple[float, ...] | None:
+    assert block.commanded is not None
+    position = block.commanded[index]
+    return tuple(position.tolist()) if np.isfinite(position).all() else None
+
+
+def start_rise(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring how long the head takes to its speed."""
+    return _Rise(setting, options["over"])

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 from threadline.verdict.contour import ContourPart
 from threadline.verdict.nearest import look_between
 from threadline.verdict.places import ProgressPart, ahead

@@ -11,13 +11,13 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, NoReturn
 
+from threadline.base.reading import note_input, read_text
+from threadline.base.wording import line_in_rows, nearest, toml_fault
 from threadline.errors import Place, SpecError, UnitError
-from threadline.foreign_messages import line_in_rows, nearest, toml_fault
-from threadline.input_files import note_input, read_text
 from threadline.machine import Machine
 from threadline.machine.load import split_reference
 from threadline.units import USUAL, parse_quantity, same_dimension, split_quantity
-from threadline.verdict.always import always_of
+from threadline.verdict.demands import always_of
 from threadline.verdict.measure import MeasureKind, Option
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.types import Criterion, Spec

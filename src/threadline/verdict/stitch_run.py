@@ -1,25 +1,146 @@
-"""What an embroidery frame did, laid beside its stitches: where it stood while the needle was in.
+"""The worst stitch by one of its figures.
 
 The channel ``needle`` tells when the needle was in the cloth, simulated or live: its k-th entry is
 the k-th stitch of the design.
+
+Each tells the worst stitch by block and number, how many are out of its limit, and the speed of the
+shaft at which the worst would be in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.plan import Plan
-from threadline.signals import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.commands.stitched import Stitched
+from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.files.step_play import one_behind_the_other
 from threadline.verdict.coverage import Coverage
-from threadline.verdict.finding import Found
-from threadline.verdict.measure import Running, RunReading
-from threadline.verdict.samples import Block
+from threadline.verdict.demands import SLACK
+from threadline.verdict.finding import Finding, Found, Worst
+from threadline.verdict.measure import Measure, Option, Running, RunReading
+from threadline.verdict.needle import Stitches, has_stitches
+from threadline.verdict.samples import Block, Setting
+from threadline.verdict.sewn import Figure, SewnStitches, StitchFollower
+
+OPTIONS = {"delay": Option(unit="s", default=0.0)}
+SPEED_OPTIONS = {**OPTIONS, "over": Option(unit="s", default=0.002)}
+_NONE = "the job has no stitches"
+_WORDS = {False: ("too long", "too short"), True: ("too fast", "too slow")}
+SHORT = "the recording ends before this stitch"
+
+
+class _Stitching:
+    """The worst stitch by one of its figures."""
+
+    def __init__(
+        self, setting: Setting, delay_s: float, figure: Figure, over_s: float = 0.002
+    ) -> None:
+        self._figure: Figure = figure
+        columns = [setting.axes.index(a) for a in setting.plan.job.axes]
+        self._radius_m = setting.radius_m[columns]
+        self._follower = (
+            StitchFollower(setting, delay_s, over_s, (figure,))
+            if has_stitches(setting.plan.job)
+            else None
+        )
+        self._runs = setting.runs
+        self._worst = Worst(setting.runs, len(columns), note=_NONE)
+
+    def feed(self, block: Block) -> None:
+        assert block.actual is not None
+        if self._follower is None:
+            return
+        for sewn in self._follower.feed(block):
+            self._take(sewn)
+
+    def finish(self) -> Sequence[Found]:
+        left = None if self._follower is None else self._follower.unsewn
+        return [self._worst.found() if left is None else too_short(left, self._runs)]
+
+    def _take(self, sewn: SewnStitches) -> None:
+        run = sewn.stitches
+        at_s = sewn.down_s
+        if self._figure == "placement":
+            values, error = sewn.placement_m, sewn.placement_m
+        else:
+            if self._figure == "length":
+                error = sewn.length_error
+            elif self._figure == "speed":
+                error, at_s = sewn.speed_error, sewn.speed_s
+            else:
+                turn = turn_error(run)
+                error = np.broadcast_to(turn[:, None], (len(turn), self._runs))
+            free = run.exempt & ~run.follows if self._figure == "time" else run.exempt
+            values = np.where(free[:, None] | np.isnan(error), -1.0, np.abs(error))
+        at, columns = np.argmax(values, axis=0), np.arange(self._runs)
+        worst = values[at, columns]
+        judged = worst >= 0.0
+        if not judged.all():
+            self._worst.say("every stitch is exempt")
+        more, less = _WORDS[self._figure == "speed"]
+        notes = np.where(error[at, columns] > 0.0, more, less)
+        self._worst.offer(
+            np.where(judged, worst, np.nan),
+            time_s=at_s[at] if at_s.ndim == 1 else at_s[at, columns],
+            operation=run.operation[at],
+            line=run.line[at],
+            position=run.point[at] / self._radius_m,
+            note="" if self._figure == "placement" else notes.astype(object),
+        )
+
+
+def turn_error(run: Stitches) -> FloatArray:
+    """Return (n,) relative errors of the planned times of stitches.
+
+    They are against the programmed time, or against the nearest of the two bounds of a needle that
+    follows the head; beside a rest it may turn as slowly as it has to.
+    """
+    own = (run.down_s - run.from_s) / run.period_s - 1.0
+    slowest = np.where(run.departs | run.stops, 0.0, run.slowest_hz)
+    with np.errstate(divide="ignore"):
+        hz = 1.0 / run.period_s
+        fast, slow = run.fastest_hz / hz - 1.0, np.maximum(slowest / hz - 1.0, 0.0)
+    return np.asarray(np.where(run.follows, np.where(fast < 0.0, fast, slow), own))
+
+
+def too_short(left: Stitches, runs: int) -> Found:
+    """Return what is found where the recording ends before the first stitch of ``left``."""
+    finding = Finding(
+        value=None, operation=int(left.operation[0]), job_line=int(left.line[0]), note=SHORT
+    )
+    return Found.alike(finding, runs)
+
+
+def start_length(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the relative error of the length of stitches, those exempt excepted."""
+    return _Stitching(setting, options["delay"], "length")
+
+
+def start_placement(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring how far from the seam the needle goes down."""
+    return _Stitching(setting, options["delay"], "placement")
+
+
+def start_speed(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the relative error of the head's speed, in stitches that are not exempt."""
+    return _Stitching(setting, options["delay"], "speed", options["over"])
+
+
+def start_needle(setting: Setting, options: Mapping[str, float]) -> Measure:
+    """Begin measuring the relative error of the time of stitches, those exempt excepted.
+
+    None is exempt where the needle follows the head.
+    """
+    return _Stitching(setting, options["delay"], "time")
+
 
 NEEDLE = "needle"
 
@@ -207,3 +328,146 @@ def _runs(number: IntArray) -> Iterator[tuple[int, int]]:
     if len(number):
         edges = np.flatnonzero(np.diff(number)) + 1
         yield from zip([0, *edges.tolist()], [*edges.tolist(), len(number)], strict=True)
+
+
+_MINUTE = 60.0
+
+
+def measure_tables(plan: Plan) -> Mapping[str, Sequence[Finding]]:
+    """Return what the plan alone tells: use of the windows, steps, loading of tables, travel."""
+    stitched = plan.stitched
+    return {
+        "window_use": [_window_use(stitched)],
+        "step_rate": _step_rates(stitched),
+        "fetch_use": [_fetch_use(stitched)],
+        "travel": _travel(stitched),
+    }
+
+
+def _at(stitched: Stitched, turn: int, value: float, note: str = "", axis: str = "") -> Finding:
+    """Return a finding of a turn, with its name."""
+    turns = stitched.turns
+    named = stitched.turns.name(turn)
+    return Finding(
+        value=value,
+        axis=axis,
+        time_s=float(turns.begin[turn] * float(stitched.commands.clock.period_s)),
+        operation=int(turns.operation[turn]),
+        job_line=int(turns.line[turn]),
+        position=tuple(stitched.places_m[turn].tolist()),
+        note="; ".join(filter(None, (named, note))),
+    )
+
+
+def _window_use(stitched: Stitched) -> Finding:
+    """Return the largest share of its window that a move needs within the limits of the axes."""
+    use = window_uses(stitched)
+    worst = int(np.argmax(use))
+    note = ""
+    if use[worst] > SLACK:
+        needed = stitched.pace.rigid_windows_s(stitched.turns.moves)
+        turn_s = float(needed[worst]) / stitched.pace.share
+        note = f"{_out(use > SLACK, 'turns')}; it can at {_speed(turn_s)}"
+    # A window is rounded to a period of the timer, and is not too short for that.
+    rounded = 1.0 / float(stitched.turns.window[worst])
+    return _at(stitched, worst, max(0.0, float(use[worst]) - rounded), note)
+
+
+def window_uses(stitched: Stitched) -> FloatArray:
+    """Return (n,) share of its window that the move of each turn needs within the limits."""
+    windows = stitched.turns.window * float(stitched.commands.clock.period_s)
+    return np.asarray(stitched.pace.rigid_windows_s(stitched.turns.moves) / windows)
+
+
+def step_rates_hz(stitched: Stitched, column: int) -> FloatArray:
+    """Return (n,) highest rate of steps of an axis in each turn, Hz; 0 where it stands."""
+    commands, turns = stitched.commands, stitched.turns
+    shortest = np.minimum.reduceat(*one_behind_the_other(commands.library)).astype(np.float64)
+    tick_s = np.full(len(turns), float(commands.clock.period_s))
+    if commands.counted_by == "angle":
+        tick_s *= turns.window / commands.window_angle
+    table = np.abs(turns.moves.units[:, column]) - 1
+    return np.where(table >= 0, 1.0 / (shortest[np.maximum(table, 0)] * tick_s), 0.0)
+
+
+def _step_rates(stitched: Stitched) -> list[Finding]:
+    """Return the highest rate of steps of each axis, Hz."""
+    found = []
+    for k, axis in enumerate(stitched.axes):
+        rates = step_rates_hz(stitched, k)
+        worst = int(np.argmax(rates))
+        found.append(_at(stitched, worst, float(rates[worst]), axis=axis))
+    return found
+
+
+def _fetch_use(stitched: Stitched) -> Finding:
+    """Return the largest share of the time between two moves that loading tables takes."""
+    turns = stitched.turns
+    if len(turns) < 2:
+        return Finding(value=0.0, note="one turn: its tables are there before")
+    period_s = float(stitched.commands.clock.period_s)
+    free_s = (turns.begin[1:] - turns.begin[:-1] - turns.window[:-1]) * period_s
+    loads = np.count_nonzero(turns.moves.units[1:], axis=1) * stitched.pace.tables.fetch.si
+    use = loads / free_s
+    worst = int(np.argmax(use))
+    note = f"{loads[worst] * 1e3:.4g} of {free_s[worst] * 1e3:.4g} ms"
+    return _at(stitched, worst + 1, float(use[worst]), note)
+
+
+def _travel(stitched: Stitched) -> list[Finding]:
+    """Return by how much the frame leaves its travel on each axis, m."""
+    places = stitched.places_m
+    found = []
+    for k, axis in enumerate(stitched.axes):
+        low, high = stitched.machine.travel[k]
+        beyond = np.maximum(places[:, k] - high, low - places[:, k])
+        worst = int(np.argmax(beyond))
+        found.append(_at(stitched, worst, max(0.0, float(beyond[worst])), axis=axis))
+    return found
+
+
+def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Per axis: the largest distance of the frame from its place while the needle is in, m."""
+    sewn, pace = run.sewn, run.stitched.pace
+    alone_s = pace.needed_turns_s(run.stitched.turns.moves)[run.turns]
+    # A stitch is out where either axis is: it is one needle that enters.
+    out = _out(np.asarray((sewn.residual_m > pace.tolerance_m).any(axis=1)), "stitches")
+    found = []
+    for k, axis in enumerate(run.plan.axes):
+        residual = sewn.residual_m[:, k]
+        worst = _worst(run, residual, sewn.time_s[:, k], axis)
+        if (residual > pace.tolerance_m).any():
+            # Those of the planner's tolerance: a limit is none of a measure's business.
+            note = (
+                f"{out} beyond {pace.tolerance_m * 1e3:.4g} mm on an axis; alone it can "
+                f"at {_speed(float(alone_s[int(np.nanargmax(residual))]))}"
+            )
+            worst = replace(worst, note=f"{worst.note}; {note}")
+        found.append(worst)
+    return found
+
+
+def servo_force(run: StitchRun, _options: Mapping[str, float]) -> list[Finding]:
+    """Per axis: the largest share of its servo's force."""
+    sewn = run.sewn
+    return [
+        _worst(run, sewn.force[:, k], sewn.force_s[:, k], axis)
+        for k, axis in enumerate(run.plan.axes)
+    ]
+
+
+def _worst(run: StitchRun, values: FloatArray, times: FloatArray, axis: str) -> Finding:
+    if np.isnan(values).all():
+        return Finding(value=None, axis=axis, note="no stitch was seen")
+    worst = int(np.nanargmax(values))
+    turn = int(run.turns[worst])
+    found = _at(run.stitched, turn, float(values[worst]), axis=axis)
+    return replace(found, time_s=float(times[worst]))
+
+
+def _out(over: NDArray[np.bool_], what: str) -> str:
+    return f"{int(over.sum())} of {len(over)} {what}"
+
+
+def _speed(turn_s: float) -> str:
+    return f"{_MINUTE / turn_s:.4g} stitches a minute"

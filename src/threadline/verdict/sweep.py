@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
 from threadline.verdict.boxes import (
     COMPANY,
     NO_BOXES,
@@ -24,13 +24,9 @@ from threadline.verdict.boxes import (
 )
 from threadline.verdict.contour import ContourPart, raise_to_samples
 from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
-from threadline.verdict.largest import add_squares, count_beyond, raise_to_farthest
+from threadline.verdict.finding import add_squares, count_beyond, raise_to_farthest
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import (
-    between,
-    chord_ways,
-    nearest_chords_each,
-)
+from threadline.verdict.nearest import between, chord_ways, nearest_chords_each
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
 from threadline.verdict.single_run import contour_of_one, nearest_of_one, progress_of_one

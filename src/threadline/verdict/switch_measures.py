@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.plant.pneumatic import step_ringing
-from threadline.signals import ChannelKind
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.pneumatic import step_ringing
+from threadline.files import ChannelKind
 from threadline.verdict.finding import Finding
-from threadline.verdict.switch_run import RunStep, SwitchRun
-from threadline.verdict.switch_samples import sample_at
+from threadline.verdict.switch_run import RunStep, SwitchRun, sample_at
 
 _LEAST_PERIODS = 0.5  # less does not show both extremes of what rings
 _BY_SPEED_PERIODS = 0.05  # so much tells place and speed of what rings

@@ -1,4 +1,4 @@
-"""What an on/off machine did, laid beside its schedule: when each switching came, and each step.
+"""Samples of the channels of an on/off machine, kept in little memory.
 
 Everything is read from the channels of the recording. The outputs tell when a row of the schedule
 took effect, so that a cycle that waited for its inputs is judged at its own instants, simulated
@@ -10,21 +10,48 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.commands.schedule import ScheduledMove
 from threadline.errors import RecordingError
-from threadline.plan import Plan
-from threadline.signals import Channel, ChannelKind, Clock, Event, Recording
-from threadline.targets.schedule import ScheduledMove
+from threadline.files import Channel, ChannelKind, Clock, Event, Recording
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Found
 from threadline.verdict.measure import Running, RunReading
 from threadline.verdict.samples import Block
-from threadline.verdict.switch_samples import Samples, compact, joined, sample_at, whole
+
+Samples: TypeAlias = NDArray[np.float64] | NDArray[np.int8]
+"""Samples of a channel; those of a switch are int8, an eighth of the memory."""
+
+
+def compact(values: FloatArray) -> Samples:
+    """Return a switch's samples in an eighth of the memory; others as they are."""
+    if ((values == 0.0) | (values == 1.0)).all():
+        return values.astype(np.int8)
+    return values
+
+
+def joined(parts: list[Samples]) -> Samples:
+    """Return the parts of a channel as one: in whole numbers where every part is."""
+    if all(part.dtype == np.int8 for part in parts):
+        return np.concatenate(parts, dtype=np.int8)
+    return np.concatenate(parts, dtype=np.float64)
+
+
+def whole(values: Samples) -> NDArray[np.int8]:
+    """Return the nearest state of an output; what is far from 0 and 1 stays far from both."""
+    return np.clip(np.rint(values), -100, 100).astype(np.int8)
+
+
+def sample_at(times_s: FloatArray, end_s: float) -> int:
+    """Return the last sample that is not behind an instant; the first where all are."""
+    return max(int(np.searchsorted(times_s, end_s, side="right")) - 1, 0)
+
 
 _ROUNDING_S = 1e-9
 _ROUNDING = 1e-6  # of a sample: instants are sums

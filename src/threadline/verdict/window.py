@@ -1,14 +1,22 @@
-"""The programmed path about the operations under way: all that the judge holds of it."""
+"""The programmed path about the operations under way: all that the judge holds of it.
+
+The pieces of a trajectory carry the operation that is under way, but a piece may be longer than
+many operations, and a smoothing in time shifts what is under way by as much as it is wide. What
+is sure is the order: after one point the next is passed at the first instant at which the distance
+to it is a minimum.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.path.types import ProgrammedPath, VertexBlock
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.motion.path.types import ProgrammedPath, VertexBlock
+from threadline.motion.timing.types import TrajectoryBlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,3 +162,224 @@ class PathWindow:
         self.vertices = np.concatenate([self.vertices, vertices])
         self.operation = np.concatenate([self.operation, block.operation])
         self.line = np.concatenate([self.line, block.line])
+
+
+_NEAR = 0.25  # of the way from point to point: a minimum as near as that is it
+_FAR = 2.0
+"""Of that way and the distance of the point before: so far a nearer one is looked for."""
+_STRIDE = 0.125  # of that way: seldom farther from instant to instant, and never twice as far
+_HALVINGS = 60  # of an interval about a minimum: to the last digits of a double
+_FINEST = 1e-9  # of the duration of a piece: strides are no shorter
+_ROUNDING = 1e-15  # of the time
+_SAME_M = 1e-12  # a piece that ends so near to a minimum ends at it
+
+
+class Passing:
+    """Follows a trajectory from point to point.
+
+    Parameters
+    ----------
+    blocks
+        Of the trajectory; pieces that stand still may be left out.
+    columns, radius
+        (k,) of the axes, and lengths at the tool for each: m per m, or m per rad.
+    start
+        (k,) the point at which it begins, lengths at the tool.
+    """
+
+    def __init__(
+        self,
+        blocks: Iterable[TrajectoryBlock],
+        columns: list[int],
+        radius: FloatArray,
+        start: FloatArray,
+    ) -> None:
+        self._blocks: Iterator[TrajectoryBlock] = iter(blocks)
+        self._columns, self._radius = columns, radius
+        self._start_s = self._duration_s = np.empty(0)
+        self._pieces: FloatArray = np.empty((0, 1, len(columns)))
+        self._point = np.asarray(start, dtype=np.float64)
+        self._ended = False
+        self._read()
+        self.time_s = float(self._start_s[0]) if len(self._start_s) else 0.0
+
+    def times(self, points: FloatArray) -> FloatArray:
+        """Return when the first of ``points``, at least one of them, are passed.
+
+        Parameters
+        ----------
+        points
+            (n, k) in order, lengths at the tool. A point equal to the one before it is passed with
+            it; what the trajectory does not come near to any more is passed at its end.
+        """
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        out = np.full(len(points), self.time_s)
+        while len(self._start_s):
+            done = _pass(
+                points, self._point, self._pieces, self._start_s, self._duration_s, self.time_s,
+                self._ended, out,
+            )  # fmt: skip
+            if done:
+                break
+            self._read()
+        else:
+            done = len(points)
+        self.time_s, self._point = float(out[done - 1]), points[done - 1]
+        # The piece before stays: a minimum at a joint is at its end.
+        first = int(np.searchsorted(self._start_s, self.time_s, side="right")) - 2
+        kept = slice(max(first, 0), None)
+        self._start_s, self._duration_s = self._start_s[kept], self._duration_s[kept]
+        self._pieces = self._pieces[kept]
+        return out[:done]
+
+    def _read(self) -> None:
+        """Add a block to the pieces at hand."""
+        block = next(self._blocks, None)
+        if block is None:
+            self._ended = True
+            return
+        fresh = block.coefficients[:, :, self._columns] * self._radius
+        order = max(fresh.shape[1], self._pieces.shape[1])
+        both = (np.pad(c, ((0, 0), (0, order - c.shape[1]), (0, 0))) for c in (self._pieces, fresh))
+        self._pieces = np.concatenate(list(both))
+        self._start_s = np.concatenate([self._start_s, block.start_s])
+        self._duration_s = np.concatenate([self._duration_s, block.duration_s])
+
+
+@njit()
+def _place(c, start, duration, i, t, at, speed):  # type: ignore[no-untyped-def]
+    """Fill in place and velocity at the instant ``t`` of piece ``i``."""
+    u = min(max((t - start[i]) / duration[i], 0.0), 1.0)
+    for a in range(c.shape[2]):
+        place, slope = 0.0, 0.0
+        for k in range(c.shape[1] - 1, -1, -1):
+            slope = slope * u + place
+            place = place * u + c[i, k, a]
+        at[a], speed[a] = place, slope / duration[i]
+
+
+@njit()
+def _gap(a, b):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(len(a)):
+        total += (a[k] - b[k]) ** 2
+    return np.sqrt(total)
+
+
+@njit()
+def _nears(at, speed, point):  # type: ignore[no-untyped-def]
+    """Return half the rate of the squared distance to ``point``: negative while it comes nearer."""
+    total = 0.0
+    for k in range(len(at)):
+        total += (at[k] - point[k]) * speed[k]
+    return total
+
+
+@njit()
+def _turn(c, start, duration, piece, low, high, point, at, speed):  # type: ignore[no-untyped-def]
+    """Return when ``point`` comes no nearer, between two instants of a piece; by bisection."""
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        _place(c, start, duration, piece, middle, at, speed)
+        if _nears(at, speed, point) < 0.0:
+            low = middle
+        else:
+            high = middle
+    _place(c, start, duration, piece, high, at, speed)
+    return high
+
+
+@njit()
+def _step(c, start, duration, piece, t, most, state, to):  # type: ignore[no-untyped-def]
+    """Return an instant after ``t`` of a piece, about ``most`` away by path; fill in ``to``."""
+    end = start[piece] + duration[piece]
+    finest = max(_FINEST * duration[piece], _ROUNDING * t)
+    stride = min(0.5 * duration[piece], end - t)
+    fast = np.sqrt((state[1] ** 2).sum())
+    if fast * stride > most:
+        stride = max(most / fast, finest)
+    then = end if t + stride >= end else t + stride
+    _place(c, start, duration, piece, then, to[0], to[1])
+    while _gap(to[0], state[0]) > 2.0 * most and then - t > 2.0 * finest:
+        then = t + 0.5 * (then - t)
+        _place(c, start, duration, piece, then, to[0], to[1])
+    return then
+
+
+@njit()
+def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: ignore[no-untyped-def]
+    """Return when and in which piece a point is passed, from ``t`` on; piece -1: not known yet.
+
+    ``state`` and ``to`` are (2, axes) places and velocities to work with.
+    """
+    _place(c, start, duration, piece, t, state[0], state[1])
+    nears = _nears(state[0], state[1], point)
+    travelled, least, found_s, found = 0.0, np.inf, t, piece
+    while True:
+        end, here = start[piece] + duration[piece], piece
+        if t < end:
+            then = _step(c, start, duration, piece, t, _STRIDE * way[0], state, to)
+        elif piece + 1 < len(start):
+            piece += 1
+            then = start[piece]
+            _place(c, start, duration, piece, then, to[0], to[1])
+        elif not ended:
+            return t, -1
+        elif nears < 0.0 and _gap(state[0], point) < least:
+            return end, piece
+        else:
+            return found_s, found
+        after = _nears(to[0], to[1], point)
+        travelled += _gap(to[0], state[0])
+        if nears < 0.0 <= after:
+            if piece == here:
+                turn_s = _turn(c, start, duration, piece, t, then, point, state[0], state[1])
+            else:
+                turn_s = end
+            if _gap(state[0], point) < least:
+                least, found_s, found = _gap(state[0], point), turn_s, here
+                if least <= _NEAR * way[0]:
+                    return found_s, found
+        t, nears = then, after
+        for a in range(state.shape[1]):  # an assignment of the whole takes seconds to compile
+            state[0, a], state[1, a] = to[0, a], to[1, a]
+        if travelled > way[1] and (nears >= 0.0 or _gap(state[0], point) >= least):
+            return found_s, found
+
+
+@njit()
+def _end_of(c, start, duration, begin_s, t, piece, state, to):  # type: ignore[no-untyped-def]
+    """Return the instant, and the piece, of a minimum; at the end of a piece where one is so near.
+
+    Motion that ends at a minimum comes to it ever more slowly: it is passed at the end. Where a
+    rest follows, it is the end before the rest.
+    """
+    _place(c, start, duration, piece, t, state[0], state[1])
+    for k in range(max(piece - 1, 0), piece + 1):
+        end = start[k] + duration[k]
+        _place(c, start, duration, k, end, to[0], to[1])
+        if end >= begin_s and _gap(to[0], state[0]) <= _SAME_M:
+            return end, k
+    return t, piece
+
+
+@njit()
+def _pass(points, origin, c, start, duration, begin_s, ended, out):  # type: ignore[no-untyped-def]
+    """Fill in when points are passed; return of how many that is known by these pieces."""
+    state, to, way = np.empty((2, c.shape[2])), np.empty((2, c.shape[2])), np.empty(2)
+    now, piece, before = begin_s, 0, origin
+    while piece + 1 < len(start) and now >= start[piece] + duration[piece]:
+        piece += 1
+    for n in range(len(points)):
+        point = points[n]
+        way[0] = _gap(point, before)
+        if way[0] > 0.0:
+            t = max(now, start[piece])
+            _place(c, start, duration, piece, t, state[0], state[1])
+            way[1] = _FAR * (way[0] + _gap(state[0], before))
+            found_s, found = _find(c, start, duration, ended, piece, t, point, way, state, to)
+            if found < 0:
+                return n
+            now, piece = _end_of(c, start, duration, now, found_s, found, state, to)
+        out[n], before = now, point
+    return len(points)

@@ -21,7 +21,7 @@ import struct
 
 import numpy as np
 
-from threadline.arrays import FloatArray
+from threadline.base.arrays import FloatArray
 from threadline.errors import JobError, Place
 
 SUFFIX = ".hus"

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from threadline.errors import JobError, Place
+from threadline.files import Stream
 from threadline.jobs.embroidery.records import Act, read_records
 from threadline.jobs.operations import (
     Job,
@@ -27,7 +28,6 @@ from threadline.jobs.operations import (
     ToolEvent,
 )
 from threadline.machine import Machine
-from threadline.signals import Stream
 
 AXES = ("X", "Y")
 EVENTS = {

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.reading import open_binary
 from threadline.errors import JobError, Place
-from threadline.input_files import open_binary
 from threadline.jobs.embroidery import hus, pes, t15, vp3
 
 _OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {

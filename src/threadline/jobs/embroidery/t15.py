@@ -16,7 +16,7 @@ import struct
 
 import numpy as np
 
-from threadline.arrays import IntArray
+from threadline.base.arrays import IntArray
 from threadline.errors import JobError, Place
 
 SUFFIX = ".t15"

@@ -5,7 +5,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import CANCEL, SILENT, Reading
+from threadline.jobs.gcode.dialects import (
+    CANCEL,
+    SILENT,
+    Reading,
+    refuse_number,
+    refuse_without_point,
+    refuse_word,
+    whole,
+)
 from threadline.jobs.gcode.grammar import (
     PLAIN,
     check_first_alone,
@@ -13,14 +21,7 @@ from threadline.jobs.gcode.grammar import (
     check_words,
     one_command,
 )
-from threadline.jobs.gcode.refusals import refuse_number, refuse_without_point, refuse_word, whole
-from threadline.jobs.gcode.words import (
-    MAX_MAGNITUDE,
-    ONE,
-    RawBlock,
-    exact,
-    split_words,
-)
+from threadline.jobs.gcode.words import MAX_MAGNITUDE, ONE, RawBlock, exact, split_words
 
 MAX_PASSES = 10**12
 _MAX_LABEL = 10**9

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import IntArray
-from threadline.compiled import njit
+from threadline.base.arrays import IntArray
+from threadline.base.compiled import njit
 
 TAB, LF, CR, BLANK, OPEN, CLOSE, COMMA, PLUS, MINUS, DOT = 9, 10, 13, 32, 40, 41, 44, 43, 45, 46
 ZERO, NINE, SEMICOLON, EQUALS, UPPER_A, UPPER_Z, UNDERSCORE, LOWER_A, LOWER_Z = (

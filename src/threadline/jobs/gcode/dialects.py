@@ -1,4 +1,8 @@
-"""The dialects of part programs: the words that a controller takes, and their effects.
+"""What two controls that have parameters do not do alike: LinuxCNC and FluidNC.
+
+Sources: LinuxCNC 2.9, Overview of G code programming (parameters, expressions, functions) and O
+codes, with its interpreter as an oracle (2.9; in its source of August 2026 EQ is of 1e-6); FluidNC
+4, Expression.cpp, Parameters.cpp and Flowcontrol.cpp.
 
 A word moves, sets a mode, or has no effect on motion; a warning names each of the last once. Words
 that would change motion in a way that is not modelled (tool lengths, cutter radii, canned cycles,
@@ -12,15 +16,103 @@ Sources: ``linuxcnc``: LinuxCNC 2.9, G Codes and M Codes; ``grbl``: grbl 1.1 wik
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import struct
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NoReturn
 
+import numpy as np
+
+from threadline.errors import JobError, Place
 from threadline.jobs.gcode import grammar
-from threadline.jobs.gcode.flavour import FLUIDNC, LINUXCNC, Flavour
 from threadline.jobs.gcode.grammar import Grammar
+from threadline.jobs.gcode.words import ONE
 from threadline.machine import Machine
-from threadline.machine.program_rules import DialectName, FeedRule
+from threadline.machine.motion_planner import DialectName, FeedRule
+
+_HALF_TURN = np.longdouble("3.14159265358979323846264338327950288") / np.longdouble(180)
+
+
+def double(value: float) -> float:
+    """Return a number as LinuxCNC keeps it."""
+    return value
+
+
+def single(value: float) -> float:
+    """Return a number as FluidNC keeps it, in single precision.
+
+    >>> single(0.1), single(0.5), single(1e300)
+    (0.10000000149011612, 0.5, inf)
+    """
+    try:
+        return float(struct.unpack("f", struct.pack("f", value))[0])
+    except OverflowError:
+        return math.copysign(math.inf, value)
+
+
+def radians(degrees: float) -> np.longdouble:
+    """Return an angle in rad, in extended precision: so that LinuxCNC's sine of 30 is 0.5."""
+    return np.longdouble(degrees) * _HALF_TURN
+
+
+def in_degrees(angle: float) -> float:
+    """Return an angle, given in rad, in degrees."""
+    return float(np.longdouble(angle) / _HALF_TURN)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Flavour:
+    """How a control takes parameters, expressions and O words.
+
+    Parameters
+    ----------
+    rounded
+        Rounds each number to the precision of the control.
+    alike
+        Numbers that differ by less than this are equal (EQ, NE).
+    alike_later
+        The same in later versions, where LE and GE take such numbers as equal, too; None where
+        versions do not differ.
+    unset
+        What a numbered parameter is that was never set; None where that is an error.
+    subroutines
+        Whether O words define and call subroutines, and may be names.
+    labels_once
+        Whether a label names one block only (in each subroutine).
+    breaks_repeats
+        Whether break and continue leave repeat, too.
+    loose_comments
+        Whether a semicolon inside parentheses ends the line, a ) without ( is nothing, and a
+        comment ends with its line.
+    at_motors
+        Whether the position that a program reads is where the motors are as the line is read, and
+        not where the program will have led them.
+    paths_configure
+        Whether a name that begins with a slash is an item of the control's configuration.
+    """
+
+    rounded: Callable[[float], float]
+    alike: float
+    alike_later: float | None
+    unset: float | None
+    subroutines: bool
+    labels_once: bool
+    breaks_repeats: bool
+    loose_comments: bool
+    at_motors: bool
+    paths_configure: bool
+
+
+LINUXCNC = Flavour(
+    rounded=double, alike=1e-4, alike_later=1e-6, unset=0.0, subroutines=True, labels_once=True,
+    breaks_repeats=False, loose_comments=False, at_motors=False, paths_configure=False,
+)  # fmt: skip
+FLUIDNC = Flavour(
+    rounded=single, alike=1e-5, alike_later=None, unset=None, subroutines=False, labels_once=False,
+    breaks_repeats=True, loose_comments=True, at_motors=True, paths_configure=True,
+)  # fmt: skip
+
 
 Group = str
 CANCEL = 80
@@ -281,3 +373,91 @@ def dialect_of(machine: Machine, name: str | None) -> str:
 def knowing(letter: str, code: int) -> list[str]:
     """Return the dialects that have a G word (times ten) or an M word."""
     return [d.name for d in DIALECTS.values() if code in (d.g if letter == "G" else d.m)]
+
+
+AXIS_LETTERS = "ABCXYZ"
+
+
+def whole(letter: str, number: str, value: int, limit: int, line: int, reading: Reading) -> int:
+    """Return a whole number from 0 to ``limit``.
+
+    Raises
+    ------
+    JobError
+        If it is none.
+    """
+    if value % ONE or not 0 <= value // ONE <= limit:
+        raise JobError(
+            f"{letter} {_short(number)} must be a whole number from 0 to {limit}",
+            place=Place(reading.file, line),
+            remedy="Correct it.",
+        )
+    return value // ONE
+
+
+def refuse_number(
+    letter: str, number: str, value: int | None, line: int, reading: Reading
+) -> NoReturn:
+    """Refuse a number that is too fine or too large."""
+    fine = value is None and len(number.partition(".")[0].lstrip("+-").lstrip("0")) <= 12
+    what = "has more than 17 decimals" if fine else "is beyond 10^12"
+    raise JobError(
+        f"the number of {letter} {_short(number)} {what}",
+        place=Place(reading.file, line),
+        remedy="Write a number that a machine can use.",
+    )
+
+
+def refuse_without_point(letter: str, number: str, line: int, reading: Reading) -> NoReturn:
+    """Refuse a number without decimal point, whose unit depends on a parameter of the control."""
+    raise JobError(
+        f"{letter}{_short(number)} has no decimal point: by its parameter DPI a Fanuc control "
+        "reads it in millimetres (degrees) or in thousandths of them",
+        place=Place(reading.file, line),
+        remedy=f"Write {letter}{_short(number)}. or the thousandths with a point.",
+    )
+
+
+def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading) -> NoReturn:
+    """Refuse an unknown word; the error lists the known ones and dialects that have this one."""
+    place = Place(reading.file, line)
+    dialect = reading.dialect
+    if letter in AXIS_LETTERS:
+        raise JobError(
+            f"{letter} {_short(number)}: the machine {reading.machine!r} has no axis {letter}",
+            place=place,
+            remedy=f"Its axes are {', '.join(reading.axes)}; choose another machine (-m).",
+        )
+    if letter == "G" and code in WHY:
+        raise JobError(
+            f"G{_short(number)} is {WHY[code]}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    whole = f"{code / 10 if letter == 'G' else code:g}" if letter in "GM" else ""
+    why = WHY_IN.get(dialect.name, {}).get(f"{letter}{whole}")
+    if why is not None:
+        raise JobError(
+            f"{letter}{_short(number)} is {why}",
+            place=place,
+            remedy="Have the program written without it, or take it out if it changes nothing.",
+        )
+    known = {
+        "G": f"Known G words are {_list('G', [c / 10 for c in dialect.g])}.",
+        "M": f"Known M words are {_list('M', list(dialect.m))}.",
+    }.get(
+        letter,
+        f"Known letters are {' '.join(sorted('FGLMNOP' + dialect.idle_letters))} and the axes "
+        f"{' '.join(reading.axes)}.",
+    )
+    others = [name for name in knowing(letter, code) if name != dialect.name] if code >= 0 else []
+    also = f" The dialect {' or '.join(others)} has it (--dialect)." if others else ""
+    raise JobError(f"unknown word {letter}{_short(number)}", place=place, remedy=f"{known}{also}")
+
+
+def _list(letter: str, codes: list[float]) -> str:
+    return " ".join(f"{letter}{code:g}" for code in sorted(codes))
+
+
+def _short(number: str) -> str:
+    return number if len(number) <= 24 else number[:24] + "..."

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 
 from threadline.errors import JobError
 from threadline.jobs.gcode.block import DWELL, RESET, TAKES_AXES, Block
-from threadline.jobs.gcode.curved_blocks import CURVED, Curves
+from threadline.jobs.gcode.curves import CURVED, Curves
 from threadline.jobs.gcode.dialects import CANCEL, Reading
-from threadline.jobs.gcode.f_words import FRule
-from threadline.jobs.gcode.kept_feeds import KeptFeeds, travelling, value_of
-from threadline.jobs.gcode.program_zero import Zeros
+from threadline.jobs.gcode.feeds import FRule, KeptFeeds, travelling, value_of
 from threadline.jobs.gcode.textfile import SourceFile
 from threadline.jobs.gcode.words import ONE
-from threadline.jobs.gcode.work_offsets import FIRST, MACHINE, SYSTEMS
+from threadline.jobs.gcode.zeros import FIRST, MACHINE, SYSTEMS, Zeros
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from threadline.base.reading import KnownFile, open_binary
 from threadline.errors import JobError, Place
-from threadline.input_files import KnownFile, open_binary
 
 MAX_LINE_BYTES = 4096
 CHUNK_BYTES = 1 << 18

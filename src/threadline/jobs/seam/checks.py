@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.drawing.contours import Contour, point_text
-from threadline.drawing.self_crossing import crossings, flatten
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import JobError, LimitError, Place
+from threadline.geometry.contours import Contour, point_text
+from threadline.geometry.self_crossing import crossings, flatten
 from threadline.jobs.seam.settings import Accelerations, Stitching
 from threadline.jobs.seam.sewing import SewnContour, StitchBlock
 from threadline.machine import Machine

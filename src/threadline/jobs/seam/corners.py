@@ -1,17 +1,27 @@
-"""The corners of a contour: turns within less than a stitch, however they are drawn."""
+"""The corners of a contour: turns within less than a stitch, however they are drawn.
+
+After the travel the machine swings: a speed v that ends at once leaves an amplitude of ``v / w`` in
+a mode of ``w`` rad/s. The default speed is the one that leaves half of the placement in the slowest
+mode. The default rest is the time after which a tenth of the placement is left in every mode.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
-from threadline.drawing.arclength import ArcTable
-from threadline.drawing.curves import Pieces
-from threadline.jobs.seam.settings import Stitching
+from threadline.base.arrays import FloatArray, IntArray, Recent
+from threadline.dynamics.linear_model import Oscillation
+from threadline.dynamics.without_loop import modes_held
+from threadline.errors import JobError, Place
+from threadline.geometry.arclength import ArcTable
+from threadline.geometry.curves import Pieces
+from threadline.jobs.seam.settings import MOST_SETTLE_S, Stitching
+from threadline.machine import Machine
 
 _EDGE = 0.05  # share of a turn that is left out at each end when its length is measured
 _CHORD_RAD = math.radians(30.0)  # twelve sides to a circle
@@ -184,3 +194,147 @@ def drawn_as_chords(
         if last - before >= 3:
             found[before + 1 : last + 1] = True
     return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leg:
+    """A stretch of a contour without corners.
+
+    Parameters
+    ----------
+    begin_m, end_m
+        Lengths along the contour, backwards when ``end_m`` is less; a closed contour goes on
+        past its length.
+    begin_turn_rad, end_turn_rad
+        Angle of the corner at each end; None where the head rests: at the ends of the seam and
+        where a lock turns back.
+    lock
+        Whether the leg is part of the lock stitches.
+    """
+
+    begin_m: float
+    end_m: float
+    begin_turn_rad: float | None
+    end_turn_rad: float | None
+    lock: bool = False
+
+    @property
+    def length_m(self) -> float:
+        """Length along the contour."""
+        return abs(self.end_m - self.begin_m)
+
+
+def seam_legs(table: ArcTable, closed: bool, settings: Stitching, place: Place) -> list[Leg]:
+    """Return the legs of a seam in the order in which they are sewn.
+
+    Raises
+    ------
+    JobError
+        If the start, the end or a lock lies outside the contour.
+    """
+    begin_m, end_m = _range(table.length_m, closed, settings, place)
+    at_m, turn_rad = corners(table, closed, settings)
+    if closed:
+        laps = table.length_m * np.arange(3)
+        at_m = (at_m[None, :] + laps[:, None]).ravel()
+        turn_rad = np.tile(turn_rad, 3)
+    slack = 1e-9
+    inside = (at_m > begin_m + slack) & (at_m < end_m - slack)
+    marks = [begin_m, *at_m[inside].tolist(), end_m]
+    turns: list[float | None] = [None, *turn_rad[inside].tolist(), None]
+    legs = [
+        Leg(
+            begin_m=marks[k], end_m=marks[k + 1], begin_turn_rad=turns[k], end_turn_rad=turns[k + 1]
+        )
+        for k in range(len(marks) - 1)
+    ]
+    first_m = _lock_length(settings.lock_start, "lock_start", legs[0], settings, place)
+    last_m = _lock_length(settings.lock_end, "lock_end", legs[-1], settings, place)
+    return [
+        *_lock(begin_m, begin_m + first_m),
+        *legs,
+        *_lock(end_m, end_m - last_m),
+    ]
+
+
+def _range(length_m: float, closed: bool, settings: Stitching, place: Place) -> tuple[float, float]:
+    begin_m = settings.start_m or 0.0
+    end_m = settings.end_m
+    if end_m is None:
+        end_m = begin_m + length_m if closed else length_m
+    limit_m = begin_m + 2.0 * length_m if closed else length_m
+    if not begin_m < (length_m if closed else end_m) or end_m > limit_m * (1.0 + 1e-12):
+        raise JobError(
+            f"the seam runs from {begin_m * 1e3:.6g} to {end_m * 1e3:.6g} mm of a contour of "
+            f"{length_m * 1e3:.6g} mm",
+            place=place,
+            remedy="Correct start and end.",
+        )
+    return begin_m, min(end_m, limit_m)
+
+
+def _lock_length(stitches: int, key: str, leg: Leg, settings: Stitching, place: Place) -> float:
+    length_m = stitches * settings.stitch_length_m
+    if length_m > leg.length_m:
+        most = math.floor(leg.length_m / settings.stitch_length_m)
+        raise JobError(
+            f"{key} of {stitches} stitches is longer than the leg of {leg.length_m * 1e3:.6g} mm "
+            "that it lies on",
+            place=place,
+            remedy=f"Lock with at most {most} stitches, or start elsewhere.",
+        )
+    return length_m
+
+
+def _lock(here_m: float, there_m: float) -> list[Leg]:
+    """Return the two legs from one place to another and back; none where they are equal."""
+    if here_m == there_m:
+        return []
+    ends = [(here_m, there_m), (there_m, here_m)]
+    return [
+        Leg(begin_m=a, end_m=b, begin_turn_rad=None, end_turn_rad=None, lock=True) for a, b in ends
+    ]
+
+
+_SWING, _LEFT = 0.5, 0.1
+# A search reads its seam again for every speed, and following a damping takes 64 sets of poles.
+_RECENT: Recent[tuple[Machine, tuple[str, ...]], tuple[Oscillation, ...]] = Recent(
+    4, lambda a, b: a[0] is b[0] and a[1] == b[1]
+)
+
+
+def with_journeys(
+    settings: Stitching, modes: tuple[Oscillation, ...], fastest_m_s: float
+) -> Stitching:
+    """Return ``settings`` with defaults for the speed and rest of travels that were left out.
+
+    Parameters
+    ----------
+    settings
+        Stitching of the seam.
+    modes
+        Modes of the machine. Without any, the head travels as fast as it can and does not rest.
+    fastest_m_s
+        Largest speed of the machine.
+    """
+    omegas = [2.0 * math.pi * mode.frequency_hz for mode in modes]
+    speed = settings.travel_speed_m_s
+    if speed is None and omegas:
+        speed = _SWING * settings.placement_m * min(omegas)
+    settle = settings.settle_s
+    if settle is None:
+        settle = 0.0
+        for omega, mode in zip(omegas, modes, strict=True):
+            reached = fastest_m_s if speed is None else min(speed, fastest_m_s)
+            swings = reached / omega / (_LEFT * settings.placement_m)
+            if swings > 1.0 and mode.damping > 0.0:
+                settle = max(settle, math.log(swings) / (mode.damping * omega))
+    return replace(settings, travel_speed_m_s=speed, settle_s=min(settle, MOST_SETTLE_S))
+
+
+def swinging_modes(machine: Machine, axes: tuple[str, ...]) -> tuple[Oscillation, ...]:
+    """Return the modes of the axes with their motors held still."""
+    return _RECENT.of(
+        (machine, axes),
+        lambda: tuple(mode for axis in axes for mode in modes_held(machine, axis)),
+    )

@@ -1,36 +1,267 @@
-"""The job of a seam, with one move per stitch, from a drawing and its settings."""
+"""The seams of a drawing: their strokes, joined to contours."""
 
 from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from threadline.drawing.line import DrawnLine
-from threadline.drawing.offset import offset_contour
-from threadline.drawing.read_csv import read_csv
-from threadline.drawing.read_dxf import read_dxf
-from threadline.drawing.strokes import Drawing, read_limited
-from threadline.drawing.svg import read_svg
+from threadline.base.arrays import FloatArray
 from threadline.errors import JobError, Place
-from threadline.jobs.operations import Job
+from threadline.files import Stream
+from threadline.geometry.contours import Contour, DrawnLine, drop_zero_lengths, join_strokes
+from threadline.geometry.curves import join_pieces
+from threadline.geometry.offset import offset_contour
+from threadline.geometry.read_csv import read_csv
+from threadline.geometry.read_dxf import read_dxf
+from threadline.geometry.strokes import Drawing, Stroke, read_limited
+from threadline.geometry.svg import read_svg
+from threadline.jobs.operations import (
+    Column,
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    MoveRun,
+    Operation,
+    OperationStream,
+    Source,
+    ToolEvent,
+)
 from threadline.jobs.seam.checks import (
     StitchCheck,
     corner_warnings,
     crossing_warnings,
     head_accelerations_m_s2,
 )
-from threadline.jobs.seam.choose import seam_choices, seam_contours
-from threadline.jobs.seam.journeys import swinging_modes, with_journeys
-from threadline.jobs.seam.read_toml import MAX_TOML_BYTES, SeamFile, read_seam_file
+from threadline.jobs.seam.corners import swinging_modes, with_journeys
+from threadline.jobs.seam.read_toml import MAX_TOML_BYTES, SeamChoice, SeamFile, read_seam_file
 from threadline.jobs.seam.settings import stitching
-from threadline.jobs.seam.sewing import SewnContour, sewn_contour
-from threadline.jobs.seam.stitch_stream import StitchStream
+from threadline.jobs.seam.sewing import SewnContour, StitchBlock, sewn_contour
 from threadline.machine import Machine
+
+MAX_REACH_M = 1e4
+
+
+def seam_choices(seam_file: SeamFile, drawing: Drawing) -> list[SeamChoice]:
+    """Return the seams that were asked for, or one for each layer or colour."""
+    if seam_file.choices:
+        return list(seam_file.choices)
+    if seam_file.by == "all":
+        return [SeamChoice(name="seam")]
+    by = seam_file.by
+    found = dict.fromkeys(getattr(stroke, by) for stroke in drawing.strokes)
+    for refusal in drawing.refusals:
+        # A text of an SVG counts for every colour.
+        if by == "layer" or refusal.colour:
+            found.setdefault(getattr(refusal, by))
+    if not found:
+        return [SeamChoice(name="seam")]
+    return [
+        SeamChoice(name=value or "seam", layer=value)
+        if by == "layer"
+        else SeamChoice(name=value, colour=value)
+        for value in found
+    ]
+
+
+def seam_contours(
+    drawing: Drawing, choice: SeamChoice, seam_file: SeamFile
+) -> tuple[list[Contour], list[str]]:
+    """Return the contours of a seam on the machine, and warnings.
+
+    Raises
+    ------
+    JobError
+        If the seam has an entity that cannot be sewn, or none at all.
+    """
+    file = drawing.file
+    for refusal in drawing.refusals:
+        same_colour = choice.colour is None or refusal.colour in ("", choice.colour)
+        if same_colour and choice.layer in (None, refusal.layer):
+            raise JobError(
+                f"layer {refusal.layer!r}: {refusal.message}",
+                place=Place(file, refusal.line),
+                remedy=refusal.remedy,
+            )
+    chosen = [
+        stroke
+        for stroke in drawing.strokes
+        if choice.layer in (None, stroke.layer) and choice.colour in (None, stroke.colour)
+    ]
+    _check_size(chosen, file)
+    chosen, warnings = drop_zero_lengths(chosen, file)
+    if any(seam_file.origin_m):
+        origin = np.array(seam_file.origin_m)
+        chosen = [
+            replace(stroke, pieces=stroke.pieces.transform(np.eye(2), origin)) for stroke in chosen
+        ]
+    if not chosen:
+        layers = sorted({f"{s.layer or '(no name)'} {s.colour}" for s in drawing.strokes})
+        raise JobError(
+            f"seam {choice.name!r} has nothing to sew",
+            place=choice.places.get("layer", choice.places.get("colour", Place(file))),
+            remedy=f"The drawing has the layers and colours: {', '.join(layers[:20]) or 'none'}.",
+        )
+    contours, found = join_strokes(chosen, seam_file.gap_m, file)
+    return contours, warnings + found
+
+
+def _check_size(strokes: list[Stroke], file: str) -> None:
+    pieces = join_pieces([stroke.pieces for stroke in strokes])
+    good = (np.abs(pieces.top) < MAX_REACH_M).all(axis=(1, 2))
+    good &= np.isfinite(pieces.bottom).all(axis=1)
+    good &= np.isfinite(pieces.begin_rad) & np.isfinite(pieces.sweep_rad)
+    if not good.all():
+        raise JobError(
+            f"a stroke reaches further than {MAX_REACH_M:g} m",
+            place=Place(file, int(pieces.line[int(np.argmin(good))])),
+            remedy="Check the unit of the drawing.",
+        )
+
+
+_RAPID = Feed(FeedMode.RAPID, 0.0)
+_RUN = 4096
+
+
+class StitchStream(OperationStream):
+    """The operations of a job's contours: for each of them travel, its stitches, and a trim."""
+
+    __slots__ = ()
+
+    def __init__(self, sewn: Sequence[SewnContour]) -> None:
+        super().__init__(Stream(_runs, sewn))
+
+
+def _runs(sewn: Sequence[SewnContour]) -> Iterator[Operation | MoveRun]:
+    for number, contour in enumerate(sewn):
+        yield from _begin(contour)
+        needle = _Needle(contour, number)
+        line = contour.place.line
+        for block, most_hz in _with_most(contour):
+            line = int(block.line[-1])
+            columns = needle.columns(block)
+            for start in range(0, len(block.line), _RUN):
+                part = slice(start, start + _RUN)
+                yield MoveRun(
+                    targets=block.points[1:][part],
+                    line=block.line[part],
+                    feeds=tuple(_feeds(contour, block.times_s[part], most_hz[part])),
+                    file=contour.place.file,
+                    passes=(),
+                    columns={name: column[part] for name, column in columns.items()},
+                )
+            yield from _rest(contour, block)
+        source = Source(contour.place.file, line)
+        yield ToolEvent("trim", 1.0, source)
+        if contour.settings.trim_s:
+            yield Dwell(contour.settings.trim_s, source)
+
+
+def _begin(contour: SewnContour) -> Iterator[Operation]:
+    source = Source(contour.place.file, contour.place.line)
+    x, y = contour.start().tolist()
+    speed = contour.settings.travel_speed_m_s
+    feed = _RAPID if speed is None or math.isinf(speed) else Feed(FeedMode.PATH, speed)
+    yield Move((x, y), feed, source, {"kind": "travel", "seam": contour.seam})
+    if contour.settings.settle_s:
+        yield Dwell(contour.settings.settle_s, source)
+    yield ToolEvent("sew", 1.0, source)
+
+
+def _rest(contour: SewnContour, block: StitchBlock) -> Iterator[Operation]:
+    if block.rests and block.leg is not contour.legs[-1]:
+        yield Dwell(0.0, Source(contour.place.file, int(block.line[-1])))
+
+
+def _with_most(contour: SewnContour) -> Iterator[tuple[StitchBlock, FloatArray]]:
+    """Yield blocks with the (n,) speeds up to which a timing by limits may turn the needle.
+
+    Where a corner is rounded one piece of the path is of two stitches, and has one speed. So that
+    neither of them takes less than a turn, both have that of the shorter.
+    """
+    held: tuple[StitchBlock, FloatArray] | None = None
+    for block in contour.blocks():
+        most_hz = np.full(len(block.lengths_m), contour.settings.needle_speed_hz)
+        # Only a needle that follows has such speeds; others need no leg in hand.
+        if not contour.settings.follows:
+            yield block, most_hz
+            continue
+        if held is not None:
+            before, slowed_hz = held
+            if not before.rests:
+                ratio = float(block.lengths_m[0] / before.lengths_m[-1])
+                slowed_hz[-1] = min(slowed_hz[-1], most_hz[0] * ratio)
+                most_hz[0] *= min(1.0, 1.0 / ratio)
+            yield held
+        held = block, most_hz
+    if held is not None:
+        yield held
+
+
+def _feeds(
+    contour: SewnContour, times_s: FloatArray, most_hz: FloatArray
+) -> Iterator[tuple[int, Feed]]:
+    """Yield each feed with the index of the first stitch to which it applies."""
+    if contour.settings.needle == "constant":
+        yield 0, Feed(FeedMode.INVERSE_TIME, contour.settings.needle_speed_hz)
+        return
+    changes = np.diff(times_s, prepend=-1.0) != 0.0
+    if contour.settings.follows:
+        changes |= np.diff(most_hz, prepend=-1.0) != 0.0
+    for k in np.flatnonzero(changes).tolist():
+        most = float(most_hz[k]) if contour.settings.follows else None
+        yield k, Feed(FeedMode.INVERSE_TIME, 1.0 / float(times_s[k]), most=most)
+
+
+class _Needle:
+    """Counts the stitches of a contour and their time."""
+
+    def __init__(self, contour: SewnContour, number: int) -> None:
+        self.contour = contour
+        self.number = number
+        self.stitch = 0
+        self.time_s = 0.0
+
+    def columns(self, block: StitchBlock) -> dict[str, Column]:
+        """Return the tags of the stitches of a leg, as columns."""
+        settings, count = self.contour.settings, len(block.lengths_m)
+        stitch = np.arange(self.stitch, self.stitch + count)
+        if settings.needle == "constant":
+            # Whole turns of the needle are counted, so that no rounding adds up.
+            ends_s = (stitch + 1) / settings.needle_speed_hz
+        else:
+            ends_s = np.cumsum(np.concatenate([[self.time_s], block.times_s]))[1:]
+        corner = np.zeros(count, dtype=np.int64)
+        corner[-1] = block.leg.end_turn_rad is not None
+        self.stitch += count
+        self.time_s = float(ends_s[-1])
+        follows: dict[str, Column] = {}
+        if settings.follows:
+            follows["slowest_hz"] = np.full(count, settings.needle_slowest_hz)
+            follows["fastest_hz"] = np.full(count, settings.needle_speed_hz)
+            if math.isfinite(settings.needle_acceleration_hz_s):
+                follows["most_hz_s"] = np.full(count, settings.needle_acceleration_hz_s)
+        return follows | {
+            "kind": np.full(count, "lock" if block.leg.lock else "sew"),
+            "seam": np.full(count, self.contour.seam),
+            "contour": np.full(count, self.number),
+            "stitch": stitch,
+            "exempt": block.exempt.astype(np.int64),
+            "corner": corner,
+            "needle_s": ends_s,
+            "length_m": block.lengths_m,
+            "target_m": block.target_m,
+            "from_m": block.at_m[:-1],
+            "to_m": block.at_m[1:],
+        }
+
 
 AXES = ("X", "Y")
 _READERS = {".csv": read_csv, ".dxf": read_dxf, ".svg": read_svg}

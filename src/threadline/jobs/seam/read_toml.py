@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from threadline.drawing.strokes import Drawing, Stroke, decode_text
-from threadline.drawing.written import CONTOUR_KEYS, written_contour
+from threadline.base.wording import nearest, toml_fault
 from threadline.errors import JobError, Place, UnitError
-from threadline.foreign_messages import nearest, toml_fault
+from threadline.geometry.contours import CONTOUR_KEYS, written_contour
+from threadline.geometry.strokes import Drawing, Stroke, decode_text
 from threadline.jobs.seam.settings import STITCHING_KEYS
 from threadline.units import parse_quantity, unit_factor
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from threadline.drawing.offset import Allowance
+from threadline.base.wording import nearest
 from threadline.errors import JobError, Place, UnitError
-from threadline.foreign_messages import nearest
+from threadline.geometry.offset import Allowance
 from threadline.units import parse_quantity
 
 EXAMPLE = (

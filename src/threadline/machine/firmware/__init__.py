@@ -1,20 +1,16 @@
 """Machine files from the settings of controllers: grbl, FluidNC, Marlin, Klipper, RRF, LinuxCNC."""
 
-from threadline.machine.firmware.axis_settings import (
-    AxisSettings,
-    Said,
-    Settings,
-    number_or_nan,
-)
+from threadline.machine.firmware.axis_settings import AxisSettings, Said, Settings, number_or_nan
 from threadline.machine.firmware.machine_text import (
     DEFAULTS,
+    Answers,
     Missing,
     check_answers,
     machine_text,
     missing_answers,
+    parse_answers,
     turning_axes,
 )
-from threadline.machine.firmware.owner_answers import Answers, parse_answers
 from threadline.machine.firmware.read import read_settings
 
 __all__ = [

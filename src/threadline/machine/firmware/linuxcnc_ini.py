@@ -12,8 +12,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+from threadline.base.reading import read_text
 from threadline.errors import MachineError, Place
-from threadline.input_files import read_text
 from threadline.machine.firmware.axis_settings import (
     AxisSettings,
     Settings,

@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from threadline.base.reading import read_text
 from threadline.errors import MachineError, Place
-from threadline.input_files import read_text
 from threadline.machine.firmware.axis_settings import Settings, times, unknown
 from threadline.machine.firmware.dump_lines import files_beside
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from threadline.base.reading import read_text
 from threadline.errors import MachineError, Place
-from threadline.input_files import read_text
 from threadline.machine.firmware.axis_settings import Settings
 from threadline.machine.firmware.config_g import is_config_g, read_config_g
 from threadline.machine.firmware.grbl_dump import is_fluidnc, is_grbl, read_fluidnc, read_grbl

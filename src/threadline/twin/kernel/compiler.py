@@ -16,7 +16,7 @@ import llvmlite
 import llvmlite.binding as llvm
 from llvmlite import ir
 
-from threadline.compiled import where_kept
+from threadline.base.compiled import where_kept
 from threadline.machine import controllers
 from threadline.twin import timeline
 from threadline.twin.kernel.kept_code import KeptCode

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.dynamics.network import piecewise_linear
+from threadline.dynamics.values import Values
 from threadline.machine import Machine
-from threadline.plant.network import piecewise_linear
-from threadline.plant.values import Values
 from threadline.twin.kernel.names import ClockEntry, Count, Field
 from threadline.twin.kernel.piece import Piece, prepared
 from threadline.twin.kernel.state import Snapshot, State, new_state

@@ -11,7 +11,7 @@ import uuid
 from contextlib import suppress
 from pathlib import Path
 
-from threadline.compiled import FileLock
+from threadline.base.compiled import FileLock
 
 _MOST = 512
 """Number of files that are kept; the one that was not asked for the longest goes first."""

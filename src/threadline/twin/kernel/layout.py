@@ -9,15 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from threadline.arrays import FloatArray
-from threadline.twin.kernel.names import (
-    AXIS_CHANGING,
-    CHANGING,
-    NUMBERS,
-    Field,
-    PlanLayout,
-    Row,
-)
+from threadline.base.arrays import FloatArray
+from threadline.twin.kernel.names import AXIS_CHANGING, CHANGING, NUMBERS, Field, PlanLayout, Row
 from threadline.twin.kernel.shape import ControllerShape, Shape
 
 _LINE, _PAGE = 64, 4096

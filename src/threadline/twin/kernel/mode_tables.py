@@ -15,7 +15,7 @@ from threading import Lock
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import MachineError, ThreadlineError
 from threadline.twin.kernel.layout import Layout, aligned
 from threadline.twin.kernel.names import Field

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import IntArray
-from threadline.plant.network import PiecewiseLinear
+from threadline.base.arrays import IntArray
+from threadline.dynamics.network import PiecewiseLinear
 from threadline.twin.kernel.shape import AxisShape, ControllerShape, GuardShape, Pattern, Shape
 from threadline.twin.kernel.tables import NET_GUARD, ControlTables, PlantTables
 

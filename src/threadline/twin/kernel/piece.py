@@ -7,23 +7,18 @@ from math import ceil
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.dynamics.network import PiecewiseLinear
+from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
-from threadline.plant.network import PiecewiseLinear
-from threadline.plant.values import Values
 from threadline.twin.kernel.layout import Layout
 from threadline.twin.kernel.mode_tables import ModeTables
 from threadline.twin.kernel.names import Action, Do, Row, SampleLayout
 from threadline.twin.kernel.patterns import shape_of
 from threadline.twin.kernel.shape import Shape
-from threadline.twin.kernel.tables import (
-    ControlTables,
-    PlantTables,
-    control_tables,
-    plant_tables,
-)
+from threadline.twin.kernel.tables import ControlTables, PlantTables, control_tables, plant_tables
 from threadline.twin.timeline import Schedule, make_schedule
 
 _CACHE_BYTES = 16_000

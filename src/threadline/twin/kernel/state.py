@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
 from threadline.machine import Machine
 from threadline.twin.kernel.layout import Layout, aligned
 from threadline.twin.kernel.mode_tables import ModeTables

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from threadline.arrays import FloatArray, IntArray
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.dynamics.network import PiecewiseLinear
+from threadline.dynamics.sampled import difference_equation
+from threadline.dynamics.values import Values
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController, TrapezoidController
 from threadline.machine.parts import Encoder
-from threadline.plant.controllers import difference_equation
-from threadline.plant.network import PiecewiseLinear
-from threadline.plant.values import Values
 
 ROW_GUARD, NET_GUARD = 1, 2
 _RELATIVE_SLACK = 1e-12

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import NoReturn
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.dialects import Flavour
 from threadline.jobs.gcode.parametric.flow import Flow, Step
 from threadline.jobs.gcode.parametric.formulas import Formula, FormulaReader
 from threadline.jobs.gcode.parametric.parameters import Values

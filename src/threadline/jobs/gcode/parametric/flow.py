@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, NoReturn
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.dialects import Flavour
 
 WORDS = (
     "endrepeat", "endwhile", "continue", "elseif", "repeat", "return", "endsub", "endif", "while",

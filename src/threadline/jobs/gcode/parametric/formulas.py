@@ -15,7 +15,7 @@ from typing import NoReturn
 import numpy as np
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.flavour import Flavour, in_degrees, radians
+from threadline.jobs.gcode.dialects import Flavour, in_degrees, radians
 from threadline.jobs.gcode.parametric.parameters import Values
 
 Formula = Callable[[Values], float]

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.dialects import Flavour
 
 ARGUMENTS = 30
 """A subroutine has as many parameters of its own: #1 to #30."""

@@ -8,20 +8,22 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NoReturn
 
-from threadline.errors import JobError, Place
+from threadline.errors import BudgetError, JobError, Place
 from threadline.jobs.gcode.block import Block, block_of
-from threadline.jobs.gcode.dialects import Reading
-from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.dialects import Flavour, Reading
+from threadline.jobs.gcode.feeds import FRule
 from threadline.jobs.gcode.grammar import check_length
 from threadline.jobs.gcode.modal import Modal, ProgramText
 from threadline.jobs.gcode.parametric.course import Run
 from threadline.jobs.gcode.parametric.flow import WORDS, Flow, FlowReader, o_word
 from threadline.jobs.gcode.parametric.parameters import Values
 from threadline.jobs.gcode.parametric.statements import Code, code_of
-from threadline.jobs.gcode.tapes import TAPE, Tapes
+from threadline.jobs.gcode.scan import Findings
 from threadline.jobs.gcode.textfile import Lines, SourceFile
-from threadline.jobs.gcode.words import ONE, refuse_switched
-from threadline.jobs.operations import MoveRun, Operation, Source, Stop
+from threadline.jobs.gcode.words import ONE, TAPE, Tapes, refuse_switched
+from threadline.jobs.gcode.zeros import SystemsUsed, zeros_of
+from threadline.jobs.operations import Move, MoveRun, Operation, Source, Stop
+from threadline.machine import Machine
 
 MOST_BYTES = 16 << 20
 _SIGN = re.compile(
@@ -222,3 +224,80 @@ class ParametricInterpreter(Modal):
         away = (self._exact[index] - self._zeros.offset[index]) / ONE
         value = away * 10.0 / self._tenth_mm if self._linear[index] else away
         return self._flavour.rounded(value if math.isfinite(value) else 0.0)
+
+
+MOST_OPERATIONS = 5_000_000
+"""Moves, chords of arcs, dwells and such that a program with parameters may come to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surveyed:
+    """A program, what was found in its first run, and the indices of the axes that it names."""
+
+    program: ParametricProgram
+    findings: Findings
+    moved: list[int]
+
+
+def survey(
+    file: SourceFile, reading: Reading, linear: tuple[bool, ...], rule: FRule, machine: Machine
+) -> Surveyed:
+    """Run a program once.
+
+    Where it moves in several coordinate systems it is run a second time, with their zeros, since
+    its own position is among what it can ask for.
+
+    Raises
+    ------
+    JobError
+        If it cannot be read, runs too long, or moves nothing.
+    BudgetError
+        If it has more operations than the machine's tick budget.
+    """
+    flavour = reading.dialect.flavour
+    assert flavour is not None
+    systems = SystemsUsed()
+    program = ParametricProgram(file, reading, linear, rule, {}, flavour)
+    surveyed = _run(program, systems, machine)
+    zeros = zeros_of(systems, machine, file)
+    if zeros:
+        program = ParametricProgram(file, reading, linear, rule, zeros, flavour)
+        surveyed = _run(program, SystemsUsed(), machine)
+    return surveyed
+
+
+def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> Surveyed:
+    file, findings = program.file, Findings()
+    moved: set[int] = set()
+    budget = int(machine.tick_budget.si)
+    most = min(budget, MOST_OPERATIONS)
+    operations, moves, motion = 0, False, -1
+    interpreter = ParametricInterpreter(program)
+    for block, made in interpreter.blocks():
+        motion = block.motion if block.motion >= 0 else motion
+        if block.feed is not None and block.axes and motion == 0 and not findings.rapid_f:
+            findings.rapid_f = block.line
+        findings.note(None, block)
+        moved.update(index for index, _ in block.axes)
+        systems.take(block.settings, block.line, moves=block.goes)
+        for operation in made:
+            moves = moves or isinstance(operation, Move)
+            operations += 1
+            if operations > most:
+                raise BudgetError(
+                    f"the program asks for more than {most} operations; the machine's tick budget "
+                    f"is {budget} and each counts as a tick at least, and a program with "
+                    f"parameters may have {MOST_OPERATIONS}",
+                    place=file.place(block.line),
+                    remedy="Does a loop have no end? Lower its count, or raise tick_budget in the "
+                    "machine file.",
+                )
+    if not moves:
+        raise JobError(
+            "the program moves nothing",
+            place=file.place(),
+            remedy="Name a file with a program that moves an axis.",
+        )
+    findings.unset = interpreter.values.unset
+    findings.doubtful = interpreter.values.doubtful
+    return Surveyed(program, findings, sorted(moved))

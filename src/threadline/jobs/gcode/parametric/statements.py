@@ -9,7 +9,7 @@ from decimal import Decimal
 from typing import NamedTuple
 
 from threadline.errors import Place
-from threadline.jobs.gcode.flavour import Flavour
+from threadline.jobs.gcode.dialects import Flavour
 from threadline.jobs.gcode.parametric.formulas import NUMBER, Formula, FormulaReader
 from threadline.jobs.gcode.parametric.parameters import Values
 from threadline.jobs.gcode.words import MAX_DECIMALS, RawBlock, tags_of, without_comments

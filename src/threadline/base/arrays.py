@@ -1,0 +1,175 @@
+"""Read-only checked arrays, and results kept for a search that asks again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any, Generic, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+ComplexArray: TypeAlias = NDArray[np.complex128]
+IntArray: TypeAlias = NDArray[np.int64]
+
+
+def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
+    """Return a locked float64 array of ``values``: a copy, unless nobody can change them any more.
+
+    Parameters
+    ----------
+    values
+        Anything that numpy turns into an array of finite numbers. An array that is locked
+        already, with all that it is a view of, is taken as it is.
+    name
+        Named in the error.
+    ndim
+        The number of dimensions that the array must have.
+
+    Raises
+    ------
+    ValueError
+        If the number of dimensions differs or a value is not finite.
+    """
+    array = _taken(values, np.float64)
+    _check_ndim(array.ndim, name, ndim)
+    if not np.isfinite(array).all():
+        at = np.argwhere(~np.isfinite(array))[0].tolist()
+        raise ValueError(f"{name} must be finite, found {array[tuple(at)]!r} at index {at}")
+    array.flags.writeable = False
+    return array
+
+
+def real_numbers(values: ArrayLike) -> FloatArray:
+    """Return a fresh float64 array of ``values``, which must be real numbers already.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they are texts, complex, nothing, masked, beyond the range of floats, or rows of unequal
+        length.
+    """
+    if _is_masked(values):
+        raise TypeError("masked values are not real numbers")
+    array = np.asarray(values)
+    if array.dtype.kind not in "biufO":
+        raise TypeError(f"{array.dtype} are not real numbers")
+    if array.dtype.kind == "O" and any(one is None or isinstance(one, str) for one in array.flat):
+        raise TypeError("texts, or nothing, are not real numbers")
+    try:
+        return np.array(array, dtype=np.float64)
+    except OverflowError as error:
+        raise ValueError("a whole number is beyond the range of floats") from error
+
+
+def _is_masked(values: object) -> bool:
+    """Return whether a value is hidden by a mask, which numpy drops without a word."""
+    if isinstance(values, list | tuple):
+        return any(_is_masked(one) for one in values if not isinstance(one, float | int))
+    return np.ma.is_masked(values)
+
+
+def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
+    """Return a locked int64 array as ``read_only`` does; refuse fractions, do not truncate them.
+
+    Raises
+    ------
+    ValueError
+        If the number of dimensions differs or a value is not a whole number.
+    """
+    source = np.asarray(values)
+    if source.size and source.dtype.kind not in "iu":
+        raise ValueError(f"{name} must hold whole numbers, got {source.dtype}")
+    array = _taken(source, np.int64)
+    _check_ndim(array.ndim, name, ndim)
+    array.flags.writeable = False
+    return array
+
+
+def _taken(values: ArrayLike, dtype: type[Any]) -> NDArray[Any]:
+    """Return a copy of ``values``, or themselves where nothing can write to them any more."""
+    if type(values) is np.ndarray and values.dtype == dtype and values.flags.c_contiguous:
+        part: Any = values
+        while isinstance(part, np.ndarray) and not part.flags.writeable:
+            part = part.base
+        if part is None:
+            return values
+    return np.array(values, dtype=dtype)
+
+
+def largest_of_axes(values: FloatArray) -> FloatArray:
+    """Return the (n,) largest of each row of (n, axes) values.
+
+    Axis after axis: numpy compares along a short inner dimension slowly.
+    """
+    largest: FloatArray = values[:, 0]
+    for axis in range(1, values.shape[1]):
+        largest = np.maximum(largest, values[:, axis])
+    return largest
+
+
+def _check_ndim(found: int, name: str, wanted: int) -> None:
+    if found != wanted:
+        raise ValueError(f"{name} must have {wanted} dimension(s), got {found}")
+
+
+class Locked:
+    """Base of frozen dataclasses that hold read-only arrays: their copies are read-only too.
+
+    Pickling an array drops its read-only flag; unpickling one of these classes sets it again.
+    """
+
+    __slots__ = ()
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        names = [field.name for field in fields(self)]  # type: ignore[arg-type]
+        return _locked, (type(self), {name: getattr(self, name) for name in names})
+
+
+def _locked(cls: type[Any], state: Mapping[str, Any]) -> Any:
+    """Return an object of ``cls`` in ``state``, with every array of it locked."""
+    found = object.__new__(cls)
+    for name, value in state.items():
+        for array in value.values() if isinstance(value, Mapping) else (value,):
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+        object.__setattr__(found, name, value)
+    return found
+
+
+def finite(value: float | None) -> float | None:
+    """Return ``value``, or None where it is not a finite number: JSON has no other word for it."""
+    return value if value is not None and math.isfinite(value) else None
+
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+class Recent(Generic[K, V]):
+    """The last things that were made, each with what it was made of.
+
+    Threads that ask side by side may lose one, and make it again.
+
+    Parameters
+    ----------
+    most
+        Number of things that are kept.
+    alike
+        Says whether the same would be made of two.
+    """
+
+    def __init__(self, most: int, alike: Callable[[K, K], bool]) -> None:
+        self._most, self._alike = most, alike
+        self._known: tuple[tuple[K, V], ...] = ()
+
+    def of(self, key: K, make: Callable[[], V]) -> V:
+        """Return what was made of ``key`` or one like it; else make it, and keep it."""
+        for known, made in self._known:
+            if self._alike(known, key):
+                return made
+        made = make()
+        self._known = ((key, made), *self._known[: self._most - 1])
+        return made

@@ -1,0 +1,68 @@
+"""Linear programs that are small and dense, by the simplex method first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from threadline.base.arrays import FloatArray
+
+Bounds = tuple[float | None, float | None]
+Rows = tuple[FloatArray, ArrayLike]
+"""A matrix of rows, and the value of each."""
+
+QUICK: Any = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
+"""How simplex is asked. Looking at a dense program before it is solved finds nothing to leave out,
+and takes longer than to solve it; exact weights of the edges cost more than the steps they save."""
+
+_OUT_OF_TIME = 1
+_ANSWERED = (0, _OUT_OF_TIME, 2)  # at the least cost; 2 where no x meets the rows
+
+
+def solved(
+    cost: FloatArray,
+    *,
+    equal: Rows | None = None,
+    below: Rows | None = None,
+    bounds: Bounds | Sequence[Bounds],
+    seconds: float | None = None,
+) -> Any:
+    """Minimise ``cost`` @ x under rows @ x = values and rows @ x <= values.
+
+    Where the quick way has no answer, the program is given to the solver as it comes.
+
+    Parameters
+    ----------
+    seconds
+        How long the solver may take, each time that it is asked. A degenerate program can keep the
+        simplex method for minutes; then the interior-point method gets as long.
+
+    Returns
+    -------
+    scipy.optimize.OptimizeResult
+        What ``linprog`` of scipy answers; its status is 0 at the least cost, 2 where no x meets
+        the rows.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> found = solved(np.array([1.0, 2.0]), below=(-np.ones((1, 2)), [-3.0]), bounds=(0.0, None))
+    >>> found.status, found.x.tolist()
+    (0, [3.0, 0.0])
+    """
+    from scipy.optimize import linprog
+
+    problem: dict[str, Any] = {"bounds": bounds}
+    if equal is not None:
+        problem["A_eq"], problem["b_eq"] = equal
+    if below is not None:
+        problem["A_ub"], problem["b_ub"] = below
+    time: Any = {} if seconds is None else {"time_limit": seconds}
+    found = linprog(cost, **problem, method="highs-ds", options=QUICK | time)
+    if found.status not in _ANSWERED:
+        found = linprog(cost, **problem, method="highs", options=time)
+    if found.status == _OUT_OF_TIME and seconds is not None:
+        found = linprog(cost, **problem, method="highs-ipm", options=time)
+    return found

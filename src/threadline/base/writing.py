@@ -1,0 +1,346 @@
+"""Files that are written: all of a command appear together when it ends well, or none of them.
+
+Every file is made beside its place under a name of its own and moved there at the end, in steps
+that can be undone. None takes the place of a file that was read, of a read-only one, of a folder,
+or of a pipe or device; a link is followed. What goes to standard output goes there last. Folders
+that are missing on the way to a file are made.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import stat
+import sys
+import tempfile
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+from typing import IO
+
+from threadline.base.reading import input_behind, naming
+from threadline.errors import OptionError
+
+_PREFIX = 80  # characters of a file's name that the temporary one has too
+_STDOUT = 1
+_ANY_WRITES = 0o222
+_REMEDY = "Give another path."
+
+
+def check_output(path: Path) -> None:
+    """Refuse what must not be written over.
+
+    Raises
+    ------
+    OptionError
+        If ``path`` is a folder, read-only, a pipe or a device, or a file that was read.
+    """
+    if is_stdout(path):
+        return
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):  # the folder is looked at where it is made
+        return
+    except (OSError, ValueError) as error:  # a circle of links, a null in the name
+        why = getattr(error, "strerror", None) or error
+        raise OptionError(f"cannot write {str(path)!r}: {why}", remedy=_REMEDY) from error
+    if stat.S_ISDIR(status.st_mode):
+        raise OptionError(f"cannot write {str(path)!r}: it is a folder", remedy="Name a file.")
+    if not stat.S_ISREG(status.st_mode):
+        raise OptionError(
+            f"cannot write {str(path)!r}: it is a pipe or a device, not a file",
+            remedy="Name a file, or /dev/stdout.",
+        )
+    if not status.st_mode & _ANY_WRITES or not os.access(path, os.W_OK):
+        raise OptionError(f"cannot write {str(path)!r}: it is read-only", remedy=_REMEDY)
+    read = input_behind(path)
+    if read is not None:
+        raise OptionError(
+            f"{str(path)!r} is the input {read!r} and would be written over",
+            remedy="Give another file to write.",
+        )
+
+
+def is_stdout(path: Path) -> bool:
+    """Say whether ``path`` is where standard output goes, and no file that could be replaced."""
+    try:
+        status, own = path.stat(), os.fstat(_STDOUT)
+    except (OSError, ValueError):
+        return False
+    if str(path) in {"/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"}:
+        return True
+    return not stat.S_ISREG(own.st_mode) and os.path.samestat(status, own)
+
+
+@dataclass(slots=True)
+class _Move:
+    """A file to be moved to its place, or (``made`` is None) one to be removed."""
+
+    made: Path | None
+    place: Path
+    asked: Path
+
+
+@dataclass(slots=True)
+class _Together:
+    """What was written and has not yet appeared."""
+
+    stack: ExitStack
+    moves: list[_Move] = field(default_factory=list)
+    folders: list[Path] = field(default_factory=list)
+    unasked: list[Path] = field(default_factory=list)  # folders that no option named
+
+
+@dataclass(slots=True)
+class Appeared:
+    """What has appeared: files, and folders that were missing on the way to what was asked for."""
+
+    files: list[Path] = field(default_factory=list)
+    folders: list[Path] = field(default_factory=list)
+
+
+_TOGETHER: ContextVar[_Together | None] = ContextVar("together", default=None)
+_APPEARED: ContextVar[Appeared | None] = ContextVar("_APPEARED", default=None)
+
+
+@contextmanager
+def noting_outputs() -> Iterator[Appeared]:
+    """Tell in the block which files have appeared, and which folders were made for them."""
+    appeared = Appeared()
+    mark = _APPEARED.set(appeared)
+    try:
+        yield appeared
+    finally:
+        _APPEARED.reset(mark)
+
+
+@contextmanager
+def together(*outputs: Path | None) -> Iterator[None]:
+    """Let all files that are written in the block appear at its end, and none if it fails.
+
+    A block inside another joins it: its files appear at the end of the outer one.
+
+    Parameters
+    ----------
+    outputs
+        Files whose missing folders are made; if the block fails, these folders are removed again.
+
+    Raises
+    ------
+    OptionError
+        If one of them must not be written.
+    OSError
+        If one of them cannot be put in its place; those before it are as they were.
+    """
+    if _TOGETHER.get() is not None:
+        _make_folders(outputs)
+        yield
+        return
+    with ExitStack() as stack:
+        pending = _Together(stack)
+        stack.callback(_unmake, pending)  # last, when what was made in the folders is gone
+        mark = _TOGETHER.set(pending)
+        try:
+            _make_folders(outputs)
+            yield
+        finally:
+            _TOGETHER.reset(mark)
+        with _uninterrupted():
+            _commit(pending)
+            pending.folders.clear()
+            appeared = _APPEARED.get()
+            if appeared is not None:
+                appeared.files += [move.place for move in pending.moves]
+                appeared.folders += pending.unasked
+
+
+@contextmanager
+def staged_file(path: Path) -> Iterator[IO[bytes]]:
+    """Open a file that becomes ``path`` with the others of ``together``, or when the block ends.
+
+    The ``name`` of what is opened is where its bytes are until then.
+
+    Raises
+    ------
+    OptionError, OSError
+        As ``together``.
+    """
+    check_output(path)
+    with together():
+        pending = _pending()
+        with naming(path, _real(path).parent):
+            folder = Path(tempfile.gettempdir()) if is_stdout(path) else _made(_real(path).parent)
+        with naming(path, folder), _uninterrupted():  # what is made is noted, to be removed
+            handle, name = tempfile.mkstemp(dir=folder, prefix=f".{path.name[:_PREFIX]}.")
+            made = Path(name)
+            pending.stack.callback(made.unlink, missing_ok=True)
+        os.close(handle)
+        with naming(path, made), made.open("wb") as file:
+            yield file
+        _grant(made, path)
+        pending.moves.append(_Move(made, _real(path), path))
+
+
+@contextmanager
+def staging_folder(folder: Path) -> Iterator[Path]:
+    """Give a folder whose files appear in ``folder`` with the others of ``together``.
+
+    Raises
+    ------
+    OptionError, OSError
+        As ``together``.
+    """
+    with together():
+        pending = _pending()
+        real = _real(folder)
+        with naming(folder, real), _uninterrupted():  # what is made is noted, to be removed
+            home = _made(real, asked=True)
+            temporary = tempfile.TemporaryDirectory(dir=home, prefix=".threadline-")
+            made = Path(pending.stack.enter_context(temporary))
+        with naming(folder, made):
+            yield made
+        for file in sorted(made.iterdir()):
+            check_output(folder / file.name)
+            pending.moves.append(_Move(file, _real(folder / file.name), folder / file.name))
+
+
+def remove_with(path: Path) -> None:
+    """Remove ``path`` when the other files of the block ``together`` appear."""
+    _pending().moves.append(_Move(None, path, path))
+
+
+def content_of(path: Path) -> Path:
+    """Return where the bytes of ``path`` are now, which may not have appeared yet."""
+    pending = _TOGETHER.get()
+    staged = [m.made for m in pending.moves if m.asked == path and m.made] if pending else []
+    return staged[-1] if staged else path
+
+
+def _pending() -> _Together:
+    pending = _TOGETHER.get()
+    assert pending is not None, "outside of together()"
+    return pending
+
+
+def _real(path: Path) -> Path:
+    return Path(os.path.realpath(path))
+
+
+def _made(folder: Path, *, asked: bool = False) -> Path:
+    """Make ``folder`` and its parents; they are removed again if the block fails.
+
+    Parameters
+    ----------
+    asked
+        Whether the folder itself was asked for, and not a file in it.
+    """
+    missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
+    for each in reversed(missing):
+        with _uninterrupted():
+            each.mkdir()
+            _pending().folders.append(each)
+            if not asked or each != folder:
+                _pending().unasked.append(each)
+    return folder
+
+
+def _make_folders(outputs: Iterable[Path | None]) -> None:
+    for path in outputs:
+        if path is not None and not is_stdout(path):
+            _made(_real(path).parent)
+
+
+def _unmake(pending: _Together) -> None:
+    for folder in reversed(pending.folders):
+        with suppress(OSError):  # something else has been put there
+            folder.rmdir()
+
+
+def _grant(made: Path, path: Path) -> None:
+    """Give a new file the usual permissions, or those of the file that it replaces."""
+    try:
+        mode = stat.S_IMODE(path.stat().st_mode)
+    except OSError:
+        mask = os.umask(0)
+        os.umask(mask)
+        mode = 0o666 & ~mask
+    made.chmod(mode)
+
+
+def _commit(pending: _Together) -> None:
+    """Put every file in its place; put everything back as it was if one cannot be."""
+    undo: list[tuple[Path, Path | None]] = []  # a place, and where what was there is kept
+    to_stdout = []
+    places: dict[Path, Path] = {}
+    for move in pending.moves:
+        check_output(move.asked)  # files may have been read since, and folders made
+        other = places.setdefault(move.place, move.asked)
+        if move.made is not None and places[move.place] is not move.asked:
+            raise OptionError(
+                f"{str(move.asked)!r} is written twice, as {str(other)!r} too", remedy=_REMEDY
+            )
+        if move.made is not None and is_stdout(move.asked):
+            to_stdout.append(move.made)
+    try:
+        for move in pending.moves:
+            if move.made in to_stdout or (move.made is None and not move.place.exists()):
+                continue
+            with naming(move.asked, move.made or move.place):
+                kept = _kept(move, pending.stack)
+                undo.append((move.place, kept))
+                if move.made is None:
+                    move.place.unlink()
+                else:
+                    move.made.replace(move.place)
+        for made in to_stdout:
+            with made.open("rb") as file:
+                shutil.copyfileobj(file, sys.stdout.buffer)
+            sys.stdout.flush()
+    except BaseException:
+        for place, kept in reversed(undo):
+            with suppress(OSError):
+                place.unlink(missing_ok=True) if kept is None else kept.replace(place)
+        raise
+
+
+def _kept(move: _Move, stack: ExitStack) -> Path | None:
+    """Keep what is at the place of a file under another name there; return that name."""
+    if not move.place.exists():
+        return None
+    folder = tempfile.TemporaryDirectory(
+        dir=move.place.parent, prefix=f".{move.place.name[:_PREFIX]}."
+    )
+    kept = Path(stack.enter_context(folder)) / "old"
+    try:
+        os.link(move.place, kept)
+    except OSError:  # a file system without links
+        shutil.copy2(move.place, kept)
+    return kept
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Hold back SIGINT, SIGTERM and SIGHUP until the end of the block."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, FrameType | None]] = []
+    before = {
+        number: signal.signal(number, lambda *told: came.append(told))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if callable(signal.getsignal(number))
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for told in came[:1]:
+            handler = before[signal.Signals(told[0])]
+            if callable(handler):
+                handler(*told)

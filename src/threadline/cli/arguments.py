@@ -1,0 +1,135 @@
+"""Arguments and outputs that several commands share, with one name and one help text each.
+
+The options of planning, judging and searching are declared in ``option_table``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from threadline.errors import OptionError
+
+
+def ratio(option: str) -> Callable[[str | float], float]:
+    """Return the reader of an option that is a ratio, ``"20 %"`` or ``0.2``, for typer.
+
+    Its errors are in the words of this program; a default comes as the number that it is.
+    """
+
+    def read(text: str | float) -> float:
+        if not isinstance(text, str):
+            return text
+        # Units take a third of a second to load, and help has none to read.
+        from threadline.units import parse_number
+
+        return parse_number(option, text, "", "20 %")
+
+    read.__name__ = "ratio"  # what --help calls such a value
+    return read
+
+
+JobArgument = Annotated[Path, typer.Argument(help="Part program, seam or move list.")]
+MachineOption = Annotated[
+    str,
+    typer.Option(
+        "--machine",
+        "-m",
+        help="Machine file (.toml) or library name (threadline machines lists them), "
+        "overlays after a plus: lathe-winder+physical.",
+    ),
+]
+SpecOption = Annotated[
+    Path | None,
+    typer.Option("--spec", "-s", help="Specification file (.toml); default: the machine's own."),
+]
+ParOption = Annotated[
+    Path | None,
+    typer.Option(help="FW-CNC.PAR whose settings replace those of the machine file."),
+]
+SignOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--sign",
+        metavar="KEY",
+        help="With --proof: sign the proof with the key in this file (16 bytes and more), "
+        "HMAC-SHA256.",
+    ),
+]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--key",
+        metavar="KEY",
+        help="Refuse a proof that was not signed with the key in this file (prove --sign KEY).",
+    ),
+]
+JsonOption = Annotated[
+    bool,
+    typer.Option(
+        "--json",
+        help="Print one JSON object instead; errors stay text on stderr, stdout is then empty.",
+    ),
+]
+
+
+def named_folder(text: str) -> Path:
+    """Return a folder; refuse an empty name, which would be the current folder."""
+    if not text:
+        raise typer.BadParameter("it is empty; name a folder, or . for this one")
+    return Path(text)
+
+
+ReportOption = Annotated[
+    Path | None,
+    typer.Option(
+        parser=named_folder, metavar="<path>", help="Folder for the report (HTML, PDF, PNG, SVG)."
+    ),
+]
+RecordingOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Write the recording to this file: .npz, .csv, or .plt, a line every "
+        "operator.record_every ticks."
+    ),
+]
+
+
+def key_of(option: str, key: Path | None, proof: Path | None) -> bytes | None:
+    """Return the key that an option names, None without one.
+
+    Raises
+    ------
+    OptionError
+        If there is no proof that it could be of, or its file holds no key.
+    """
+    if key is None:
+        return None
+    if proof is None:
+        raise OptionError(f"{option} needs the file of a proof", remedy="Give --proof FILE.")
+    # Proofs take a while to load, and help reads none.
+    from threadline.proof.proof_file import read_key
+
+    return read_key(key)
+
+
+def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
+    """Refuse an output file that is one of the input files, which would be overwritten.
+
+    Raises
+    ------
+    OptionError
+        If the output is one of the inputs, by whatever name.
+    """
+    if output is None or not output.exists():
+        return
+    for name in inputs:
+        source = None if name is None else Path(name)
+        if source is not None and source.exists() and output.samefile(source):
+            raise OptionError(
+                f"{str(output)!r} is the input {str(source)!r} and would be written over",
+                remedy="Give another file to write.",
+            )

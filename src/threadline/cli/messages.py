@@ -1,0 +1,203 @@
+"""Messages on standard error: warnings after the answer, and a line each minute of a long run.
+
+An error is told alone, in one line: warnings wait until a command has answered, and are dropped if
+the command fails. Only the standard library is imported here.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+
+from threadline.base.progress import COMPILING, PLANNING
+from threadline.base.wording import grouped, plain
+
+STDOUT = "standard output"
+"""Name of standard output in errors, where a file has its path."""
+_STDERR = 2  # its file descriptor
+_NEARLY = 99  # percent: what is left then is no measure of the time
+_EVERY_S = 50.0  # a minute without a word is too long
+_LOOK_S = 1.0
+_PLANNING = "planning"
+"""The stage that has no share: how long a motion is, is known once it is planned."""
+_STARTING_S = 0.6
+_STARTING = "starting ..."
+_ERASED = "\r" + " " * len(_STARTING) + "\r"
+_COMPILING_S = 4.0  # of compiling, after which it is said what takes so long
+
+
+class Starting:
+    """A word on a terminal while a command is loaded, which nothing else can tell of yet.
+
+    It stands on a line of its own, and is taken away before anything else is printed.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._stands = False
+        self._may = False
+
+    def begin(self) -> None:
+        """Let the word appear, if standard error is a terminal."""
+        with self._lock:
+            self._may = sys.stderr is not None and sys.stderr.isatty()
+
+    def show(self) -> None:
+        """Print the word, if nothing has been printed yet."""
+        with self._lock:
+            if self._may and not self._stands:
+                self._stands = True
+                _write(_STARTING)
+
+    def over(self) -> None:
+        """Take the word away, and print it no more."""
+        with self._lock:
+            if self._stands:
+                _write(_ERASED)
+            self._may = self._stands = False
+
+
+STARTING = Starting()
+
+
+@dataclass(slots=True)
+class Telling:
+    """Warnings and progress of the command that runs.
+
+    Attributes
+    ----------
+    warnings
+        Texts that are printed after the answer.
+    stage
+        What the command is doing, as its progress call names it; empty where it has none.
+    since_s
+        Start of the stage, on the monotonic clock.
+    fraction
+        Share of the stage that is done.
+    shown
+        Whether a progress bar shows the stage.
+    """
+
+    warnings: list[str] = field(default_factory=list)
+    stage: str = ""
+    since_s: float = field(default_factory=time.monotonic)
+    fraction: float = 0.0
+    shown: bool = False
+
+    def doing(self) -> str:
+        """Return the stage, its share done, and the time left at the same rate."""
+        if not self.stage or not self.fraction:
+            so_far = PLANNING.words() if self.stage == _PLANNING else ""
+            return f"{self.stage}, {so_far}" if so_far else self.stage
+        percent = int(100.0 * self.fraction + 1e-9)
+        if percent >= _NEARLY:
+            return f"{self.stage}, nearly done"
+        passed_s = time.monotonic() - self.since_s
+        left_s = passed_s * (1.0 - self.fraction) / self.fraction
+        return f"{self.stage}, {percent} % done, about {_lasting(left_s)} more"
+
+
+_TELLING: ContextVar[Telling | None] = ContextVar("telling", default=None)
+
+
+def note(text: str) -> None:
+    """Print a line for people on standard error, so that --json stays pure.
+
+    Where standard error is closed, the line is lost and nothing fails.
+    """
+    STARTING.over()
+    _write(plain(text) + "\n")
+
+
+def _write(text: str) -> None:
+    try:
+        sys.stderr.write(text)
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        with suppress(OSError):  # or the interpreter would flush what is left, and complain
+            os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
+
+
+def warning(text: str) -> None:
+    """Tell a warning once the command has answered; at once where no command is running."""
+    telling = _TELLING.get()
+    if telling is None:
+        note(f"warning: {text}")
+    else:
+        telling.warnings.append(text)
+
+
+def at_work(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
+    """Record the stage of the command, the share of it done, and whether a bar shows it."""
+    telling = _TELLING.get()
+    if telling is None:
+        return
+    # A stage that names what it is at (a duration, a limit) goes on; a new one begins low.
+    if stage != telling.stage and fraction <= telling.fraction:
+        telling.since_s = time.monotonic()
+    telling.stage, telling.fraction, telling.shown = stage, fraction, shown
+
+
+def _lasting(seconds: float) -> str:
+    for unit, size_s in (("days", 86_400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size_s:
+            return f"{_two_digits(seconds / size_s)} {unit}"
+    return f"{_two_digits(seconds)} s"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
+
+
+@contextmanager
+def telling(*, starting: bool = False) -> Iterator[Telling]:
+    """Collect the warnings of the block; print every minute that the command is still at work.
+
+    That machine code is compiled, which happens once on a computer, is printed once. With
+    ``starting`` a terminal shows within a second that the command is being loaded.
+    """
+    held = Telling()
+    before = _TELLING.set(held)
+    ended = threading.Event()
+    word = threading.Timer(_STARTING_S, STARTING.show)
+    if starting:
+        STARTING.begin()
+        word.daemon = True
+        word.start()
+    beat = threading.Thread(target=_beat, args=(held, ended), daemon=True)
+    beat.start()
+    try:
+        yield held
+    finally:
+        word.cancel()
+        STARTING.over()
+        ended.set()
+        beat.join()  # or a word that it has begun would come behind the error, or within it
+        _TELLING.reset(before)
+
+
+def _beat(held: Telling, ended: threading.Event) -> None:
+    began = told = time.monotonic()
+    compiled_s: float | None = COMPILING.lasted_s()
+    while not ended.wait(min(_LOOK_S, _EVERY_S)):
+        if compiled_s is not None and COMPILING.lasted_s() - compiled_s > _COMPILING_S:
+            compiled_s = None
+            note("compiling machine code, once on this computer: later runs begin at once")
+        if time.monotonic() - told < _EVERY_S:
+            continue
+        told = time.monotonic()
+        if not held.shown:
+            doing = held.doing()
+            note(f"still at work after {told - began:.0f} s{doing and ': '}{doing}")
+
+
+def tell_warnings(warnings: Iterable[str]) -> None:
+    """Print warnings that have waited; those that say the same of several parts are one line."""
+    for line in grouped(warnings):
+        note(f"warning: {line}")

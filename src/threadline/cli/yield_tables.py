@@ -1,0 +1,169 @@
+"""What a yield depends on, and the cheapest tolerances, as tables and as JSON content."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, floor
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.progress import Progress
+from threadline.cli.output import print_table, say
+from threadline.machine.numbers import number_at
+from threadline.search.influence import MACHINES, CheapestSet, Influence, influence, judgements
+from threadline.search.machine_yield import Done, MachineYield, shares_of
+
+_MACHINES = MACHINES
+_SAMPLES = 256
+_SAMPLES_ALONE = 16  # where machines go one by one
+
+
+def counted(progress: Progress, what: str, total: int | None = None) -> Done:
+    """Return what tells the progress of a stage from the machines that it has judged.
+
+    Of a search nobody knows how many it will take: it tells how many it took so far.
+    """
+    through = 0
+
+    def done(count: int) -> None:
+        nonlocal through
+        through += count
+        if total is None:
+            progress(f"{what}, {through} tried", 0.0)
+        else:
+            progress(what, min(through / total, 1.0))
+
+    return done
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Why:
+    """What the yield depends on.
+
+    Parameters
+    ----------
+    indices
+        Sobol indices of the largest share of a limit.
+    halved
+        (n,) yield of ``machines`` machines, with the tolerance of one of the n numbers halved.
+    own
+        Yield of the same machines with every tolerance as it is in the file.
+    """
+
+    indices: Influence
+    halved: FloatArray
+    own: float
+    machines: int
+
+
+def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -> Why:
+    """Return what the yield depends on; of no more machines than drawn where they go one by one."""
+    normal = [number.normal for number in judged.numbers]
+    machines = _MACHINES if judged.together else min(_MACHINES, variants)
+    samples = _SAMPLES if judged.together else _SAMPLES_ALONE
+    total = (len(normal) + 1) * machines + judgements(len(normal), samples)
+    done = counted(progress, "what the yield depends on", total)
+
+    def result(parts: np.ndarray) -> np.ndarray:
+        shares, _ = shares_of(judged.judged(parts, done))
+        return np.minimum(shares, 10.0)
+
+    indices = influence(result, normal, samples, seed)
+    own = judged.drawn(machines, seed, done).share
+    halved = judged.halved(machines, seed, done)
+    return Why(indices=indices, halved=halved, own=own, machines=machines)
+
+
+def show_why(hangs: Why, judged: MachineYield) -> None:
+    """Print what the yield depends on, the number with the largest total index first."""
+    indices = hangs.indices
+    rows = [
+        [
+            number.name,
+            _within(indices.first[k], indices.first_interval[:, k]),
+            _within(indices.total[k], indices.total_interval[:, k]),
+            f"{100.0 * hangs.halved[k]:.2f} %",
+        ]
+        for k, number in enumerate(judged.numbers)
+    ]
+    rows = [rows[k] for k in np.argsort(-indices.total, kind="stable")]
+    head = ["number", "alone", "with others", "yield if halved"]
+    own = f"of {hangs.machines} machines {hangs.own:.2%} in spec"
+    print_table(f"what the yield depends on; {own}", head, rows)
+
+
+def _within(share: float, ends: FloatArray) -> str:
+    """Return an index with the ends of its 95 % interval."""
+    # Adding zero makes a zero of minus zero.
+    low, high = (f"{round(float(end), 2) + 0.0:.2f}" for end in ends)
+    return f"{round(float(share), 2) + 0.0:.2f} ({low} to {high})"
+
+
+def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
+    """Return what the yield depends on as JSON content."""
+    indices = hangs.indices
+    return {
+        "machines": hangs.machines,
+        "yield": hangs.own,
+        "numbers": [
+            {
+                "name": number.name,
+                "first": float(indices.first[k]),
+                "first_interval": indices.first_interval[:, k].tolist(),
+                "total": float(indices.total[k]),
+                "total_interval": indices.total_interval[:, k].tolist(),
+                "yield_if_halved": float(hangs.halved[k]),
+            }
+            for k, number in enumerate(judged.numbers)
+        ],
+    }
+
+
+def yield_words(interval: tuple[float, float]) -> str:
+    """Return between which shares a yield lies, rounded outwards: it never reads better than it is.
+
+    >>> yield_words((0.989979, 0.99742)), yield_words((0.025 ** (1 / 10_000), 1.0))
+    ('98.99 to 99.75 %', 'at least 99.963 %')
+    """
+    low, high = interval
+    if high == 1.0:
+        return f"at least {floor(1e5 * low) / 1e3:.5g} %"
+    return f"{floor(1e4 * low) / 1e2:.4g} to {ceil(1e4 * high) / 1e2:.4g} %"
+
+
+def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
+    """Print which tolerances to halve, and the yield of machines with these tolerances."""
+    words = (
+        f"{found.passed} of {found.tried} machines in spec, {yield_words(found.interval)} of all"
+    )
+    if not found.reached:
+        say(f"no set of tolerances was found that reaches {wished}; the best of them: {words}")
+        return
+    rows = []
+    for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True):
+        if factor < 1.0:
+            quantity = number_at(judged.plan.machine, number.numbers[0])
+            own = quantity.tolerance_si / abs(quantity.si) if quantity.si else 0.0
+            now, then = (f"+-{100.0 * own * f:.3g} %" if own else "" for f in (1.0, factor))
+            rows.append([number.name, now, then, f"1/{1.0 / factor:.0f}"])
+    head = ["number", "tolerance", "instead", "of it"]
+    print_table(f"cheapest set that reaches {wished}: {found.halvings} halvings", head, rows)
+    say(f"with it: {words}")
+
+
+def set_content(found: CheapestSet, judged: MachineYield) -> dict[str, Any]:
+    """Return the tolerances to halve and the yield they give as JSON content."""
+    return {
+        "reached": found.reached,
+        "halvings": found.halvings,
+        "passed": found.passed,
+        "machines": found.tried,
+        "interval": list(found.interval),
+        "factors": {
+            number.name: factor
+            for number, factor in zip(judged.numbers, found.factors.tolist(), strict=True)
+            if factor < 1.0
+        },
+    }

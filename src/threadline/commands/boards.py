@@ -1,0 +1,209 @@
+"""The firmwares that programs are written for: what a board takes, and which words it knows.
+
+A part program switches spindles, lasers, pens, coolants and fans, and changes tools. Written for
+the firmware that it was made for, its words go over as they are. For another firmware each is
+taken only where both know it as the same: M4 turns a spindle the other way round in LinuxCNC and
+makes the power of a laser follow its speed in grbl, S of Marlin is a share of 255 and no speed.
+
+Sources: grbl 1.1 and FluidNC (``gcode.c``, ``GCode.cpp``), LinuxCNC's and Fanuc's lists of M codes,
+marlinfw.org/meta/gcode, Klipper's and RepRapFirmware's documents of G-codes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from threadline.commands.firmware_shapers import klipper_section, marlin_commands, reprap_command
+from threadline.errors import Place, PlanError
+from threadline.jobs.operations import Job, Move, MoveRun, Stop, ToolEvent
+from threadline.machine import Machine
+from threadline.machine.motion_planner import LinuxCncPlanner
+from threadline.machine.quantity import parse_machine_quantity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """How a program for a firmware begins and ends, and what it takes.
+
+    Parameters
+    ----------
+    begin, end
+        First and last lines of a program.
+    longest
+        Characters of a line, its end not counted.
+    bytes_s
+        Characters a second that its port takes; 0 where it reads files.
+    pause
+        The word of a dwell, and how many of its units a second has.
+    planner
+        Kind of the ``[planner]`` of machines with this firmware; empty where none is known.
+    dialect
+        In which it is written and read back; empty for the one of its own name.
+    stops
+        Whether it knows M0.
+    head
+        Returns comments about a machine and the axes of a job, which come first.
+    """
+
+    begin: tuple[str, ...]
+    end: tuple[str, ...]
+    longest: int
+    bytes_s: int = 0
+    pause: tuple[str, int] = ("P", 1)
+    planner: str = ""
+    dialect: str = ""
+    stops: bool = True
+    head: Callable[[Machine, Sequence[str]], list[str]] | None = None
+
+
+_P_MM = "0.01"  # of G64: what the chords of a plan leave of it, once more
+LINUXCNC_BLENDS = LinuxCncPlanner(
+    kind="linuxcnc", tolerance=parse_machine_quantity(f"{_P_MM} mm exact, assumed", ("m",))
+)
+"""How programs for LinuxCNC are blended: by the P that they say."""
+BOARDS: Mapping[str, Board] = {
+    "grbl": Board(
+        begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520, planner="grbl"
+    ),
+    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=254, planner="grbl"),
+    "marlin": Board(
+        begin=("G21", "G90"),
+        end=("M400",),
+        longest=95,
+        bytes_s=11_520,
+        pause=("P", 1000),
+        planner="marlin",
+        head=marlin_commands,
+    ),
+    "klipper": Board(
+        begin=("G21", "G90"),
+        end=("M400",),
+        longest=255,
+        pause=("P", 1000),
+        planner="klipper",
+        dialect="marlin",
+        stops=False,
+        head=klipper_section,
+    ),
+    "reprapfirmware": Board(
+        begin=("G21", "G90"),
+        end=("M400",),
+        longest=255,
+        pause=("P", 1000),
+        planner="reprapfirmware",
+        dialect="marlin",
+        stops=False,
+        head=reprap_command,
+    ),
+    "linuxcnc": Board(
+        begin=("G21 G90 G94 G17", f"G64 P{_P_MM}"), end=("M2",), longest=255, planner="linuxcnc"
+    ),
+    "fanuc": Board(
+        begin=("%", "O1", "G21 G90 G94 G17"), end=("M30", "%"), longest=127, pause=("X", 1)
+    ),
+}
+"""By target. Serial ports are those of 115200 baud."""
+
+
+def dialect_of(target: str) -> str:
+    """Return the dialect that a target is written in."""
+    return BOARDS[target].dialect or target
+
+
+_SHOWN = 5
+_CNC = frozenset({"grbl", "fluidnc", "linuxcnc", "fanuc"})
+_TURNS_BACK = frozenset({"linuxcnc", "fanuc"})
+_PRINTERS = frozenset({"marlin", "klipper", "reprapfirmware"})
+_CHANGES = frozenset({"linuxcnc", "fanuc", "fluidnc"})
+_SAME: Mapping[str, tuple[frozenset[str], ...]] = {
+    "M0": (frozenset({"winder", *_CNC, "marlin", "reprapfirmware"}),),
+    "M1": (_TURNS_BACK,),
+    "M3": (_CNC,),
+    "M4": (_TURNS_BACK, frozenset({"grbl", "fluidnc"})),
+    "M5": (frozenset({"winder", *_CNC, "marlin", "reprapfirmware"}),),
+    "M6": (_CHANGES,),
+    "M7": (_CNC | {"marlin"},),
+    "M8": (_CNC | {"marlin"},),
+    "M9": (_CNC | {"marlin"},),
+    "M17": (frozenset({"marlin", "reprapfirmware"}),),
+    **dict.fromkeys(("M62", "M63", "M64", "M65"), (frozenset({"linuxcnc", "fluidnc"}),)),
+    **dict.fromkeys(
+        ("M18", "M82", "M83", "M84", "M104", "M106", "M107", "M109", "M140", "M190", "G28"),
+        (_PRINTERS,),
+    ),
+    **dict.fromkeys(("G55", "G56", "G57", "G58", "G59"), (_CNC,)),
+    "G92": (_CNC | _PRINTERS,),
+    "S": (_CNC,),
+    "T": (_CHANGES,),
+}
+"""By word (S and T by their letter), the firmwares between which it means the same."""
+_ARGUMENTS = frozenset("SXYZABCUVW")
+"""Letters behind a word that mean the same wherever it does; P and the like name a pin there."""
+
+
+def firmware_of(job: Job, machine: Machine) -> str:
+    """Return the firmware that a program was made for: of Marlin's dialect that of the machine."""
+    planner = machine.planner
+    if job.dialect == "marlin" and planner is not None and planner.kind in _PRINTERS:
+        return planner.kind
+    return job.dialect
+
+
+def working_words(job: Job) -> Iterator[tuple[int, str]]:
+    """Yield line and text of every word that works a machine, in order."""
+    for item in job.runs():
+        if isinstance(item, MoveRun):
+            yield from ((act.source.line, act.words) for _, acts in item.acts for act in acts)
+        elif isinstance(item, Move):
+            yield from ((act.source.line, act.words) for act in item.acts)
+        elif isinstance(item, ToolEvent | Stop) and item.words:
+            yield item.source.line, item.words
+
+
+def refuse_lost(job: Job, machine: Machine, target: str) -> None:
+    """Refuse to write a job for a target that does not take all of its words as they are meant.
+
+    Parameters
+    ----------
+    target
+        A firmware of ``BOARDS``.
+
+    Raises
+    ------
+    PlanError
+        With each word and its line, a few of them where they are many.
+    """
+    source = firmware_of(job, machine)
+    if source == target:
+        return
+    lost = {found: None for found in working_words(job) if not _goes_over(found[1], source, target)}
+    if not lost:
+        return
+    named = ", ".join(f"{words} (line {line})" for line, words in list(lost)[:_SHOWN])
+    more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
+    own = f"write it for {source}, " if source in BOARDS else ""
+    count = "1 word that works" if len(lost) == 1 else f"{len(lost)} words that work"
+    raise PlanError(
+        f"{count} the machine would be lost or mean something else in a program for {target}: "
+        f"{named}{more}",
+        place=Place(job.file, next(iter(lost))[0]),
+        remedy=f"Take them out of {job.name}, {own}or write csv or npz.",
+    )
+
+
+def _goes_over(words: str, source: str, target: str) -> bool:
+    """Say whether all words of a text mean the same to two firmwares."""
+    parts = words.split()
+    one_command = source in _PRINTERS
+    if one_command and parts[0] in {"M0", "M1"} and len(parts) > 1:
+        return False  # it goes on by itself after a time
+    for at, word in enumerate(parts):
+        if at and (one_command or word[0] not in "MGST"):
+            if word[0] not in _ARGUMENTS and (one_command or word[0] != "P"):
+                return False
+            continue
+        command = word if word[0] in "MG" else word[0]
+        if not any({source, target} <= group for group in _SAME.get(command, ())):
+            return False
+    return True

@@ -1,0 +1,469 @@
+"""The planned motion as a part program for a firmware that plans its own ramps.
+
+A firmware speeds up and slows down by itself, so that it is told where to go and how fast at most:
+chords of the planned path, as long as they stay within 0.01 mm of it, each with the greatest speed
+that was planned along it. A chord ends where the planned speed rises again after it has fallen,
+where the job changes its feed or goes over from G0 to G1, and where its words switch something. The
+text is read back in the dialect it was written in, and held against the plan, before there is a
+file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, NamedTuple
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.commands.boards import BOARDS, LINUXCNC_BLENDS, dialect_of, refuse_lost
+from threadline.commands.nc_blocks import operation_words
+from threadline.commands.planned_job import CHORD_TOLERANCE_M, CLOSE_M, merged, planned_operations
+from threadline.errors import PlanError
+from threadline.files.formats.common import Written, atomic_file, written
+from threadline.jobs.feed_times import feed_time_s, programmed_time_s
+from threadline.jobs.gcode.dialects import DIALECTS
+from threadline.jobs.gcode.feeds import RULES
+from threadline.jobs.gcode.part_program import read_part_program
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, Operation, Stop, ToolEvent
+from threadline.machine import Machine
+from threadline.machine.motion_planner import LinuxCncPlanner
+from threadline.motion.path import plan_path, programmed_path
+from threadline.motion.path.interpolations import FIRMWARE
+from threadline.motion.path.types import ProgrammedPath
+from threadline.motion.timing import plan_trajectory
+from threadline.motion.timing.types import Trajectory
+
+_DECIMALS = 4  # of a millimetre or a degree
+_MOST_POINTS = 100_000
+_HOMES = "G28"
+_NO_SLOWER = 1e-3
+"""Share by which a program may be slower than the job as it stands: F and ends are rounded."""
+
+
+class Chord(NamedTuple):
+    """A straight move: from ``points[0]`` on past the (n, axes) points, at ``speed`` at most.
+
+    ``speed`` is in m/s as F of the target counts it. ``feed`` is that of the programmed move;
+    ``acts`` happen as the chord begins.
+    """
+
+    points: FloatArray
+    speed: float
+    duration_s: float
+    feed: Feed | None = None
+    acts: tuple[ToolEvent, ...] = ()
+
+
+def write_firmware_program(
+    target: str,
+    job: Job,
+    trajectory: Trajectory,
+    machine: Machine,
+    path: Path,
+    *,
+    programmed: ProgrammedPath,
+    override: float | None = 1.0,
+    slower: bool = True,
+) -> Written:
+    """Write a plan for a firmware; the file is there when it has been read back and found right.
+
+    Parameters
+    ----------
+    programmed
+        The path of the job, with its times at the feeds that were asked for.
+    override
+        By which the feeds of the job hold: none is exceeded. None where another took their place.
+    slower
+        Whether the planner of the firmware may take longer over the program than over the job as
+        it stands. Where it may not and does, F is that of the job in place of the planned speeds:
+        the blocks are fewer, and the firmware slows down by itself where the plan does.
+
+    Raises
+    ------
+    PlanError
+        If the job holds what the dialect has no word for, a line is too long, what was read back is
+        not what was planned, or the program is slower than it may be.
+    """
+    refuse_lost(job, machine, target)
+    planned = Chords(target, job, trajectory, machine, override)
+    with atomic_file(path) as file:
+        told, as_run_s = _written_once(planned, file, programmed)
+        if not slower and _is_slower(as_run_s):
+            if override is not None:
+                told, as_run_s = _written_once(replace(planned, own_feeds=True), file, programmed)
+                told += "; F is that of the job, since the planned speeds as F would be slower"
+            refuse_slower(target, job, as_run_s)
+    return replace(written(path, (f"{path.name}: {told}",)), as_run_s=as_run_s)
+
+
+def _written_once(
+    chords: Chords, file: IO[bytes], programmed: ProgrammedPath
+) -> tuple[str, tuple[float, float] | None]:
+    """Write a program into a file, in place of what is in it, and hold it against the plan."""
+    target, machine = chords.target, chords.planned_on
+    file.seek(0)
+    file.truncate()
+    file.writelines(f"{line}\n".encode() for line in _Lines(chords))
+    file.flush()
+    told, again = _read_back(chords, Path(file.name))
+    as_run_s = _as_run_s(target, programmed, again, machine)
+    planned_by = "which the firmware makes itself"
+    if as_run_s is not None:
+        planned_by = (
+            f"{as_run_s[1]:.4g} s as the planner of {BOARDS[target].planner} runs it, which takes "
+            f"{as_run_s[0]:.4g} s over {chords.job.name} as it stands"
+        )
+    rate = _rate_words(target, Path(file.name), again, machine)
+    planned_s = chords.trajectory.duration_s
+    return f"{told}, {planned_s:.4g} s as planned with its ramps, {planned_by}{rate}", as_run_s
+
+
+def _is_slower(as_run_s: tuple[float, float] | None) -> bool:
+    return as_run_s is not None and as_run_s[1] > as_run_s[0] * (1.0 + _NO_SLOWER)
+
+
+def refuse_slower(target: str, job: Job, as_run_s: tuple[float, float] | None) -> None:
+    """Refuse a program over which the planner of its firmware takes longer than over the job.
+
+    Raises
+    ------
+    PlanError
+        With both times.
+    """
+    if as_run_s is None or not _is_slower(as_run_s):
+        return
+    raise PlanError(
+        f"the program for {target} would be slower: the planner of the firmware takes "
+        f"{as_run_s[1]:.5g} s over it, and {as_run_s[0]:.5g} s over {job.name} as it stands",
+        remedy=f"Run {job.name} itself, or give another --interpolation, a wider --tolerance or a "
+        "higher --feed; --slower writes it all the same.",
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chords:
+    """The operations of a plan with its moves merged into chords; they can be read again.
+
+    Parameters
+    ----------
+    target, job, trajectory
+        What is written, and for which firmware.
+    planned_on
+        The machine of the plan.
+    override
+        As ``write_firmware_program`` has it.
+    own_feeds
+        Whether F is that of the job, where its rule is that of the target.
+    """
+
+    target: str
+    job: Job
+    trajectory: Trajectory
+    planned_on: Machine
+    override: float | None
+    own_feeds: bool = False
+
+    @property
+    def machine(self) -> Machine:
+        """The machine, without the feed of its operator: that is in the plan already."""
+        return replace(self.planned_on, operator=None)
+
+    def __iter__(self) -> Iterator[Operation | Chord]:
+        """Yield them in order."""
+        stretch = _Stretch(self)
+        planned = planned_operations(self.job, self.trajectory, self.planned_on)
+        for item, feed in planned:
+            if not isinstance(item, Move):
+                yield from stretch.end()
+                yield item
+                continue
+            assert item.feed is not None
+            if stretch.ends_before(feed, item.acts):
+                yield from stretch.end()
+                stretch.feed, stretch.acts = feed, item.acts
+            stretch.ends.append(item.target)
+            stretch.durations_s.append(1.0 / item.feed.value)
+        yield from stretch.end()
+
+
+class _Stretch:
+    """Moves in hand that follow each other at one programmed feed.
+
+    Attributes
+    ----------
+    ends, durations_s
+        Of each move.
+    feed, acts
+        The programmed one, and what happens as the first move begins.
+    """
+
+    def __init__(self, chords: Chords) -> None:
+        job, machine = chords.job, chords.machine
+        dialect = DIALECTS[dialect_of(chords.target)]
+        mode, _ = RULES[dialect.feed_rule]
+        self._unit, self._override = Feed(mode, 1.0), chords.override
+        self._own_feeds = chords.own_feeds
+        self._rapid_is_feed = dialect.rapid_is_feed
+        self._axes, self._machine = job.axes, machine
+        self._radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in job.axes]]
+        self._start = np.array(job.start)
+        self.ends: list[tuple[float, ...]] = []
+        self.durations_s: list[float] = []
+        self.feed: Feed | None = None
+        self.acts: tuple[ToolEvent, ...] = ()
+
+    def ends_before(self, feed: Feed | None, acts: tuple[ToolEvent, ...]) -> bool:
+        """Say whether a move belongs to another stretch."""
+        if not self.ends or acts or len(self.ends) >= _MOST_POINTS:
+            return True
+        if self._override is None:  # one feed for all that are no G0
+            return _travels(feed) != _travels(self.feed)
+        return feed != self.feed
+
+    def end(self) -> Iterator[Chord]:
+        """Yield the chords of the moves in hand and begin at their end."""
+        if not self.ends:
+            return
+        points = np.vstack([self._start, np.array(self.ends)])
+        seconds = np.array(self.durations_s)
+        lengths = feed_time_s(np.diff(points, axis=0), self._unit, self._axes, self._machine)
+        speeds = lengths / seconds
+        if self.feed is not None and self.feed.mode is FeedMode.RAPID:
+            if not self._rapid_is_feed:
+                speeds = np.full(len(speeds), speeds.max())  # it is not written
+        elif self.feed is not None and self._override and self.feed.mode is self._unit.mode:
+            # Into a faster move the plan speeds up on the last of a slower one: F does not.
+            most = self._override * self.feed.value
+            speeds = np.full(len(speeds), most) if self._own_feeds else np.minimum(speeds, most)
+        acts = self.acts
+        for part in merged(points * self._radius_m, speeds):
+            yield Chord(
+                points[part.first : part.stop + 1],
+                part.speed,
+                float(seconds[part.first : part.stop].sum()),
+                self.feed,
+                acts,
+            )
+            acts = ()
+        self._start = points[-1]
+        self.ends, self.durations_s, self.acts = [], [], ()
+
+
+def _travels(feed: Feed | None) -> bool:
+    return feed is not None and feed.travels
+
+
+def planned_instants(
+    target: str,
+    job: Job,
+    trajectory: Trajectory,
+    machine: Machine,
+    *,
+    override: float | None = 1.0,
+) -> FloatArray:
+    """Return the instant of the plan, in s, at which each line that is written begins.
+
+    Parameters are as for ``write_firmware_program``.
+    """
+    lines = _Lines(Chords(target, job, trajectory, machine, override))
+    return np.array([begins_s for begins_s, _ in lines.timed()])
+
+
+class _Lines:
+    """The lines of a program; each moves at least one of its axes by a printed digit."""
+
+    def __init__(self, merged: Chords) -> None:
+        self._merged = merged
+        self._target, self._job, self._machine = merged.target, merged.job, merged.machine
+        self._board = BOARDS[merged.target]
+        self._dialect = DIALECTS[dialect_of(merged.target)]
+        axes = merged.machine.axes
+        self._linear = [axes[name].kind == "linear" for name in merged.job.axes]
+
+    def __iter__(self) -> Iterator[str]:
+        for _, line in self.timed():
+            if len(line) > self._board.longest:
+                raise PlanError(
+                    f"a line of {len(line)} characters: {self._target} takes {self._board.longest}",
+                    remedy="Use another target, or fewer axes.",
+                )
+            yield line
+
+    def timed(self) -> Iterator[tuple[float, str]]:
+        """Yield each line behind the instant of the plan at which it begins, s."""
+        at, feed, now_s = _written_position(np.array(self._job.start), self._linear), "", 0.0
+        if self._board.head is not None:
+            told = self._board.head(self._machine, self._job.axes)
+            yield from ((now_s, f"; {line}") for line in told)
+        yield from ((now_s, line) for line in self._board.begin)
+        modal = -1
+        waiting: list[ToolEvent] = []  # of chords too short for a printed digit
+        for item in self._merged:
+            begins_s = now_s
+            if not isinstance(item, Chord):
+                yield from ((begins_s, act.words) for act in waiting)
+                waiting = []
+                now_s += item.duration_s if isinstance(item, Dwell) else 0.0
+                yield from ((begins_s, line) for line in self._other(item))
+                continue
+            now_s += item.duration_s
+            waiting += item.acts
+            now = _written_position(item.points[-1], self._linear)
+            words = [
+                f"{name}{self._number(text)}"
+                for name, text, before in zip(self._job.axes, now, at, strict=True)
+                if text != before
+            ]
+            if not words:
+                continue
+            at = now
+            yield from ((begins_s, act.words) for act in waiting if not act.beside)
+            words += [act.words for act in waiting if act.beside]
+            waiting = []
+            g = self._motion(item.feed)
+            if g != modal or self._dialect.each_g:
+                words.insert(0, f"G{g}")
+            modal = g
+            wanted = f"{60_000.0 * item.speed:.6g}"
+            if "e" in wanted:
+                wanted = f"{60_000.0 * item.speed:.12f}".rstrip("0").rstrip(".")
+            if wanted != feed and (g == 1 or self._dialect.rapid_is_feed):
+                words.append(f"F{wanted}")
+                feed = wanted
+            yield begins_s, " ".join(words)
+        yield from ((now_s, act.words) for act in waiting)
+        yield from ((now_s, line) for line in self._board.end)
+
+    def _motion(self, feed: Feed | None) -> int:
+        """Return the G word of a chord: a G0 at the feed is one only where G0 goes at the feed."""
+        if feed is not None and feed.mode is FeedMode.RAPID:
+            return 0
+        return 0 if _travels(feed) and self._dialect.rapid_is_feed else 1
+
+    def _number(self, text: str) -> str:
+        return f"{text}." if self._dialect.points and "." not in text else text
+
+    def _other(self, item: Operation) -> Iterator[str]:
+        if isinstance(item, Dwell):
+            letter, units = self._board.pause
+            text = _decimal(item.duration_s * units)
+            yield f"G4 {letter}{self._number(text)}"
+        elif isinstance(item, Stop) and item.final:
+            pass
+        elif isinstance(item, Stop | ToolEvent) and item.words:
+            yield item.words
+        elif isinstance(item, Stop) and self._board.stops:
+            yield "M0"
+        else:
+            raise PlanError(
+                f"{self._target} has no word for {operation_words(item)}",
+                place=item.source.place,
+                remedy="Take it out of the job, or write csv or npz.",
+            )
+
+
+def _decimal(value: float) -> str:
+    text = f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
+    return "0" if text in {"-0", ""} else text
+
+
+def _written_position(position: FloatArray, linear: list[bool]) -> list[str]:
+    return [
+        _decimal(1e3 * value if straight else math.degrees(value))
+        for value, straight in zip(position.tolist(), linear, strict=True)
+    ]
+
+
+def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
+    """Hold the written program against the plan; return what it is in words, and its job.
+
+    Raises
+    ------
+    PlanError
+        If a block of it leaves the plan by more than its chords may.
+    """
+    target, job, machine = merged.target, merged.job, merged.machine
+    again = read_part_program(path, machine=machine, dialect=dialect_of(target))
+    column = [machine.axis_names.index(axis) for axis in job.axes]
+    radius_m = machine.radius_m[column]
+    order = [again.axes.index(axis) for axis in job.axes]
+    moves = (item for item in again if isinstance(item, Move))
+    linear = [machine.axes[name].kind == "linear" for name in job.axes]
+    at = np.array(job.start)
+    text_at = _written_position(at, linear)
+    worst_m, count = 0.0, 0
+    for chord in merged:
+        if not isinstance(chord, Chord):
+            if isinstance(chord, ToolEvent) and chord.words.startswith(_HOMES):
+                next(moves, None)  # the reader's own, to where the plan is already
+            continue
+        text = _written_position(chord.points[-1], linear)
+        if text != text_at:
+            text_at = text
+            move = next(moves, None)
+            if move is None:
+                raise _not_the_plan(target, "ends before it", 0.0)
+            count += 1
+            before, at = at, np.array(move.target)[order]
+            away_m = _away_m(chord.points * radius_m, before * radius_m, at * radius_m)
+            end_m = float(np.linalg.norm((at - chord.points[-1]) * radius_m))
+            worst_m = max(worst_m, away_m, end_m)
+        if worst_m > 2.0 * CHORD_TOLERANCE_M + CLOSE_M:
+            raise _not_the_plan(target, "leaves it by", worst_m)
+    if next(moves, None) is not None:
+        raise _not_the_plan(target, "goes on behind it", 0.0)
+    return (
+        f"{count} blocks, read back: within {1e3 * worst_m:.2g} mm of the plan, "
+        f"{programmed_time_s(again, machine):.4g} s by F alone",
+        again,
+    )
+
+
+def _rate_words(target: str, path: Path, again: Job, machine: Machine) -> str:
+    """Return a note where a port is too slow for a program, else nothing."""
+    most = BOARDS[target].bytes_s
+    rate = path.stat().st_size / max(programmed_time_s(again, machine), 1e-9)
+    if not most or rate <= most:
+        return ""
+    return (
+        f"; its {rate:.0f} characters a second are more than a port of 115200 baud takes ({most})"
+    )
+
+
+def _as_run_s(
+    target: str, programmed: ProgrammedPath, again: Job, machine: Machine
+) -> tuple[float, float] | None:
+    """Return how long the planner of the firmware takes over the job and over its program.
+
+    None where the machine file does not say how it plans.
+    """
+    planner = machine.planner
+    if planner is None or planner.kind != BOARDS[target].planner:
+        return None
+    own = replace(machine, operator=None)
+    before = plan_trajectory(plan_path(programmed, own, FIRMWARE), own).duration_s
+    if isinstance(planner, LinuxCncPlanner):
+        own = replace(own, planner=LINUXCNC_BLENDS)  # the program itself says how it is blended
+    path = plan_path(programmed_path(again, own), own, FIRMWARE)
+    return before, plan_trajectory(path, own).duration_s
+
+
+def _not_the_plan(target: str, what: str, off_m: float) -> PlanError:
+    by = f" {1e3 * off_m:.3g} mm" if off_m else ""
+    return PlanError(
+        f"the program for {target}, read back, is not the plan: it {what}{by}",
+        remedy="Report it with the job and the machine file.",
+    )
+
+
+def _away_m(points: FloatArray, begin: FloatArray, end: FloatArray) -> float:
+    """Return how far (n, axes) points lie from a segment at most."""
+    way = end - begin
+    squared = float(way @ way)
+    share = np.clip((points - begin) @ way / squared, 0.0, 1.0) if squared else 0.0
+    nearest = begin + np.multiply.outer(share, way) if squared else begin
+    return float(np.sqrt(((points - nearest) ** 2).sum(axis=1).max()))

@@ -1,0 +1,226 @@
+"""Finding in a stream of blocks the passes of subroutines that are alike.
+
+What is written for LinuxCNC differs in two points: every G1 has its time as G93 F, because there
+a speed is along the path of X Y Z and here it is of the fastest axis; and G64 asks for blended
+corners, within a stated distance of the program. LinuxCNC takes O words only alone on a line and
+the main program only before its subroutines, so that is how both are written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import chain, groupby, islice
+from pathlib import Path
+
+from threadline.base.wording import nc_comment
+from threadline.commands import nc_numbers as numbers
+from threadline.commands.nc_blocks import OutBlock, Wording, blocks_of
+from threadline.commands.planned_job import CHORD_TOLERANCE_M
+from threadline.errors import PlanError
+from threadline.files.formats.common import atomic_file
+from threadline.jobs.operations import Feed, Job
+from threadline.machine import Machine
+
+MAX_BODY = 100_000
+_MAX_KEPT = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """``body``, run ``passes`` times."""
+
+    body: tuple[OutBlock, ...]
+    passes: int
+
+
+def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
+    """Return ``blocks`` with the passes of outermost subroutines as loops, nested ones unrolled.
+
+    Passes that differ, as where a program sets absolute positions, become loops of their own.
+    Bodies are in memory until the end of the program: one longer than ``MAX_BODY`` blocks, and
+    all that follow the millionth block, are written out instead.
+    """
+    kept: dict[tuple[OutBlock, ...], None] = {}
+    kept_blocks = 0
+    pending: Loop | None = None
+    for pass_, group in groupby(blocks, key=_outermost_pass):
+        if pass_ == 0:
+            if pending is not None:
+                yield pending
+                pending = None
+            yield from group
+            continue
+        body = tuple(block._replace(passes=()) for block in islice(group, MAX_BODY + 1))
+        if pending is not None and pass_ > 1 and body == pending.body:
+            pending = Loop(body, pending.passes + 1)
+            continue
+        if pending is not None:
+            yield pending
+            pending = None
+        if body not in kept:
+            if len(body) > MAX_BODY or kept_blocks + len(body) > _MAX_KEPT:
+                yield from chain(body, group)
+                continue
+            kept[body] = None
+            kept_blocks += len(body)
+        pending = Loop(body, 1)
+    if pending is not None:
+        yield pending
+
+
+def _outermost_pass(block: OutBlock) -> int:
+    return block.passes[0] if block.passes else 0
+
+
+MAIN_LABEL = 1
+_N_STEP = 5
+_N_LIMIT = 99_999
+
+
+class NcStyle(StrEnum):
+    """For whom a part program is written."""
+
+    WINDER = "winder"
+    LINUXCNC = "linuxcnc"
+
+
+def part_program_lines(
+    job: Job,
+    machine: Machine,
+    *,
+    style: NcStyle | str = NcStyle.WINDER,
+    subroutines: bool = False,
+    feed: Feed | None = None,
+    blend_m: float = CHORD_TOLERANCE_M,
+) -> Iterator[str]:
+    """Return the lines of a part program, without line feeds.
+
+    Parameters
+    ----------
+    job, machine
+        What is to be said, for which machine.
+    style
+        For whom.
+    subroutines
+        Passes of the job's subroutines that are alike become calls; otherwise every move is
+        written out.
+    feed
+        Replaces the programmed feeds; only for LinuxCNC.
+    blend_m
+        How far LinuxCNC may leave the program where it blends corners (G64 P).
+
+    Raises
+    ------
+    PlanError
+        If the job holds something that a part program cannot say.
+    """
+    style = NcStyle(style)
+    linuxcnc = style is NcStyle.LINUXCNC
+    if feed is not None and not linuxcnc:
+        raise PlanError(
+            "the feeds of a program for the winder are the job's own",
+            remedy="Give the feed when the program is run.",
+        )
+    wording = Wording(incremental=subroutines, blank="" if linuxcnc else " ", timed=linuxcnc)
+    blocks = blocks_of(job, machine, wording, feed)
+    if subroutines:
+        return _Writer(style, blend_m, incremental=True).lines(fold(blocks))
+    return _Writer(style, blend_m, incremental=False).lines(blocks)
+
+
+def write_part_program(
+    job: Job,
+    machine: Machine,
+    path: str | Path,
+    *,
+    style: NcStyle | str = NcStyle.WINDER,
+    subroutines: bool = False,
+    feed: Feed | None = None,
+) -> None:
+    """Write ``job`` to ``path``; the file is there when it is whole, or not at all.
+
+    Raises
+    ------
+    PlanError
+        As ``part_program_lines``.
+    RecordingError
+        If the file cannot be written.
+    """
+    lines = part_program_lines(job, machine, style=style, subroutines=subroutines, feed=feed)
+    with atomic_file(Path(path)) as file:
+        file.writelines(f"{line}\n".encode() for line in lines)
+
+
+class _Writer:
+    def __init__(self, style: NcStyle, blend_m: float, *, incremental: bool) -> None:
+        self._blend = numbers.text(numbers.millimetres(blend_m))
+        self._linuxcnc = style is NcStyle.LINUXCNC
+        self._blank = "" if self._linuxcnc else " "
+        self._end = "" if self._linuxcnc else ";"
+        self._incremental = incremental
+        self._number = 0
+        self._motion = -1
+        self._inverse_time = False
+        self._feed: int | None = None
+        self._unsure = True
+        self._bodies: dict[tuple[OutBlock, ...], int] = {}
+
+    def lines(self, items: Iterable[OutBlock | Loop]) -> Iterator[str]:
+        yield "%"
+        yield f"O{self._blank}{MAIN_LABEL}{self._end}"
+        yield self._numbered(
+            self._words("G", 91 if self._incremental else 90), self._words("G", 21)
+        )
+        if self._linuxcnc:
+            yield self._numbered(self._words("G", 64), f"P{self._blend}")
+        ended = False
+        for item in items:
+            if isinstance(item, Loop):
+                label = self._bodies.setdefault(item.body, MAIN_LABEL + 1 + len(self._bodies))
+                call = [self._words("M", 98), self._words("P", label)]
+                if item.passes > 1:
+                    call.append(self._words("L", item.passes))
+                yield self._numbered(*call)
+                # The body leaves its own modes behind; say them all again.
+                self._forget()
+            else:
+                yield from self._block(item)
+                ended = item.final
+        if not ended:
+            yield self._numbered(self._words("M", 30))
+        for body, label in self._bodies.items():
+            yield f"O{self._blank}{label}{self._end}"
+            self._forget()
+            for block in body:
+                yield from self._block(block)
+            yield self._numbered(self._words("M", 99))
+        yield "%"
+
+    def _forget(self) -> None:
+        self._motion, self._feed, self._unsure = -1, None, True
+
+    def _block(self, block: OutBlock) -> Iterator[str]:
+        words = []
+        if block.feed is not None and (block.inverse_time != self._inverse_time or self._unsure):
+            self._inverse_time = block.inverse_time
+            self._unsure = False
+            words.append(self._words("G", 93 if block.inverse_time else 94))
+            self._feed = None
+        if block.motion >= 0 and block.motion != self._motion:
+            words.append(self._words("G", block.motion))
+            self._motion = block.motion
+        words.append(block.words)
+        if block.feed is not None and (block.inverse_time or block.feed != self._feed):
+            words.append(f"F{self._blank}{numbers.text(block.feed)}")
+            self._feed = block.feed
+        yield self._numbered(*words, comment=block.comment)
+
+    def _words(self, letter: str, number: int) -> str:
+        return f"{letter}{self._blank}{number}"
+
+    def _numbered(self, *words: str, comment: str = "") -> str:
+        self._number = self._number % _N_LIMIT + _N_STEP
+        text = " ".join([self._words("N", self._number), *words])
+        return f"{text} ; {nc_comment(comment)}" if comment else f"{text}{self._end}"

@@ -1,0 +1,309 @@
+"""Plan: what was intended."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from threadline.base.arrays import finite
+from threadline.commands.feedforward import Following
+from threadline.commands.schedule import Scheduled
+from threadline.commands.stitched import Stitched
+from threadline.dynamics import Demand
+from threadline.errors import PlanError
+from threadline.files import Commands
+from threadline.jobs.feed_times import programmed_time_s
+from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.machine import Machine
+from threadline.motion.path.types import PlannedPath, ProgrammedPath
+from threadline.motion.timing.types import Trajectory
+
+__all__ = ["Following", "Intent", "Motion", "Plan", "Scheduled", "Stitched"]
+
+IntentT = TypeVar("IntentT")
+
+
+class Intent(Protocol):
+    """What is meant to happen when the commands run: what every kind of work can answer."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of what moves, in the order of all columns."""
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the commands as planned, s."""
+
+    @property
+    def historical(self) -> bool:
+        """Whether acceleration and jerk have no limit, as with the 1994 interpolations."""
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What deserves a second look, in words."""
+
+    def interpolation(self, options: Mapping[str, str]) -> str:
+        """Return the interpolation that was asked for, or what stands in its place."""
+
+    def planned_with(self, options: Mapping[str, str]) -> str:
+        """Return how it was planned, for people."""
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+        """Return the keys, with their values, that it adds to the JSON of a verdict."""
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
+        """Return the line of the job for each of ``operations``, 0 where it has none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """What axes with a path mean to do.
+
+    Parameters
+    ----------
+    programmed
+        What the job says, in axis space.
+    path
+        What will be followed.
+    trajectory
+        The path over time.
+    following
+        What is to be where the trajectory says: the motors, which are told it, or the loads,
+        whose motors are told what the inverses of the axes say.
+    timed
+        The path as it was timed, before it was shaped, or smoothed for the inverses; None where
+        it is neither.
+    demands
+        What the motion asks of each axis by the inverse of its model; empty where the motors
+        follow.
+    rests_s
+        How long the loads rest in the table before their motion and after it, for the sake of
+        the inverses.
+    table_s
+        How long the table is where it ends before the loads stand; None where it is as long as the
+        trajectory.
+    needle_follows
+        Whether a needle turns with the way of the head, and keeps no times of its own.
+    of_averages
+        Warnings of how the motion was smoothed.
+    """
+
+    programmed: ProgrammedPath
+    path: PlannedPath
+    trajectory: Trajectory
+    following: Following = Following.MOTOR
+    timed: Trajectory | None = None
+    demands: tuple[Demand, ...] = ()
+    rests_s: tuple[float, float] = (0.0, 0.0)
+    needle_follows: bool = False
+    of_averages: tuple[str, ...] = ()
+    table_s: float | None = None
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes, in the order of all columns."""
+        return self.programmed.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Of the commands, s."""
+        return self.trajectory.duration_s if self.table_s is None else self.table_s
+
+    @property
+    def moving_s(self) -> tuple[float, float]:
+        """When the motion begins and ends, on the clock of the table, s."""
+        before_s, after_s = self.rests_s
+        return before_s, self.trajectory.duration_s - after_s
+
+    @property
+    def historical(self) -> bool:
+        """Whether the motion is one of the 1994 controller's, which respects no limits."""
+        return self.trajectory.historical
+
+    @property
+    def of_loads(self) -> Trajectory | None:
+        """Where the loads are intended to be, if that is not what the motors are told."""
+        return self.trajectory if self.following is Following.LOAD else None
+
+    @property
+    def of_needle(self) -> Trajectory:
+        """The motion that a needle is geared with.
+
+        With feed-forward one that keeps times of its own keeps those before smoothing.
+        """
+        if self.of_loads is not None and self.timed is not None and not self.needle_follows:
+            return self.timed
+        return self.trajectory
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """How it was smoothed, and each axis whose feed-forward needs more than its drive has."""
+        beyond = tuple(line for demand in self.demands if (line := _beyond(demand)))
+        return self.of_averages + beyond
+
+    def interpolation(self, options: Mapping[str, str]) -> str:
+        """Return the interpolation that was asked for, that of the path where none is named."""
+        return options.get("interpolation", self.path.interpolation)
+
+    def planned_with(self, options: Mapping[str, str]) -> str:
+        """Return the interpolation, and feed-forward where the loads follow, for people."""
+        name = self.interpolation(options)
+        return name if self.of_loads is None else f"{name}, feed-forward"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+        """Return when it moves and what feed-forward asks of each axis, where it is used."""
+        if self.of_loads is None:
+            return {}
+        begin_s, end_s = self.moving_s
+        return {
+            "motion": {"begin_s": begin_s, "end_s": end_s, "duration_s": end_s - begin_s},
+            "feed_forward": [
+                {
+                    "axis": demand.axis,
+                    "current_a": demand.current_a,
+                    "current_limit_a": finite(demand.current_limit_a),
+                    "current_at_s": demand.current_at_s,
+                    "volts": demand.volts,
+                    "volt_limit": demand.volt_limit,
+                    "bound_by": demand.bound_by,
+                    "share": demand.share,
+                }
+                for demand in self.demands
+            ],
+        }
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
+        """Return the line of each operation; one without motion has that of the motion before.
+
+        One reading of the programmed path, no further than needed.
+        """
+        wanted = np.unique(np.array(list(operations), dtype=np.int64))
+        lines: dict[int, int] = {}
+        latest = 0
+        for block in self.programmed if len(wanted) else ():
+            if len(lines) == len(wanted) or not len(block):
+                break
+            due = wanted[len(lines) :]
+            due = due[due < block.operation[-1]]
+            at = np.searchsorted(block.operation, due, side="right") - 1
+            for operation, index in zip(due.tolist(), at.tolist(), strict=True):
+                lines[operation] = int(block.line[index]) if index >= 0 else latest
+            latest = int(block.line[-1])
+        for operation in wanted[len(lines) :].tolist():
+            lines[operation] = latest
+        return lines
+
+
+def _beyond(demand: Demand) -> str:
+    """Say what the reference of an axis needs beyond its limit; empty if nothing."""
+    if demand.share <= 1.0:
+        return ""
+    if demand.bound_by == "current":
+        need = (
+            f"{demand.current_a:.1f} A at {demand.current_at_s:.3f} s; its amplifier gives "
+            f"{demand.current_limit_a:g} A"
+        )
+    else:
+        need = f"{demand.volts:.2f} V; its controller puts out {demand.volt_limit:g} V"
+    return (
+        f"axes.{demand.axis}: the reference needs {need}. Smooth it over a longer time, or lower "
+        "the speed"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
+class Plan:
+    """Everything that was decided before the machine moved, whatever kind of work it is.
+
+    Parameters
+    ----------
+    job, machine
+        The two inputs.
+    commands
+        What the controller is given.
+    intent
+        What is meant to happen: paths and a trajectory, or a schedule with its moves.
+    options
+        How it was planned (interpolation, feed, tolerance), as text, for people and recordings.
+    """
+
+    job: Job
+    machine: Machine
+    commands: Commands
+    intent: Intent
+    options: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of what moves, in the order of all columns."""
+        return self.intent.axes
+
+    @property
+    def duration_s(self) -> float:
+        """As planned, s; inputs that come late make a job longer."""
+        return self.intent.duration_s
+
+    @property
+    def feed_override(self) -> float | None:
+        """By which the feeds of the job hold, 1 as programmed; None where another was given."""
+        text = self.options.get("feed", "programmed")
+        if text.endswith("%"):
+            return float(text.removesuffix("%")) / 100.0
+        return 1.0 if text == "programmed" else None
+
+    @property
+    def limits_in_full(self) -> bool:
+        """Whether it may use all of the limits of acceleration and jerk."""
+        return float(self.options.get("limits", "100 %").removesuffix("%")) == 100.0
+
+    @property
+    def nominal_s(self) -> float | None:
+        """Time by the programmed feeds alone, s; None without a rule for F, or with ``--feed``."""
+        override = self.feed_override
+        if not self.job.feed_rule or override is None:
+            return None
+        return programmed_time_s(self.job, self.machine, Feed(FeedMode.OVERRIDE, override))
+
+    @property
+    def interpolation(self) -> str:
+        """The interpolation that was asked for, or what stands in its place."""
+        return self.intent.interpolation(self.options)
+
+    @property
+    def planned_with(self) -> str:
+        """How it was planned, for people."""
+        return self.intent.planned_with(self.options)
+
+    def intended(self, wanted: type[IntentT]) -> IntentT:
+        """Return the intent of this plan, which must be of the type ``wanted``.
+
+        Raises
+        ------
+        PlanError
+            If it is of another: a schedule has no path, and a path no schedule.
+        """
+        if not isinstance(self.intent, wanted):
+            raise PlanError(
+                f"{self.job.name} on {self.machine.name} is planned as "
+                f"{type(self.intent).__name__}, not as {wanted.__name__}",
+                remedy="Take a machine and a job of the other kind.",
+            )
+        return self.intent
+
+    @property
+    def motion(self) -> Motion:
+        """Paths and trajectory; PlanError (see ``intended``) for other kinds of work."""
+        return self.intended(Motion)
+
+    @property
+    def scheduled(self) -> Scheduled:
+        """Schedule and moves; PlanError (see ``intended``) for other kinds of work."""
+        return self.intended(Scheduled)
+
+    @property
+    def stitched(self) -> Stitched:
+        """Turns and stitches; PlanError (see ``intended``) for other kinds of work."""
+        return self.intended(Stitched)

@@ -1,0 +1,288 @@
+"""The planned motion as a job of short timed moves: what a controller of moves can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from math import ceil, comb, degrees, radians, sqrt
+from operator import sub
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray
+from threadline.files import Stream
+from threadline.jobs.operations import (
+    Dwell,
+    Feed,
+    FeedMode,
+    Job,
+    Move,
+    Operation,
+    Source,
+    ToolEvent,
+)
+from threadline.machine import Machine
+from threadline.motion.timing.types import Trajectory
+
+CHORD_TOLERANCE_M = 1e-5
+_DECIMALS = 6  # of a millimetre or a degree: a nanometre is far below the chords' tolerance
+_PARTS_OF_UNIT = 1_000_000
+_STAYS = 1e-9  # m or rad: a path leaves out a vertex so near to the one before
+
+
+def planned_job(
+    job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float = CHORD_TOLERANCE_M
+) -> Job:
+    """Return ``job`` with its moves replaced by chords of ``trajectory``, each with its time.
+
+    Everything but moves stays where it was, dwells included; what happens as a move begins happens
+    as the first chord of that move does.
+
+    Parameters
+    ----------
+    job, trajectory, machine
+        What was planned.
+    tolerance_m
+        Largest distance of a chord from the trajectory at the same instant, per axis; a rotary
+        axis acts at its radius.
+
+    Notes
+    -----
+    Ends are rounded to 1e-6 mm and degrees, from where they are and not from each other.
+    Linear interpolation over a step h is off by at most h^2 max|f''| / 8.
+    """
+    return replace(job, operations=Stream(_operations, job, trajectory, machine, tolerance_m))
+
+
+def _operations(
+    job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float
+) -> Iterator[Operation]:
+    return (item for item, _ in planned_operations(job, trajectory, machine, tolerance_m))
+
+
+def planned_operations(
+    job: Job, trajectory: Trajectory, machine: Machine, tolerance_m: float = CHORD_TOLERANCE_M
+) -> Iterator[tuple[Operation, Feed | None]]:
+    """Yield the operations of ``planned_job``, each chord with the feed of its programmed move."""
+    column = [machine.axis_names.index(axis) for axis in trajectory.axes]
+    radius = machine.radius_m[column]
+    order = [trajectory.axes.index(axis) for axis in job.axes]
+    linear = [machine.axes[axis].kind == "linear" for axis in job.axes]
+    merged = _Merged(job)
+    for block in trajectory:
+        changes: NDArray[np.bool_] = block.coefficients[:, 1:] != 0.0
+        pieces = zip(
+            block.operation.tolist(),
+            block.duration_s.tolist(),
+            block.coefficients,
+            [bool(piece.any()) for piece in changes],
+            _parts(block.coefficients, radius, tolerance_m),
+            strict=True,
+        )
+        for operation, duration_s, coefficients, moves, parts in pieces:
+            yield from ((item, None) for item in merged.before(operation))
+            if not moves:
+                if not merged.dwells_next():
+                    yield Dwell(duration_s, merged.source), None
+                continue
+            feed = Feed(FeedMode.INVERSE_TIME, parts / duration_s)
+            ends = _powers(parts, len(coefficients)) @ coefficients
+            for target in ends[:, order].tolist():
+                rounded = tuple(map(_rounded, target, linear))
+                yield Move(rounded, feed, merged.source, acts=merged.acts), merged.feed
+                merged.acts = ()
+    yield from ((item, None) for item in merged.rest())
+
+
+def _rounded(position_si: float, linear: bool) -> float:
+    """Return the nearest position that is a short decimal of mm or degrees."""
+    if linear:
+        return round(position_si * 1e3 * _PARTS_OF_UNIT) / (1000 * _PARTS_OF_UNIT)
+    return radians(round(degrees(position_si), _DECIMALS))
+
+
+@lru_cache(maxsize=64)
+def _powers(parts: int, count: int) -> FloatArray:
+    """Return the ``count`` powers of the ends of ``parts`` even parts of [0, 1]."""
+    u = np.arange(1, parts + 1) / parts
+    powers: FloatArray = u[:, None] ** np.arange(count)
+    powers.flags.writeable = False
+    return powers
+
+
+def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> list[int]:
+    """Return into how many chords each of (N, degree + 1, A) pieces has to be divided.
+
+    A polynomial on [0, 1] lies between its smallest and largest Bernstein coefficient.
+    """
+    second = coefficients * radius
+    for _ in range(2):
+        count = second.shape[1]
+        second = second[:, 1:] * np.arange(1.0, count)[:, None] if count > 1 else 0.0 * second
+    n = second.shape[1] - 1
+    to_bernstein = [[comb(i, j) / comb(n, j) for j in range(n + 1)] for i in range(n + 1)]
+    bounds = np.abs(np.array(to_bernstein) @ second).max(axis=(1, 2)).tolist()
+    return [max(1, ceil(sqrt(bound / (8.0 * tolerance_m)))) for bound in bounds]
+
+
+class _Merged:
+    """Gives out what is not a move when the pieces of the moves around it pass by."""
+
+    def __init__(self, job: Job) -> None:
+        self._operations = enumerate(job)
+        self._waiting: list[tuple[int, Operation]] = []
+        self._moves: dict[int, Move] = {}
+        self._target = job.start
+        self._read = -1
+        self._ended = False
+        self.source = Source(job.file, 0)
+        self.feed: Feed | None = None
+        self.acts: tuple[ToolEvent, ...] = ()  # of the moves that have begun, for the next chord
+
+    def _read_group_after(self, operation: int) -> None:
+        """Read on to the first move behind ``operation`` that goes anywhere.
+
+        A move that stays has no pieces of its own: the pause behind it stands at the move before.
+        """
+        while not self._ended and self._read <= operation:
+            self._read, found = next(self._operations, (self._read, None))
+            if found is None:
+                self._ended = True
+            elif isinstance(found, Move):
+                self._moves[self._read] = found
+                if max(map(abs, map(sub, found.target, self._target))) <= _STAYS:
+                    operation = max(operation, self._read)
+                self._target = found.target
+            else:
+                self._waiting.append((self._read, found))
+                operation = max(operation, self._read)  # the group goes on
+
+    def before(self, operation: int) -> Iterator[Operation]:
+        """Yield what comes before the pieces of ``operation``."""
+        self._read_group_after(operation)
+        for number in [k for k in self._moves if k <= operation]:
+            move = self._moves.pop(number)
+            while self._waiting and self._waiting[0][0] < number:
+                yield from self._given()
+            self.source, self.feed = move.source, move.feed
+            self.acts += move.acts
+        while self._waiting and self._waiting[0][0] < operation:
+            yield from self._given()
+
+    def _given(self) -> Iterator[Operation]:
+        """Yield the first that waits, behind what moves without a way of their own leave."""
+        yield from self.acts
+        self.acts = ()
+        yield self._waiting.pop(0)[1]
+
+    def dwells_next(self) -> bool:
+        """Say whether a dwell of the job comes before its next move."""
+        return any(isinstance(found, Dwell) for _, found in self._waiting)
+
+    def rest(self) -> Iterator[Operation]:
+        """Yield what comes after the last piece."""
+        yield from self.before(1 << 62)
+        yield from self.acts
+
+
+CLOSE_M = 1e-7
+"""By how far an end that is rounded to 0.0001 mm or degrees lies off, and a little."""
+_RISE = 1e-3  # of a speed
+
+
+class Part(NamedTuple):
+    """The moves from ``first`` up to ``stop`` as one chord, at ``speed`` at most."""
+
+    first: int
+    stop: int
+    speed: float
+
+
+def merged(points: FloatArray, speeds: FloatArray) -> list[Part]:
+    """Return the chords of moves along (n + 1, axes) ``points`` at the tool, at (n,) ``speeds``."""
+    first, parts = 0, list[Part]()
+    for last in _humps(speeds):
+        while first < last:
+            count = _longest(points[first : last + 1])
+            speed = float(speeds[first : first + count].max())
+            parts.append(Part(first, first + count, speed))
+            first += count
+    return _without_slivers(parts, points)
+
+
+def _humps(speeds: FloatArray) -> Iterator[int]:
+    """Yield where each stretch of (n,) speeds ends that rises and then falls once at most.
+
+    What is less than ``_RISE`` of a speed is none: ends of moves are rounded.
+    """
+    highest = lowest = float(speeds[0])
+    for at, speed in enumerate(speeds.tolist()):
+        fallen = lowest < highest * (1.0 - _RISE)
+        if fallen and speed > lowest * (1.0 + _RISE):
+            yield at
+            highest = lowest = speed
+        elif speed > highest:
+            highest = lowest = speed
+        else:
+            lowest = min(lowest, speed)
+    yield len(speeds)
+
+
+def _without_slivers(parts: list[Part], points: FloatArray) -> list[Part]:
+    """Return ``parts`` with each that is shorter than the tolerance in the one beside it.
+
+    Where a planned speed falls and rises again in the middle of a move, the rest of the move would
+    be a block of its own. It takes the speed of the other part: within the tolerance of a
+    chord nothing is made of a speed.
+    """
+    kept: list[Part] = []
+    for part in parts:
+        if kept and (_short(kept[-1], points) or _short(part, points)):
+            before = kept[-1]
+            both = points[before.first : part.stop + 1]
+            if _within(both, CHORD_TOLERANCE_M, back_m=CHORD_TOLERANCE_M):
+                longer = part if _short(before, points) else before
+                kept[-1] = Part(before.first, part.stop, longer.speed)
+                continue
+        kept.append(part)
+    return kept
+
+
+def _short(part: Part, points: FloatArray) -> bool:
+    way = points[part.first : part.stop + 1] - points[part.first]
+    return bool(float((way**2).sum(axis=1).max()) < CHORD_TOLERANCE_M**2)
+
+
+def _longest(points: FloatArray) -> int:
+    """Return how many moves from the first of (n, axes) points on make a chord, 1 at least."""
+    most = len(points) - 1
+    good = 1
+    while good < most and _within(points[: min(2 * good, most) + 1], CHORD_TOLERANCE_M):
+        good = min(2 * good, most)
+    bad = min(2 * good, most + 1)
+    while bad - good > 1:
+        middle = (good + bad) // 2
+        if middle <= most and _within(points[: middle + 1], CHORD_TOLERANCE_M):
+            good = middle
+        else:
+            bad = middle
+    return good
+
+
+def _within(points: FloatArray, most_m: float, back_m: float = CLOSE_M) -> bool:
+    """Say whether (n, axes) points lie along the line from first to last, in their order.
+
+    No step goes back along it by more than ``back_m``, and none lies that far beyond its ends.
+    """
+    way = points[-1] - points[0]
+    length = float(np.linalg.norm(way))
+    if length == 0.0:
+        return False
+    along = (points - points[0]) @ (way / length)
+    if (np.diff(along) < -back_m).any() or along.min() < -back_m or along.max() > length + back_m:
+        return False
+    away = points - points[0] - along[:, None] * (way / length)
+    return bool(float(np.sqrt((away**2).sum(axis=1).max())) <= most_m)

@@ -1,0 +1,219 @@
+"""Names for PLC programs: letters, digits and single underscores, and no word of the language.
+
+A place is a state of all outputs; the token leaves it when the milliseconds since the last wait
+reach a due time, or when an input is there. Place 0 has every output off.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from threadline.commands.schedule import Scheduled
+from threadline.errors import PlanError
+
+_WORDS = """
+abs absolute_time acos action add and any any_bit any_date any_derived any_elementary any_int
+any_magnitude any_num any_real any_string array asin at atan bool by byte cal calc calcn call
+case char class concat configuration constant continue cos ct ctd ctu ctud date date_and_time
+delete dint div do dt dword else elsif en end_action end_case end_class end_configuration end_for
+end_function end_function_block end_if end_interface end_method end_namespace end_program
+end_repeat end_resource end_step end_struct end_transition end_type end_var end_while eno eq exit
+exp expt extends f_edge f_trig false final find for from function function_block ge gt if
+implements in initial_step insert int interface internal interval jmp jmpc jmpcn ld ldate
+ldate_and_time ldn ldt le left len limit lint ln log lreal lt ltime ltime_of_day ltod lword max
+method mid min mod move mul mux namespace ne neg non_retain not null of on or orn overlap override
+pou pointer priority private program protected public r r1 r_edge r_trig read_only read_write real
+ref ref_to reference repeat replace resource ret retain retc retcn return right rol ror rs rtc s
+s1 sel sema shl shr sin single sint sqrt sr st step stn string struct sub super t tan task then
+this time time_of_day to tod tof ton tp transition true trunc type udint uint ulint until ups
+using usint var var_access var_config var_external var_global var_in_out var_input var_output
+var_temp wchar while with word wstring xor xorn andn clk cu cv cd pv q qd qu et pt
+"""
+RESERVED = frozenset(_WORDS.split())
+"""Keywords, types, standard functions and blocks and their pins, in lower case."""
+_MAX_LENGTH = 30
+
+
+class Names:
+    """Hands out names of one program: valid, and each once, whatever their case.
+
+    Parameters
+    ----------
+    taken
+        Names that the program uses already.
+    """
+
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self._taken = {name.lower() for name in taken}
+
+    def give(self, wanted: str) -> str:
+        """Return a valid name as near to ``wanted`` as can be.
+
+        >>> names = Names()
+        >>> names.give("step"), names.give("x-low"), names.give("X_low"), names.give("2nd__try")
+        ('step_signal', 'x_low', 'X_low_2', 'n2nd_try')
+        """
+        name = re.sub(r"[^A-Za-z0-9]+", "_", wanted).strip("_") or "unnamed"
+        name = name[:_MAX_LENGTH].rstrip("_")
+        if name[0].isdigit():
+            name = f"n{name}"
+        if name.lower() in RESERVED:
+            name = f"{name}_signal"
+        unique, count = name, 1
+        while unique.lower() in self._taken or unique.lower() in RESERVED:
+            count += 1
+            unique = f"{name}_{count}"
+        self._taken.add(unique.lower())
+        return unique
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NetPlace:
+    """A place and the transition out of it.
+
+    Parameters
+    ----------
+    number
+        From 1, in the order in which the token visits them.
+    step
+        Step of the cycle.
+    on
+        Outputs that are on.
+    due_ms
+        The token leaves this long after the origin; of a waiting place, its timeout.
+    wait
+        Input that is waited for, and its value; the time of the input is the next origin.
+    begin_tick, origin_tick
+        Scans of the schedule at which the token arrives, and from which its time counts.
+    """
+
+    number: int
+    step: str
+    on: tuple[str, ...]
+    due_ms: int
+    wait: tuple[str, bool] | None = None
+    begin_tick: int = 0
+    origin_tick: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PetriNet:
+    """The net of a schedule.
+
+    Parameters
+    ----------
+    outputs
+        All outputs, in the order of the machine.
+    places
+        In order; the transition out of the last leads back to place 0.
+    scan_ms
+        Period of the scan.
+    """
+
+    outputs: tuple[str, ...]
+    places: tuple[NetPlace, ...]
+    scan_ms: int
+
+
+def petri_net(scheduled: Scheduled) -> PetriNet:
+    """Return the net of ``scheduled``.
+
+    Raises
+    ------
+    PlanError
+        If the scan is not a whole number of milliseconds.
+    """
+    commands = scheduled.commands
+    period_ms = commands.clock.period_s * 1000
+    if period_ms.denominator != 1:
+        raise PlanError(
+            f"the scan {commands.clock.name!r} is {float(period_ms):g} ms; a PLC counts whole ones",
+            remedy="Give the scan in whole milliseconds.",
+        )
+    scan_ms = int(period_ms)
+    timeouts = iter(scheduled.wait_timeouts_s)
+    # Rows of a tick take effect before a wait at that tick begins.
+    marks: list[tuple[int, int, str, object]] = [
+        (int(tick), 1, "row", tuple(int(v) for v in row))
+        for tick, row in zip(commands.ticks, commands.levels, strict=True)
+    ]
+    for event in commands.events:
+        if event.kind == "tool":
+            marks.append((event.tick, 0, "step", event.name))
+        elif event.kind == "wait":
+            marks.append((event.tick, 2, "wait", (event.name, bool(event.value), next(timeouts))))
+    marks.sort(key=lambda mark: mark[:2])
+    walk = _Walk(commands.outputs, scan_ms)
+    for tick, _, kind, payload in marks:
+        walk.pass_mark(tick, kind, payload)
+    walk.close(commands.duration_ticks)
+    return PetriNet(outputs=commands.outputs, places=tuple(walk.places), scan_ms=scan_ms)
+
+
+class _Walk:
+    """Follows the token through the schedule."""
+
+    def __init__(self, outputs: tuple[str, ...], scan_ms: int) -> None:
+        self.outputs, self.scan_ms = outputs, scan_ms
+        self.places: list[NetPlace] = []
+        self.step, self.on = "", tuple[str, ...]()
+        self.origin = self.arrival = 0
+        self.pending = False
+
+    def pass_mark(self, tick: int, kind: str, payload: object) -> None:
+        if kind == "step":
+            # Outputs that stay as they are still change place, so that the step can be seen.
+            if self.pending:
+                self._leave(tick)
+            self.step = str(payload)
+            self._arrive(tick)
+        elif kind == "row":
+            assert isinstance(payload, tuple)
+            if self.pending and tick > self.arrival:
+                self._leave(tick)
+            self.on = tuple(n for n, v in zip(self.outputs, payload, strict=True) if v)
+            self._arrive(tick)
+        else:
+            assert isinstance(payload, tuple)
+            if self.pending and tick > self.arrival:
+                self._leave(tick)
+            self._wait(tick, *payload)
+
+    def _arrive(self, tick: int) -> None:
+        self.arrival, self.pending = tick, True
+
+    def _ms(self, tick: int) -> int:
+        return (tick - self.origin) * self.scan_ms
+
+    def _leave(self, tick: int) -> None:
+        if tick > self.arrival:
+            self._add(self._ms(tick), None)
+        self.pending = False
+
+    def _wait(self, tick: int, name: str, value: bool, timeout_s: float) -> None:
+        self.arrival = tick
+        scans = math.ceil(1000.0 * timeout_s / self.scan_ms - 1e-9)
+        self._add(self._ms(tick) + scans * self.scan_ms, (name, value))
+        # The token arrives in the next place at once; its rows come at the next scan.
+        self.origin = self.arrival = tick
+        self.pending = True
+
+    def _add(self, due_ms: int, wait: tuple[str, bool] | None) -> None:
+        self.places.append(
+            NetPlace(
+                number=len(self.places) + 1,
+                step=self.step,
+                on=self.on,
+                due_ms=due_ms,
+                wait=wait,
+                begin_tick=self.arrival,
+                origin_tick=self.origin,
+            )
+        )
+
+    def close(self, tick: int) -> None:
+        if self.pending:
+            self._leave(max(tick, self.arrival + 1))

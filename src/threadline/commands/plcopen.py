@@ -1,0 +1,250 @@
+"""A schedule as PLCopen XML and as Siemens SCL: the same units as its structured text.
+
+A source for TIA Portal (S7-1200, S7-1500): the function block with its interface, BEGIN and its
+body, a data block that is its instance, an organisation block for a cyclic interrupt that calls it
+with symbolic tags, and the table of these tags beside it. The body is that of the structured text,
+line by line; local names carry ``#``, tags stand in quotes, the timers are IEC timers.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+from threadline import __version__
+from threadline.base.wording import plain, st_comment
+from threadline.base.writing import together
+from threadline.commands.plc_sequence import Block, PlcProgram, Pou, Variable
+from threadline.commands.schedule import Scheduled
+from threadline.commands.structured_text import plc_program
+from threadline.files.formats.common import Written, atomic_file, written
+
+_TYPES = {
+    "BOOL": "Bool", "INT": "Int", "DINT": "DInt", "TIME": "Time", "STRING": "String",
+    "TON": "TON_TIME",
+}  # fmt: skip
+_NAME = re.compile(r"'[^']*'|\(\*.*?\*\)|(?<![#%\w.])[A-Za-z_]\w*")
+
+
+def scl_source(scheduled: Scheduled) -> str:
+    """Return the source of ``scheduled``.
+
+    Raises
+    ------
+    PlanError
+        As ``plc_program``.
+    """
+    program = plc_program(scheduled)
+    instance = f"{program.block.name}_data"
+    lines = [
+        *_function_block(program.block),
+        "",
+        f'DATA_BLOCK "{instance}"',
+        "{ S7_Optimized_Access := 'TRUE' }",
+        "VERSION : 0.1",
+        "NON_RETAIN",
+        f'"{program.block.name}"',
+        "BEGIN",
+        "END_DATA_BLOCK",
+        "",
+        *_organisation_block(program, instance),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _function_block(pou: Pou) -> Iterator[str]:
+    yield f'FUNCTION_BLOCK "{pou.name}"'
+    yield "{ S7_Optimized_Access := 'TRUE' }"
+    yield "VERSION : 0.1"
+    for note in pou.notes:
+        yield f"// {st_comment(note)}"
+    for block in pou.blocks:
+        yield from _scl_variables(block)
+    yield "BEGIN"
+    local = {variable.name for block in pou.blocks for variable in block.variables}
+    for line in pou.body:
+        yield f"  {_local(line, local)}" if line else ""
+    yield "END_FUNCTION_BLOCK"
+
+
+def _scl_variables(block: Block) -> Iterator[str]:
+    yield f"  {block.kind}"
+    for variable in block.variables:
+        yield f"    {_declaration(variable)}"
+    yield "  END_VAR"
+
+
+def _declaration(variable: Variable) -> str:
+    initial = f" := {variable.initial}" if variable.initial else ""
+    note = f"  // {st_comment(variable.note)}" if variable.note else ""
+    return f"{variable.name} : {_TYPES[variable.type]}{initial};{note}"
+
+
+def _local(line: str, names: set[str]) -> str:
+    """Return a line with ``#`` before every local name; texts and comments stay.
+
+    A text that is an address is written as this PLC does, ``%I0.0``.
+    """
+
+    def marked(match: re.Match[str]) -> str:
+        if match[0].startswith("'%"):
+            return _address(match[0])
+        return f"#{match[0]}" if match[0] in names else match[0]
+
+    return _NAME.sub(marked, line)
+
+
+def _address(standard: str) -> str:
+    return standard.replace("X", "", 1)
+
+
+def _located(program: PlcProgram) -> dict[str, str]:
+    """Return the address of every tag, in the order of the machine."""
+    variables = [v for block in program.main.blocks for v in block.variables]
+    return {v.name: v.address for v in variables if v.address}
+
+
+def _organisation_block(program: PlcProgram, instance: str) -> Iterator[str]:
+    """Yield the block that a cyclic interrupt of the scan's period calls."""
+    arguments = [
+        f'{name} {":=" if address.startswith("%I") else "=>"} "{name}"'
+        for name, address in _located(program).items()
+    ]
+    yield f'ORGANIZATION_BLOCK "{program.main.name}"'
+    yield "{ S7_Optimized_Access := 'TRUE' }"
+    yield "VERSION : 0.1"
+    yield f"// Make it a cyclic interrupt of {program.interval_ms} ms. What has no address is for a"
+    yield f"// panel: it is read and written in {instance}."
+    yield "BEGIN"
+    yield f'  "{instance}"('
+    for number, argument in enumerate(arguments, start=1):
+        yield f"    {argument}{'' if number == len(arguments) else ','}"
+    yield "  );"
+    yield "END_ORGANIZATION_BLOCK"
+
+
+def scl_tags(scheduled: Scheduled) -> str:
+    """Return the table of tags: name, type and address as this PLC writes it, ``%I0.0``."""
+    rows = [
+        f"{name},Bool,{_address(address)}"
+        for name, address in _located(plc_program(scheduled)).items()
+    ]
+    return "\n".join(("Name,Data Type,Logical Address", *rows)) + "\n"
+
+
+def write_scl(scheduled: Scheduled, path: Path) -> list[Written]:
+    """Write the source to ``path`` and the tags beside it, ``NAME.tags.csv``."""
+    beside = path.with_name(f"{path.stem}.tags.csv")
+    with together():
+        for file, content in ((path, scl_source(scheduled)), (beside, scl_tags(scheduled))):
+            with atomic_file(file) as stream:
+                stream.write(content.encode("ascii"))
+        return [written(path, scheduled.warnings), written(beside)]
+
+
+NAMESPACE = "http://www.plcopen.org/xml/tc6_0201"
+XHTML = "http://www.w3.org/1999/xhtml"
+EPOCH = "2000-01-01T00:00:00"
+"""Creation time that is written unless another is given: the same job gives the same file."""
+_LISTS = {
+    "VAR_INPUT": "inputVars",
+    "VAR_OUTPUT": "outputVars",
+    "VAR": "localVars",
+    "VAR CONSTANT": "localVars",
+}
+_KINDS = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}
+
+
+def plcopen_xml(scheduled: Scheduled, created: str = EPOCH) -> bytes:
+    """Return the project of ``scheduled`` as XML.
+
+    Parameters
+    ----------
+    created
+        Creation time, ISO 8601 without a zone.
+
+    Raises
+    ------
+    PlanError
+        As ``plc_program``.
+    """
+    program = plc_program(scheduled)
+    project = ET.Element("project", {"xmlns": NAMESPACE, "xmlns:xhtml": XHTML})
+    ET.SubElement(
+        project,
+        "fileHeader",
+        {
+            "companyName": "Threadline",
+            "productName": "Threadline",
+            "productVersion": __version__,
+            "creationDateTime": created,
+        },
+    )
+    content = ET.SubElement(project, "contentHeader", {"name": plain(scheduled.job.name)})
+    coordinates = ET.SubElement(content, "coordinateInfo")
+    for language in ("fbd", "ld", "sfc"):
+        ET.SubElement(ET.SubElement(coordinates, language), "scaling", {"x": "1", "y": "1"})
+    types = ET.SubElement(project, "types")
+    ET.SubElement(types, "dataTypes")
+    units = ET.SubElement(types, "pous")
+    for pou in (program.block, program.main):
+        _pou(units, pou)
+    _instances(project, program)
+    ET.indent(project)
+    text: bytes = ET.tostring(project, encoding="utf-8", xml_declaration=True)
+    return text + b"\n"
+
+
+def _pou(parent: ET.Element, pou: Pou) -> None:
+    element = ET.SubElement(parent, "pou", {"name": pou.name, "pouType": _KINDS[pou.kind]})
+    interface = ET.SubElement(element, "interface")
+    for block in pou.blocks:
+        _plcopen_variables(interface, block)
+    body = ET.SubElement(ET.SubElement(element, "body"), "ST")
+    ET.SubElement(body, "xhtml:p").text = "\n".join(pou.body) + "\n"
+    documentation = ET.SubElement(element, "documentation")
+    ET.SubElement(documentation, "xhtml:p").text = plain(" ".join(pou.notes))
+
+
+def _plcopen_variables(parent: ET.Element, block: Block) -> None:
+    constant = {"constant": "true"} if block.kind == "VAR CONSTANT" else {}
+    element = ET.SubElement(parent, _LISTS[block.kind], constant)
+    for variable in block.variables:
+        _variable(element, variable)
+
+
+def _variable(parent: ET.Element, variable: Variable) -> None:
+    at = {"address": variable.address} if variable.address else {}
+    element = ET.SubElement(parent, "variable", {"name": variable.name, **at})
+    kind = ET.SubElement(element, "type")
+    if variable.derived:
+        ET.SubElement(kind, "derived", {"name": variable.type})
+    else:
+        # The schema has the string types in lower case, as elements of their own.
+        ET.SubElement(kind, "string" if variable.type == "STRING" else variable.type)
+    if variable.initial:
+        initial = ET.SubElement(element, "initialValue")
+        ET.SubElement(initial, "simpleValue", {"value": variable.initial})
+    if variable.note:
+        documentation = ET.SubElement(element, "documentation")
+        ET.SubElement(documentation, "xhtml:p").text = plain(variable.note)
+
+
+def _instances(project: ET.Element, program: PlcProgram) -> None:
+    configurations = ET.SubElement(ET.SubElement(project, "instances"), "configurations")
+    configuration = ET.SubElement(configurations, "configuration", {"name": program.configuration})
+    resource = ET.SubElement(configuration, "resource", {"name": program.resource})
+    interval = f"T#{program.interval_ms}ms"
+    task = ET.SubElement(
+        resource, "task", {"name": program.task, "interval": interval, "priority": "0"}
+    )
+    ET.SubElement(task, "pouInstance", {"name": program.instance, "typeName": program.main.name})
+
+
+def write_plcopen(scheduled: Scheduled, path: Path) -> list[Written]:
+    """Write the project to ``path``."""
+    with atomic_file(path) as stream:
+        stream.write(plcopen_xml(scheduled))
+    return [written(path, scheduled.warnings)]

@@ -1,0 +1,389 @@
+"""The averages with which loads follow a motion wherever their machine is in its tolerances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from math import ceil, log2
+from typing import overload
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.inverse import corner_responses
+from threadline.dynamics.robust_averages import (
+    MEAN_S,
+    Answers,
+    ChangeOfSpeed,
+    RobustWeights,
+    StepOfSpeed,
+    frequencies_rad_s,
+    robust_weights,
+)
+from threadline.errors import PlanError
+from threadline.jobs.operations import FeedMode, Job, Move
+from threadline.machine import Machine
+from threadline.machine.vary import corners
+from threadline.motion.timing import Trajectory, leads_of, with_steps
+from threadline.motion.timing.averaged import DEGREE, Averages, denser
+
+TURNS = 4
+"""Turns of a needle in which the speed may change: the two stitches before and after a rest."""
+_STEPS = 28  # of the spline in the time of a change
+_COUNT = 43  # weights: their tails are longer than the change
+_SAMPLES = 5  # of the motion in a step of the spline; odd, so that the weights have a middle
+_FINE = 4  # instants at which answers are looked at, in a step
+_SEEN_S = 2.0
+_SAMPLED = (4096, 8192)  # least and most instants: memory grows with them
+_LEAST_CHANGE_S = 0.01
+_SUPPLY = 0.95  # of the current limit: the supply of a bad day
+_RIPPLE = 0.937  # of that, if it can be: references come in steps, and the current ripples
+_PLACE_M = 4.2e-4  # of the 0.5 mm that the founding cases may be off at a corner
+_WEAK, _STRONG = 0.9, 0.43  # of it, for the axis with the largest error and for others: 1 in square
+_DEPARTURES = (0.25, 0.35, 0.425, 0.5)  # how long before its step a start may begin, in two turns
+_WITHIN = (1.0, 0.8)  # the same, in its run-up
+_ENOUGH = 0.04  # of the speed: an error with which a load may stand in the corners
+_HOPELESS = 1.25  # times it: more than sharing the room of a corner mends
+_SOONER = 0.96
+"""Of the time in which machines other than that of the file have to have the speed: the motion that
+is planned departs from that of the programs by some per cent of it."""
+_STANDS_S = 1.5 * MEAN_S  # before and after a corner, so that it is seen to stand
+_CLOSE = 2e-3  # of the speed: an error that is nearer to the least possible is good enough
+_ALIKE = 1e-5  # of the cost: of ways whose costs differ by less the first is taken
+_STRAIGHT = 1e-9
+_BEND = 0.3  # of the speed: smaller steps need next to no current
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Steps:
+    """The steps of the speed of a motion.
+
+    Parameters
+    ----------
+    speeds, bends
+        (axes,) the highest speed, and the largest step between pieces that move.
+    bent
+        Whether some pieces are not straight.
+    """
+
+    speeds: FloatArray
+    bends: FloatArray
+    bent: bool
+
+
+def robust_averages(
+    planned: Trajectory,
+    machine: Machine,
+    job: Job,
+    radius_m: FloatArray,
+    share: float,
+    smoothing_s: float | None,
+) -> tuple[Averages, tuple[str, ...]]:
+    """Return averages over time that leave the least error of speed on nine machines, and warnings.
+
+    They are of the motion with its run-ups as steps (``with_steps``). Where the needle is too fast
+    for all machines to keep the speed, its mean over a turn of the needle is what is even: stitches
+    then keep their length, and a warning says so.
+
+    Parameters
+    ----------
+    planned
+        Before it is smoothed, with its run-ups.
+    job
+        Its needle says how long a change of speed may take, unless ``smoothing_s`` does.
+    radius_m
+        (axes,) at which the axes act on the job.
+    share
+        Of the tolerances of loads and springs: the machines are at the ends of it. With 0 there is
+        one machine, that of its file.
+
+    Raises
+    ------
+    OptionError
+        If no load or spring has a tolerance.
+    PlanError
+        If a needle follows the head, if the job has no needle and no smoothing is given, if the
+        time is too short, or if the current does not suffice.
+    """
+    if job.needle_follows:
+        raise PlanError(
+            f"{job.name}: its needle follows the head, which a robust plan lets swing in corners",
+            remedy='Leave --robust out, or give needle = "constant".',
+        )
+    change_s = _change_s(job) if smoothing_s is None else smoothing_s
+    if change_s < _LEAST_CHANGE_S:
+        raise PlanError(
+            f"a robust plan may change the speed within {change_s * 1e3:.4g} ms, at least "
+            f"{_LEAST_CHANGE_S * 1e3:g} ms are needed",
+            remedy="Lower the speed of the needle, or give a longer --smoothing.",
+        )
+    step_s = change_s / _STEPS
+    grid_s = step_s / _FINE
+    samples = min(max(2 ** ceil(log2(_SEEN_S / grid_s)), _SAMPLED[0]), _SAMPLED[1])
+    omega = frequencies_rad_s(grid_s, samples)
+    steps = _steps(with_steps(planned))
+    machines = corners(machine, share) if share else [machine]
+    axes = []
+    for axis, speed, radius in zip(planned.axes, steps.speeds, radius_m, strict=True):
+        limit = machine.drive_of(axis).amplifier.current_limit
+        axes.append(
+            StepOfSpeed(
+                speed=float(speed),
+                room=_PLACE_M * (1.0 if len(planned.axes) == 1 else np.sqrt(0.5)) / float(radius),
+                current_limit_a=np.inf if limit is None else _SUPPLY * limit.si,
+                machines=corner_responses(machine, axis, machines, omega),
+            )
+        )
+    program = _Program(planned.axes, axes, change_s=change_s, grid_s=grid_s, samples=samples)
+    leads, wanted = leads_of(planned), _shares(job)
+    of = _SOONER if len(machines) > 1 else 1.0
+    turn_s = change_s / TURNS if smoothing_s is None else None
+    own: dict[bool, list[RobustWeights]] = {}
+    warnings: list[str] = []
+    for stop, leads_s in ((False, leads.starts_s), (True, leads.stops_s)):
+        ways = [
+            [
+                [_change(change_s, early_s, stop=stop, leads_s=leads_s, share=wanted, of=of)]
+                for early_s in alike
+            ]
+            for alike in _departures_s(change_s, leads_s[0])
+        ]
+        own[stop], told = program.speed_or_length(ways, turn_s)
+        warnings += told
+    even = own[False]
+    if steps.bent or steps.bends.any():
+        # A step between pieces that move may be the start of one axis and the stop of another.
+        if (steps.bends < _BEND * steps.speeds).all():
+            program.axes = [replace(axis, current_limit_a=np.inf) for axis in axes]
+        even = program.least(
+            [[[_change(change_s, 0.25 * change_s, stop=stop) for stop in (False, True)]]]
+        )
+    averages = Averages(
+        weights=_acting(even),
+        step_s=step_s / _SAMPLES,
+        starts=_acting(own[False]),
+        stops=_acting(own[True]),
+    )
+    return averages, tuple(warnings)
+
+
+_Ways = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
+"""Of ways that are as good as each other the best is taken; later ones where it is not enough."""
+
+
+class _Program:
+    """The linear programs of all axes."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        axes: Sequence[StepOfSpeed],
+        *,
+        change_s: float,
+        grid_s: float,
+        samples: int,
+    ) -> None:
+        self.axes = axes
+        self._names = names
+        self._change_s, self._grid_s, self._samples = change_s, grid_s, samples
+        self._near: RobustWeights | None = None
+        self._answers: Answers = {}
+
+    def speed_or_length(
+        self, ways: _Ways, turn_s: float | None
+    ) -> tuple[list[RobustWeights], list[str]]:
+        """Return weights that keep the speed or, where none do, its mean over a turn; and warnings.
+
+        Parameters
+        ----------
+        turn_s
+            Of the needle; None where nothing but the speed may be kept.
+
+        Raises
+        ------
+        PlanError
+            As ``least``.
+        """
+        if turn_s is None:
+            return self.least(ways), []
+        found = self.least(ways, enough=_ENOUGH)
+        if found is not None:
+            return found, []
+        first = ways[0][0][0]
+        found = self.least([[[replace(first, mean_s=turn_s)]]])
+        error = max(weights.error for weights in found)
+        ends = "before stops" if first.stop else "after starts"
+        return found, [
+            f"--robust: {ends} no average keeps the speed of the head within {_ENOUGH:.0%} on all "
+            "machines, so the length of stitches is kept in its place, to "
+            f"{error:.1%} as planned; a slower needle keeps both"
+        ]
+
+    @overload
+    def least(self, ways: _Ways) -> list[RobustWeights]: ...
+
+    @overload
+    def least(self, ways: _Ways, enough: float) -> list[RobustWeights] | None: ...
+
+    def least(self, ways: _Ways, enough: float = np.inf) -> list[RobustWeights] | None:
+        """Return the best weights of every axis; None where an error is above ``enough``.
+
+        Raises
+        ------
+        PlanError
+            If an axis has none and ``enough`` is not given.
+        """
+        found = []
+        for name, axis in zip(self._names, self.axes, strict=True):
+            best = self._best(axis, ways)
+            if best is None:
+                if np.isfinite(enough):
+                    return None
+                raise PlanError(
+                    f"axes.{name}: no average over time changes the speed by {axis.speed:.4g} "
+                    f"within {self._change_s * 1e3:.4g} ms and {axis.current_limit_a:.4g} A on all "
+                    "machines within the tolerances",
+                    remedy="Give a longer --smoothing, or lower the speed.",
+                )
+            found.append(best)
+            if best.error > _HOPELESS * enough:
+                return None
+        shared = self._shared(found, ways)
+        return shared if max(weights.error for weights in shared) <= enough else None
+
+    def _shared(self, found: list[RobustWeights], ways: _Ways) -> list[RobustWeights]:
+        """Return weights with which the weakest axis has more room in a corner, if better."""
+        # Where two axes meet both are off: what the weaker takes of the room the others give.
+        weakest = int(np.argmax([weights.cost for weights in found]))
+        if len(found) == 1 or _good(found[weakest], ways):
+            return found
+        shared = []
+        for column, axis in enumerate(self.axes):
+            room = axis.room / np.sqrt(0.5) * (_WEAK if column == weakest else _STRONG)
+            other = self._best(replace(axis, room=float(room)), ways)
+            if other is None or other.cost >= found[weakest].cost:
+                return found
+            shared.append(other)
+        return shared
+
+    def _best(self, axis: StepOfSpeed, ways: _Ways) -> RobustWeights | None:
+        best, enough = None, False
+        for part, alike in product((_RIPPLE, 1.0), ways):
+            spared = replace(axis, current_limit_a=part * axis.current_limit_a)
+            for changes in alike:
+                cheaper = np.inf if best is None else best.cost - _ALIKE
+                weights = robust_weights(
+                    spared,
+                    changes,
+                    count=_COUNT,
+                    step_s=self._change_s / _STEPS,
+                    degree=DEGREE,
+                    grid_s=self._grid_s,
+                    samples=self._samples,
+                    near=self._near,
+                    # Where one is enough only what is cheaper can be taken in its place.
+                    dearest=cheaper if enough else np.inf,
+                    kept=self._answers,
+                )
+                if weights is None:
+                    continue
+                self._near = weights
+                best = weights if weights.cost < cheaper else best
+                enough = enough or weights.error <= _ENOUGH
+            if enough:
+                return best
+        return best
+
+
+def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
+    """Return how long before its step a start may depart: with its run-up, and earlier.
+
+    Where none departs before its run-up the motion really stands in the corner.
+    """
+    earlier = [part for k in _DEPARTURES if (part := 0.5 * k * change_s) > lead_s]
+    within = [part for k in _WITHIN if (part := k * (lead_s - _STANDS_S)) > 0.0]
+    return [within, earlier] if within else [earlier]
+
+
+def _good(weights: RobustWeights, ways: _Ways) -> bool:
+    """Say whether the error is next to what the planned speed itself is off the wanted one."""
+    planned = max(abs(1.0 - end) for change in ways[0][0] for end in change.share)
+    return weights.error < planned + _CLOSE
+
+
+def _change(
+    change_s: float,
+    early_s: float,
+    *,
+    stop: bool,
+    leads_s: tuple[float, float] = (0.0, 0.0),
+    share: tuple[float, float] = (1.0, 1.0),
+    of: float = 1.0,
+) -> ChangeOfSpeed:
+    """Return what is asked where a load may depart ``early_s`` before the step.
+
+    The speed is there in a share ``of`` half of the time for a change, and even after all of it.
+    """
+    half_s = 0.5 * change_s
+    return ChangeOfSpeed(
+        stop=stop,
+        early_s=early_s,
+        still_s=max(early_s, leads_s[1]) + _STANDS_S,
+        within_s=of * half_s,
+        even_s=half_s - leads_s[1],
+        aside_s=leads_s[0],
+        share=share,
+    )
+
+
+def _acting(found: Sequence[RobustWeights]) -> FloatArray:
+    """Return the weights of fine samples; one acts the later the earlier it is in its window."""
+    return denser(np.stack([weights.weights[::-1] for weights in found], axis=1), _SAMPLES)
+
+
+def _shares(job: Job) -> tuple[float, float]:
+    """Return the least and largest length of stitches that must keep it, over the wanted one."""
+    least, most = np.inf, -np.inf
+    for move in job:
+        if isinstance(move, Move) and "target_m" in move.tags and not move.tags["exempt"]:
+            share = float(move.tags["length_m"]) / float(move.tags["target_m"])
+            least, most = min(least, share), max(most, share)
+    return (least, most) if least <= most else (1.0, 1.0)
+
+
+def _steps(stepped: Trajectory) -> _Steps:
+    """Read the motion once; its pieces meet with steps of speed."""
+    width = len(stepped.axes)
+    speeds, bends, bent = np.zeros(width), np.zeros(width), False
+    before = np.zeros(width)
+    for block in stepped:
+        lasts_s = block.duration_s[:, None]
+        speed = block.coefficients[:, 1:].sum(axis=1) / lasts_s
+        curved = (block.coefficients[:, 2:] != 0.0).any(axis=(1, 2))
+        bent = bent or bool(curved.any())
+        speeds = np.maximum(speeds, np.abs(speed).max(axis=0))
+        joined = np.concatenate([before[None], np.where(curved[:, None], 0.0, speed)])
+        moves = (joined != 0.0).any(axis=1)
+        steps = np.abs(np.diff(joined, axis=0))[moves[1:] & moves[:-1]]
+        bends = np.maximum(bends, steps.max(axis=0, initial=0.0))
+        before = joined[-1]
+    return _Steps(speeds=speeds, bends=np.where(bends > _STRAIGHT * speeds, bends, 0.0), bent=bent)
+
+
+def _change_s(job: Job) -> float:
+    turns = (
+        1.0 / move.feed.value
+        for move in job
+        if isinstance(move, Move)
+        and "stitch" in move.tags
+        and move.feed is not None
+        and move.feed.mode is FeedMode.INVERSE_TIME
+    )
+    turn_s = min(turns, default=None)
+    if turn_s is None:
+        raise PlanError(
+            f"{job.name} has no needle that says in which time a robust plan may change its speed",
+            remedy='Give it: --smoothing "90 ms". Loads ring less the longer it is.',
+        )
+    return TURNS * turn_s

@@ -1,0 +1,400 @@
+"""Job + shapers -> switch schedule: named valves on the scan of a PLC.
+
+Time stands still at a wait: rows up to its tick have taken effect, and the next tick comes once
+the input is there. What follows a wait therefore begins one tick later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from threadline.commands.schedule_moves import (
+    AxisShaping,
+    Homing,
+    Levels,
+    home_stage,
+    levels_by_axis,
+    move_levels,
+    open_flows,
+    shaping_told,
+    shortest_ticks,
+    table_of,
+    valves_of,
+    written_levels,
+)
+from threadline.commands.schedule_options import (
+    check_air,
+    check_interlocks,
+    check_timeout,
+    check_wait,
+    shaping_at,
+    tell_distance,
+)
+from threadline.errors import BudgetError, Place, PlanError
+from threadline.files import Clock, Event, SwitchSchedule
+from threadline.jobs.moves import REST, STEP_EVENT
+from threadline.jobs.operations import (
+    Dwell,
+    Home,
+    Job,
+    Move,
+    SetOutput,
+    Source,
+    ToolEvent,
+    WaitInput,
+)
+from threadline.machine import Machine
+
+ON_OFF = "on-off"
+"""What plans of on/off machines give as their interpolation."""
+_SAME_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScheduledMove:
+    """A move of the schedule: where, when and how.
+
+    Parameters
+    ----------
+    operation, step, axis, forward
+        What moves, and in which step of the cycle.
+    begin_m, end_m
+        From where to where.
+    first_tick, last_tick
+        Scans of the first and the last switching.
+    levels
+        The levels; their ticks count from ``first_tick``.
+    """
+
+    operation: int
+    step: str
+    axis: str
+    begin_m: float
+    end_m: float
+    first_tick: int
+    last_tick: int
+    levels: Levels
+
+    @property
+    def forward(self) -> bool:
+        """Whether the move leads away from 0."""
+        return self.end_m > self.begin_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scheduled:
+    """A schedule with what there is to know about it.
+
+    Parameters
+    ----------
+    job, machine
+        The two inputs.
+    commands
+        The schedule; its events name the steps (kind ``tool``) and the waits.
+    moves, homings
+        Every move, and every cylinder that an operation brings home, in order.
+    wait_timeouts_s
+        One for each event of kind ``wait``, in order.
+    warnings
+        Distances that whole scans do not meet.
+    shaping
+        How each cylinder was shaped; those that are not named move unshaped.
+    """
+
+    job: Job
+    machine: Machine
+    commands: SwitchSchedule
+    moves: tuple[ScheduledMove, ...]
+    wait_timeouts_s: tuple[float, ...]
+    homings: tuple[Homing, ...] = ()
+    warnings: tuple[str, ...] = ()
+    shaping: Mapping[str, AxisShaping] = field(default_factory=dict)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the cylinders, in the order of all columns."""
+        return self.job.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the schedule, s; a cycle takes longer where inputs come late."""
+        return self.commands.duration_ticks * float(self.commands.clock.period_s)
+
+    @property
+    def historical(self) -> bool:
+        """Never: its limits are those of its valves, and they hold always."""
+        return False
+
+    def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return what stands where other plans have an interpolation."""
+        return ON_OFF
+
+    def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return how it was planned, for people."""
+        return "switched"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:
+        """Return how each cylinder is shaped, where a shaper was asked for."""
+        if "shaper" not in options:
+            return {}
+        return {"shaping": {axis: shaping_told(one) for axis, one in self.shaping.items()}}
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
+        """Return the line of each operation, 0 where it has none."""
+        return {i: o.source.line for i, o in enumerate(job) if i in operations}
+
+
+def compile_schedule(
+    job: Job, machine: Machine, shaping: Mapping[str, AxisShaping] | None = None
+) -> Scheduled:
+    """Return the schedule of ``job``, each cylinder shaped as told.
+
+    Parameters
+    ----------
+    shaping
+        By cylinder; the others move unshaped.
+
+    Raises
+    ------
+    PlanError
+        If a level has no valves, exceeds the unshaped one where that is forbidden, a valve would
+        switch faster than it can, or a cylinder moves before the soft-start valve has opened.
+    """
+    builder = _Builder(job, machine, dict(shaping or {}))
+    for index, operation in enumerate(job):
+        builder.add(index, operation)
+    return builder.finish()
+
+
+@dataclass(slots=True)
+class _Builder:
+    """Walks through the job; lives only as long as ``compile_schedule`` runs."""
+
+    job: Job
+    machine: Machine
+    shaping: dict[str, AxisShaping]
+    tick: int = 0
+    step: str = ""
+    rows: dict[int, tuple[dict[str, int], int]] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    timeouts: list[float] = field(default_factory=list)
+    moves: list[ScheduledMove] = field(default_factory=list)
+    homings: list[Homing] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    state: dict[str, int] = field(default_factory=dict)
+    position: dict[str, float] = field(default_factory=dict)
+    on_its_way: set[str] = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.state = dict.fromkeys(self.machine.outputs, 0)
+        self.position = dict(zip(self.job.axes, self.job.start, strict=True))
+
+    @property
+    def clock(self) -> Clock:
+        assert self.machine.plc is not None
+        return self.machine.clock(self.machine.plc.clock)
+
+    def _ticks(self, time_s: float) -> int:
+        return max(1, math.ceil(time_s / float(self.clock.period_s) - 1e-9))
+
+    def _set(self, tick: int, values: Mapping[str, int], operation: int) -> None:
+        changes, _ = self.rows.get(tick, ({}, operation))
+        self.rows[tick] = ({**changes, **values}, operation)
+
+    def add(self, index: int, operation: object) -> None:
+        match operation:
+            case ToolEvent(name=name):
+                self.step = name.removeprefix(STEP_EVENT)
+                self.events.append(
+                    Event(tick=self.tick, kind="tool", operation=index, name=self.step)
+                )
+            case SetOutput(name=name, value=value, source=source):
+                self.state[name] = int(value)
+                self._check_interlocks([], self.position, source)
+                self._set(self.tick, {name: int(value)}, index)
+                self.tick += self._ticks(self.machine.outputs[name].ramp_s) if value else 1
+            case Dwell(duration_s=duration):
+                self.tick += self._ticks(duration)
+            case WaitInput(name=name, value=value, timeout_s=timeout, source=source):
+                check_timeout(timeout, float(self.clock.period_s), source)
+                self.warnings += check_wait(self.machine, self.position, name, bool(value), source)
+                if self.machine.contacts[name].cylinder is not None:
+                    self.on_its_way.discard(str(self.machine.contacts[name].cylinder))
+                self.events.append(
+                    Event(tick=self.tick, kind="wait", operation=index, name=name, value=value)
+                )
+                self.timeouts.append(timeout)
+                self.tick += 1
+            case Home(axes=axes, source=source):
+                self._bring_home(index, axes, source)
+            case Move(target=target, source=source, tags=tags):
+                self._move(index, target, source, tags)
+            case _:
+                raise PlanError(
+                    f"operation {index}: an on/off machine does no {type(operation).__name__}"
+                )
+
+    def _move(
+        self,
+        index: int,
+        target: tuple[float, ...],
+        source: Source,
+        how: Mapping[str, float | str],
+    ) -> None:
+        check_air(self.machine, self.state, source)
+        ends, before, moving = [self.tick + 1], dict(self.position), list[str]()
+        if not any(
+            abs(to - self.position[axis]) > _SAME_M
+            for axis, to in zip(self.job.axes, target, strict=True)
+        ):
+            where = ", ".join(f"{axis} at {at * 1e3:g} mm" for axis, at in self.position.items())
+            self.warnings.append(
+                f"{source.place}: this move moves nothing: the list has {where} already; a list "
+                "begins at 0, and the way home from elsewhere is in the PLC program of its own"
+            )
+        for axis, to in zip(self.job.axes, target, strict=True):
+            distance = to - self.position[axis]
+            self.position[axis] = to
+            if abs(distance) > _SAME_M:
+                moving.append(axis)
+                ends.append(self._stroke(index, axis, distance, source, how))
+        self._check_interlocks(moving, before, source)
+        self.on_its_way |= {
+            axis
+            for axis in moving
+            if self.machine.cylinders[axis].rest_s(self.position[axis] > before[axis])
+            > float(how.get(REST, math.inf))
+        }
+        self.tick = max(ends)
+
+    def _bring_home(self, index: int, axes: tuple[str, ...], source: Source) -> None:
+        """Bring cylinders home one after the other, from wherever they stand."""
+        check_air(self.machine, self.state, source)
+        for axis in axes:
+            stage = home_stage(self.machine, axis, source.place)
+            before, first = dict(self.position), self.tick
+            self._set(first, dict.fromkeys(stage.on, 1), index)
+            self.events.append(
+                Event(tick=first, kind="wait", operation=index, name=stage.switch, value=1.0)
+            )
+            self.timeouts.append(stage.late_s)
+            self.tick += self._ticks(stage.pressed_s)
+            self._set(self.tick, dict.fromkeys(stage.on, 0), index)
+            self.tick += self._ticks(self.machine.cylinders[axis].rest_s(forward=False))
+            self.position[axis] = 0.0
+            self._check_interlocks([axis], before, source)
+            self.on_its_way.discard(axis)
+            self.homings.append(
+                Homing(operation=index, axis=axis, first_tick=first, last_tick=self.tick)
+            )
+
+    def _check_interlocks(
+        self, moving: list[str], before: Mapping[str, float], source: Source
+    ) -> None:
+        on = [name for name, value in self.state.items() if value]
+        check_interlocks(self.machine, moving, on, before, self.position, self.on_its_way, source)
+
+    def _stroke(
+        self,
+        index: int,
+        axis: str,
+        distance: float,
+        source: Source,
+        how: Mapping[str, float | str],
+    ) -> int:
+        cylinder = self.machine.cylinders[axis]
+        way = cylinder.way(distance > 0)
+        levels = self._levels(axis, distance, source, how)
+        for tick, level in zip(levels.ticks, levels.levels, strict=True):
+            chosen = open_flows(level, way, self.machine, source.place)
+            state = {way.valve: 1} | {flow: int(flow in chosen) for flow in way.flows}
+            if tick == levels.ticks[-1]:
+                state = dict.fromkeys(state, 0)
+            self._set(self.tick + tick, state, index)
+        last = self.tick + levels.ticks[-1]
+        self.moves.append(
+            ScheduledMove(
+                operation=index,
+                step=self.step,
+                axis=axis,
+                begin_m=self.position[axis] - distance,
+                end_m=self.position[axis],
+                first_tick=self.tick,
+                last_tick=last,
+                levels=levels,
+            )
+        )
+        period_s = float(self.clock.period_s)
+        tell_distance(self.warnings, levels, axis, period_s, source, written="levels" in how)
+        return last + self._ticks(float(how.get(REST, cylinder.rest_s(distance > 0))))
+
+    def _levels(
+        self, axis: str, distance: float, source: Source, how: Mapping[str, float | str]
+    ) -> Levels:
+        """Return levels whose valves can follow; impulses move apart only where they must.
+
+        What the move list says of the move itself comes before the shaping of its cylinder.
+        """
+        cylinder = self.machine.cylinders[axis]
+        assert self.machine.plc is not None
+        way, shaping = cylinder.way(distance > 0), self.shaping.get(axis)
+        tick_s, need = float(self.clock.period_s), way.least_hold_s(self.machine.plc)
+        if "shaper" in how:
+            shaping = shaping_at(self.machine, str(how["shaper"]), source.place).get(axis)
+        valves, shortest = valves_of(way, tick_s), ("", 0)
+        text = str(how.get("levels", ""))
+        own = levels_by_axis(text).get(axis, "" if "=" in text else text)
+        for dwell_s in (0.0, need):
+            if own:
+                levels = written_levels(
+                    own, abs(distance), cylinder.speed.si, tick_s, source.place, valves
+                )
+            else:
+                levels = move_levels(
+                    abs(distance), cylinder.speed.si, tick_s, shaping, dwell_s, valves
+                )
+            chosen = [open_flows(v, way, self.machine, source.place) for v in levels.levels]
+            shortest = min(
+                ((flow, shortest_ticks(flow, chosen, levels.ticks)) for flow in way.flows),
+                key=lambda pair: pair[1],
+            )
+            if shortest[1] >= need / tick_s - 1e-9:
+                return levels
+        raise PlanError(
+            f"the valve {shortest[0]!r} would switch again after "
+            f"{shortest[1] * tick_s * 1e3:g} ms; it needs {need * 1e3:g} ms",
+            place=source.place,
+            remedy="Take a shaper with fewer impulses, a longer move or a faster valve.",
+        )
+
+    def finish(self) -> Scheduled:
+        ticks, table, operations = table_of(self.rows, tuple(self.machine.outputs))
+        if self.tick > self.machine.tick_budget.si:
+            raise BudgetError(
+                f"the job takes {self.tick} scans, limit {self.machine.tick_budget.si:g}",
+                place=Place(self.job.file),
+            )
+        commands = SwitchSchedule(
+            clock=self.clock,
+            outputs=tuple(self.machine.outputs),
+            ticks=ticks,
+            levels=table,
+            operation=operations,
+            duration_ticks=self.tick,
+            job_sha256=self.job.sha256,
+            machine_sha256=self.machine.sha256,
+            events=tuple(self.events),
+        )
+        return Scheduled(
+            job=self.job,
+            machine=self.machine,
+            commands=commands,
+            moves=tuple(self.moves),
+            homings=tuple(self.homings),
+            wait_timeouts_s=tuple(self.timeouts),
+            warnings=tuple(self.warnings),
+            shaping=self.shaping,
+        )

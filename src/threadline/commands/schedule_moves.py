@@ -1,0 +1,445 @@
+"""How one cylinder is brought home: slowly, until its contact says so, then pressed there.
+
+It is pressed home for as long as its whole stroke takes: a contact that is stuck on, with the
+piston anywhere, sends nothing else on its way before this cylinder is home.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import Place, PlanError, UnitError
+from threadline.machine import Machine
+from threadline.machine.pneumatics import Way
+from threadline.motion.shaping import ControllerLimits, FlexibleMode, Realised, Shaper, realise
+from threadline.motion.shaping.designs import DEFAULT_TOLERANCE
+from threadline.motion.shaping.onoff.switched import Valves
+from threadline.units import parse_quantity
+
+_AMPLE = 2.0
+_SPARE_S = 1.0
+_WHOLE = 1.2  # strokes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HomeStage:
+    """One cylinder on its way home.
+
+    Parameters
+    ----------
+    on
+        The outputs that bring it: its valve, and the flow controls of the smallest level.
+    switch
+        The contact that is on where it starts.
+    late_s
+        After so long without the contact it is a fault.
+    pressed_s
+        How long it is pressed home behind the contact.
+    """
+
+    on: tuple[str, ...]
+    switch: str
+    late_s: float
+    pressed_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Homing:
+    """One cylinder that an operation brings home, from its first scan until it is there."""
+
+    operation: int
+    axis: str
+    first_tick: int
+    last_tick: int
+
+
+def home_stage(machine: Machine, axis: str, place: Place | None = None) -> HomeStage:
+    """Return how a cylinder is brought home; its times hold all over its tolerances.
+
+    Raises
+    ------
+    PlanError
+        If no contact tells that it is there, or it may not move at all.
+    """
+    cylinder = machine.cylinders[axis]
+    level, flows = slowest(cylinder.back)
+    # As slow as its tolerances let it be.
+    off = sum(cylinder.back.flows[flow].tolerance_si for flow in flows)
+    speed = (level - off) * cylinder.speed.least
+    if speed <= 0.0:
+        raise PlanError(
+            f"{axis} may stand still on its way home: its speed and flow controls have tolerances "
+            "as large as they are",
+            place=place,
+            remedy="Measure its speed.",
+        )
+    rest_s = cylinder.longest_rest_s(forward=False)
+    return HomeStage(
+        on=(cylinder.back.valve, *flows),
+        switch=home_switch(machine, axis, place),
+        late_s=_AMPLE * (cylinder.stroke.si / speed + rest_s) + _SPARE_S,
+        pressed_s=_WHOLE * cylinder.stroke.si / speed + rest_s,
+    )
+
+
+def home_switch(machine: Machine, axis: str, place: Place | None = None) -> str:
+    """Return the end switch that is on where a cylinder starts, the nearest to its start.
+
+    Raises
+    ------
+    PlanError
+        If there is none.
+    """
+    near = {
+        name: contact.at.si
+        for name, contact in machine.contacts.items()
+        if contact.cylinder == axis and contact.beyond == "below" and contact.at is not None
+    }
+    if not near:
+        raise PlanError(
+            f"no contact tells that {axis} is home, so that nothing could bring it there",
+            place=place,
+            remedy=f'Add a contact with cylinder = "{axis}", beyond = "below" to the machine file.',
+        )
+    return min(near, key=lambda name: near[name])
+
+
+def slowest(way: Way) -> tuple[float, tuple[str, ...]]:
+    """Return the smallest level above 0 of one direction, and the flow controls that make it."""
+    sets = {flows: level for flows, level in way.levels().items() if level > 0.0}
+    flows = min(sets, key=lambda chosen: sets[chosen])
+    return sets[flows], flows
+
+
+AT_ONCE = Valves(flows=(1.0,))
+"""Valves whose flow follows each command at once."""
+_LEAST_TOLERANCE = 0.005
+"""Levels closer than this are one: no flow control is set more exactly."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AxisShaping:
+    """How the moves of one cylinder are shaped.
+
+    Parameters
+    ----------
+    shaper
+        Convolved with the level that switches on for the move and off at its end.
+    modes
+        What the train is judged by when it is moved onto the scan; the worst counts.
+    relative
+        Half width of the band of frequency that counts then; None for the band in which the exact
+        train stays within the tolerance.
+    tolerance
+        Of that band.
+    """
+
+    shaper: Shaper
+    modes: tuple[FlexibleMode, ...]
+    relative: float | None = None
+    tolerance: float = DEFAULT_TOLERANCE
+
+
+def shaping_words(shaping: AxisShaping | None) -> str:
+    """Return how a cylinder is shaped, and for which modes, for people."""
+    if shaping is None:
+        return "unshaped"
+    modes = " and ".join(
+        f"{m.frequency_hz:.4g} Hz, damping ratio {m.damping_ratio:.4g}" for m in shaping.modes
+    )
+    return f"shaped by {shaping.shaper.name} for {modes}"
+
+
+def shaping_told(shaping: AxisShaping) -> dict[str, Any]:
+    """Return how a cylinder is shaped, and for which modes, for machines."""
+    modes = [
+        {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio} for m in shaping.modes
+    ]
+    return {"shaper": shaping.shaper.name, "modes": modes}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Levels:
+    """A move as levels.
+
+    Parameters
+    ----------
+    ticks, levels
+        Level from each scan on, the last 0; scans from the start of the move.
+    wanted_m, commanded_m
+        Distance that was asked for, and the one of these whole scans.
+    speed_m_s
+        Of level 1.
+    realised
+        The shaper on the scan; None for an unshaped move.
+    """
+
+    ticks: tuple[int, ...]
+    levels: tuple[float, ...]
+    wanted_m: float
+    commanded_m: float
+    speed_m_s: float
+    realised: Realised | None
+
+
+def move_levels(
+    distance_m: float,
+    speed_m_s: float,
+    tick_s: float,
+    shaping: AxisShaping | None,
+    dwell_s: float = 0.0,
+    valves: Valves = AT_ONCE,
+) -> Levels:
+    """Return the levels that cover ``distance_m``, a positive length, at ``speed_m_s`` per level.
+
+    ``dwell_s`` keeps the impulses of the shaper apart. Where ``valves`` close later than they open,
+    each stretch of flow is longer than its command, and the commands are shorter.
+
+    Raises
+    ------
+    PlanError
+        If the distance is shorter than a scan.
+    """
+    on_scans = distance_m / (speed_m_s * tick_s)
+    on = round(on_scans - valves.longer)
+    if on < 1:
+        raise PlanError(
+            f"a move of {distance_m * 1e3:g} mm takes less than a scan of {tick_s * 1e3:g} ms at "
+            f"{speed_m_s:g} m/s",
+            remedy="Lower the speed or the scan.",
+        )
+    realised = None
+    ticks: tuple[int, ...] = (0,)
+    amplitudes = np.ones(1)
+    if shaping is not None and len(shaping.shaper.times_s) > 1:
+        realised = _on_the_scan(shaping, tick_s, dwell_s)
+        ticks, amplitudes = realised.ticks, realised.shaper.amplitudes
+    at, levels = _convolved(on, ticks, amplitudes)
+    covered = float(on)
+    if not valves.at_once:
+        # How often each valve opens is known with the command alone; it moves with its length.
+        on = max(on + round(on_scans - valves.covered(at, levels)), 1)
+        at, levels = _convolved(on, ticks, amplitudes)
+        covered = valves.covered(at, levels)
+    return Levels(
+        ticks=at,
+        levels=levels,
+        wanted_m=distance_m,
+        commanded_m=covered * tick_s * speed_m_s,
+        speed_m_s=speed_m_s,
+        realised=realised,
+    )
+
+
+def _convolved(
+    on: int, ticks: tuple[int, ...], amplitudes: FloatArray
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return ticks and levels of ``on`` scans of level 1, convolved with impulses."""
+    steps: dict[int, float] = {}
+    for tick, amplitude in zip(ticks, amplitudes, strict=True):
+        steps[tick] = steps.get(tick, 0.0) + float(amplitude)
+        steps[on + tick] = steps.get(on + tick, 0.0) - float(amplitude)
+    at = sorted(steps)
+    levels = np.cumsum([steps[tick] for tick in at])
+    kept = [i for i in range(len(at)) if abs(steps[at[i]]) > 1e-12]
+    return tuple(at[i] for i in kept), tuple(float(levels[i]) for i in kept)
+
+
+def written_levels(
+    text: str,
+    distance_m: float,
+    speed_m_s: float,
+    tick_s: float,
+    place: Place,
+    valves: Valves = AT_ONCE,
+) -> Levels:
+    """Return the levels that a move list writes out: ``"1 for 180 ms, 0 for 60 ms, ..."``.
+
+    Raises
+    ------
+    PlanError
+        If they cannot be read, are no whole scans, or cover another distance by a scan or more.
+    """
+    example = 'Write it like levels = "1 for 180 ms, 0 for 60 ms, 1 for 290 ms".'
+    ticks, levels, now = list[int](), list[float](), 0
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s+for\s+(.+?)\s*", part)
+        if match is None:
+            raise PlanError(
+                f"levels: {part.strip()[:40]!r} is no level for a time", place=place, remedy=example
+            )
+        try:
+            span_s = parse_quantity(match[2], "s")
+        except UnitError as error:
+            raise PlanError(f"levels: {error.message}", place=place, remedy=example) from error
+        scans = round(span_s / tick_s)
+        if span_s <= 0.0:
+            raise PlanError(
+                f"levels: {match[2]} is no time that a level can last", place=place, remedy=example
+            )
+        if scans < 1 or abs(span_s - scans * tick_s) > 1e-6 * tick_s:
+            raise PlanError(
+                f"levels: {match[2]} is no whole number of scans of {tick_s * 1e3:g} ms",
+                place=place,
+                remedy="The valves switch on the scan of the PLC.",
+            )
+        level = float(match[1])
+        if level == (levels[-1] if levels else 0.0):
+            raise PlanError(
+                f"levels are out of order: {part.strip()[:40]!r} is the level that was there",
+                place=place,
+                remedy="Begin above 0, change with each one, and leave out the last 0.",
+            )
+        ticks.append(now)
+        levels.append(level)
+        now += scans
+    if levels[-1] == 0.0:
+        raise PlanError(
+            "levels are out of order: they end with 0, which every move ends with by itself",
+            place=place,
+            remedy="Leave out the last 0.",
+        )
+    covered = (
+        float(np.dot(np.diff([*ticks, now]), levels))
+        if valves.at_once
+        else valves.covered((*ticks, now), (*levels, 0.0))
+    )
+    commanded_m = covered * tick_s * speed_m_s
+    if abs(commanded_m - distance_m) >= speed_m_s * tick_s:
+        raise PlanError(
+            f"the levels move the piston by {commanded_m * 1e3:.2f} mm of "
+            f"{distance_m * 1e3:.2f} mm",
+            place=place,
+            remedy="Level times duration must add up to distance over speed."
+            if valves.at_once
+            else "Level times duration must add up to distance over speed, and each stretch of "
+            f"flow is {valves.longer * tick_s * 1e3:g} ms longer than its command.",
+        )
+    return Levels(
+        ticks=(*ticks, now),
+        levels=(*levels, 0.0),
+        wanted_m=distance_m,
+        commanded_m=commanded_m,
+        speed_m_s=speed_m_s,
+        realised=None,
+    )
+
+
+def joined_levels(texts: Mapping[str, str]) -> str:
+    """Return the levels of cylinders that move in one operation as one text, in their order."""
+    return "; ".join(f"{axis}={text}" for axis, text in texts.items())
+
+
+def levels_by_axis(text: str) -> dict[str, str]:
+    """Return the levels of each cylinder; an empty one where the text is of the one that moves."""
+    if "=" not in text:
+        return {}
+    pairs = (part.split("=", 1) for part in text.split(";"))
+    return {axis.strip(): levels.strip() for axis, levels in pairs}
+
+
+def levels_text(levels: Levels, tick_s: float) -> str:
+    """Return levels as a move list writes them out."""
+    spans = np.diff(levels.ticks)
+    return ", ".join(
+        f"{level:.6g} for {span * tick_s * 1e3:.9g} ms"
+        for level, span in zip(levels.levels, spans.tolist(), strict=False)
+    )
+
+
+@lru_cache(maxsize=64)
+def _on_the_scan(shaping: AxisShaping, tick_s: float, dwell_s: float) -> Realised:
+    # The search takes seconds for long trains, and every move of a cylinder shares it.
+    return realise(
+        shaping.shaper,
+        shaping.modes,
+        ControllerLimits(tick_s=tick_s, dwell_s=dwell_s),
+        relative=shaping.relative,
+        tolerance=shaping.tolerance,
+    )
+
+
+def valves_of(way: Way, tick_s: float) -> Valves:
+    """Return the flow controls of one sense, in scans."""
+    return Valves(
+        flows=tuple(flow.si for flow in way.flows.values()),
+        opens=way.opens_s / tick_s,
+        closes=way.closes_s / tick_s,
+    )
+
+
+def open_flows(level: float, way: Way, machine: Machine, place: Place) -> tuple[str, ...]:
+    """Return the flow controls whose sum is ``level``.
+
+    Raises
+    ------
+    PlanError
+        If no set of them is, or the level is above 1 or below 0 where the machine forbids it.
+    """
+    tolerance = max(way.level_tolerance, _LEAST_TOLERANCE)
+    assert machine.plc is not None
+    if machine.plc.never_over and not -tolerance <= level <= 1.0 + tolerance:
+        raise PlanError(
+            f"the shaped command passes through level {level:.3f}, outside the unshaped 0 ... 1, "
+            "which this machine forbids",
+            place=place,
+            remedy="Take a unit-magnitude shaper that is shorter than the move, or a slower speed.",
+        )
+    sets = way.levels()
+    best = min(sets, key=lambda chosen: abs(sets[chosen] - level))
+    if abs(sets[best] - level) > tolerance:
+        known = ", ".join(dict.fromkeys(f"{value:.3g}" for value in sorted(sets.values())))
+        unshaped = abs(level - 1.0) <= tolerance
+        raise PlanError(
+            f"no valves of {way.valve!r} make the level {level:.4f}; they make {known}",
+            place=place,
+            remedy=f"The flows {', '.join(way.flows)} must add up to 1."
+            if unshaped
+            else f"Set the flow controls {', '.join(way.flows)} so that one or some of them make "
+            "it, or take a um- shaper, which needs none but 0 and 1.",
+        )
+    return best
+
+
+def shortest_ticks(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, ...]) -> int:
+    """Return the fewest ticks between two switchings of ``flow``."""
+    opened = [flow in names for names in chosen]
+    before = [False, *opened[:-1]]
+    changes = [t for t, now, was in zip(ticks, opened, before, strict=True) if now != was]
+    return int(np.diff(changes).min()) if len(changes) > 1 else 1 << 62
+
+
+def table_of(
+    rows: Mapping[int, tuple[Mapping[str, int], int]], outputs: tuple[str, ...]
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Return ticks, levels of all outputs and operations of the rows that change something.
+
+    Parameters
+    ----------
+    rows
+        By tick: what is switched, and by which operation.
+    """
+    columns = {name: i for i, name in enumerate(outputs)}
+    state = np.zeros(len(columns), dtype=np.int64)
+    ticks, table, operations = list[int](), list[IntArray](), list[int]()
+    for tick in sorted(rows):
+        changes, operation = rows[tick]
+        for name, value in changes.items():
+            state[columns[name]] = value
+        if table and np.array_equal(table[-1], state):
+            continue
+        ticks.append(tick)
+        table.append(state.copy())
+        operations.append(operation)
+    return (
+        np.array(ticks, dtype=np.int64),
+        np.array(table, dtype=np.int64).reshape(len(table), len(columns)),
+        np.array(operations, dtype=np.int64),
+    )

@@ -1,0 +1,207 @@
+"""Tables that begin and end with the motion of their loads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics import CHOSEN, EARLIEST, AxisEnds, AxisPreview, Demand, TableEnd, Told
+from threadline.files import Stream
+from threadline.machine import Machine
+from threadline.motion.timing import Trajectory, TrajectoryBlock
+from threadline.motion.timing.optimal.motion_limits import reserve_of
+
+_KEPT_TICKS = 1024
+"""Ticks at either end of a motion that are known: more than any loop of ``AxisEnds`` remembers."""
+_CLOSE_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShortTable:
+    """What makes a table of references shorter.
+
+    Parameters
+    ----------
+    rows
+        Number of its rows.
+    begun, ended
+        (k, axes) what is added to the references from tick 0 on, and to the last up to that at
+        the end of the last row.
+    ends
+        The ends of each axis of which there are any.
+    """
+
+    rows: int
+    begun: FloatArray
+    ended: FloatArray
+    ends: tuple[tuple[TableEnd, ...], ...]
+
+    def demands(self, whole: Sequence[Demand]) -> tuple[Demand, ...]:
+        """Return what the motion asks of each axis, with the ends of its table."""
+        return tuple(
+            demand.at_least(max((end.volts for end in ends), default=0.0))
+            for demand, ends in zip(whole, self.ends, strict=True)
+        )
+
+
+class ToldEnds:
+    """What an axis is told at the ticks next to the ends of its motion."""
+
+    def __init__(self) -> None:
+        self.first = self.last = Told.none()
+        self.ticks = 0
+
+    def add(self, told: Told) -> None:
+        """Go on by what was told at the next ticks."""
+        self.ticks += len(told)
+        if len(self.first) < _KEPT_TICKS:
+            self.first = self.first.joined(told.part(0, _KEPT_TICKS - len(self.first)))
+        both = self.last.joined(told)
+        self.last = both.part(max(len(both) - _KEPT_TICKS, 0), len(both))
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything is told but one place."""
+        return any(float(np.ptp(of.references_si)) > 0.0 for of in (self.first, self.last))
+
+    def from_start(self, count: int, memory: int) -> Told:
+        """Return the first ticks, as many as the loop remembers behind the first ``count``."""
+        told = self.first.part(0, count + memory)
+        return told.held(count + memory - len(told))
+
+    def to_end(self, first: int, memory: int) -> Told:
+        """Return the ticks from number ``first`` on, and as many at rest as the loop remembers."""
+        begin = len(self.last) - (self.ticks - first)
+        return self.last.part(begin, len(self.last)).held(memory)
+
+
+def leads_s(machine: Machine, previews: Sequence[AxisPreview], whole_s: float) -> Iterator[float]:
+    """Yield how long loads may rest after the start of a short table, s; the least first.
+
+    None where a controller does not take a reference at each of its ticks, or a row is none.
+
+    Parameters
+    ----------
+    whole_s
+        How long they rest after that of a whole table: nothing has to be chosen anew then.
+    """
+    step_s = float(machine.tick_clock.period_s)
+    timings = [preview.timing for preview in previews]
+    if not timings or any(
+        timing.held_s > 0.0
+        or abs(timing.tick_s - step_s) > _CLOSE_S
+        or abs(timing.step_s - step_s) > _CLOSE_S
+        for timing in timings
+    ):
+        return
+    # A voltage of the tick before the first would act, with half its hold, before the motion.
+    early_s = max(timing.early_s for timing in timings) - step_s
+    least = max(0, ceil(early_s / step_s - _CLOSE_S))
+    yield from (step_s * k for k in range(least, round(whole_s / step_s) + 1))
+
+
+def short_table(
+    machine: Machine,
+    trajectory: Trajectory,
+    previews: Sequence[AxisPreview],
+    told: Sequence[ToldEnds],
+    planned_s: float,
+    within_m: float,
+) -> ShortTable | None:
+    """Return the shortest table with which loads leave their motion by ``within_m`` at most.
+
+    None where there is none.
+
+    Parameters
+    ----------
+    trajectory
+        Of the loads, at rest at its end until what swings in the inverses has decayed.
+    told
+        What the inverse of each axis makes of it.
+    planned_s
+        When the motion and what is to be waited for after it are over.
+    """
+    step_s, axes = float(machine.tick_clock.period_s), trajectory.axes
+    radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in axes]]
+    rest_si = trajectory(np.array([0.0, trajectory.duration_s]))
+    ends = {
+        k: AxisEnds(machine, axis, previews[k], reserve_of(machine, axis))
+        for k, axis in enumerate(axes)
+        if told[k].moves
+    }
+    ticks = max((of.ticks for of in told), default=0)
+    least = ceil(planned_s / step_s - 1e-9)
+    if trajectory.moves_s[1] > planned_s - step_s:  # else it rests at its end as the job says
+        least = max(least - EARLIEST, 2)
+    count = min(CHOSEN, least // 2)
+    if ticks - least + count > _KEPT_TICKS:
+        return None
+    begun = {
+        k: end.begun(told[k].from_start(count, end.memory), count, rest_si[0, k])
+        for k, end in ends.items()
+    }
+    # Ends that are close to each other are off together.
+    close = least < 2 * count + max((end.memory for end in ends.values()), default=0)
+    for rows in range(least, ticks):
+        found: dict[int, tuple[TableEnd, TableEnd]] = {}
+        for k, end in ends.items():
+            tail = told[k].to_end(rows - count, end.memory)
+            start, stop = begun[k], end.ended(tail, count, rest_si[1, k])
+            if start is None or stop is None:
+                break
+            found[k] = start, stop
+        joined = sum if close else max
+        off_m = [joined(end.off_si for end in pair) * radius_m[k] for k, pair in found.items()]
+        if len(found) == len(ends) and float(np.linalg.norm(off_m)) <= within_m:
+            return _table(rows, count, len(axes), found)
+        if None in begun.values():
+            return None
+    return None
+
+
+def _table(
+    rows: int, count: int, axes: int, found: dict[int, tuple[TableEnd, TableEnd]]
+) -> ShortTable:
+    begun, ended = np.zeros((count + 1, axes)), np.zeros((count + 1, axes))
+    for k, (start, end) in found.items():
+        begun[:, k], ended[:, k] = start.more_si[: count + 1], end.more_si[: count + 1]
+    return ShortTable(
+        rows=rows,
+        begun=begun,
+        ended=ended,
+        ends=tuple(found.get(k, ()) for k in range(axes)),
+    )
+
+
+def shortened(references: Trajectory, table: ShortTable) -> Trajectory:
+    """Return the references of a table that is shorter, one straight piece per row."""
+    return Trajectory(
+        axes=references.axes, historical=True, blocks=Stream(_shortened, references, table)
+    )
+
+
+def _shortened(references: Trajectory, table: ShortTable) -> Iterator[TrajectoryBlock]:
+    row = 0
+    for block in references:
+        count = min(len(block), table.rows - row)
+        if count <= 0:
+            return
+        coefficients = block.coefficients[:count].copy()
+        at = np.arange(row, row + count + 1)
+        more = np.zeros((count + 1, coefficients.shape[2]))
+        for start, change in ((0, table.begun), (table.rows + 1 - len(table.ended), table.ended)):
+            inside = (at >= start) & (at < start + len(change))
+            more[inside] += change[at[inside] - start]
+        coefficients[:, 0] += more[:-1]
+        coefficients[:, 1] += np.diff(more, axis=0)
+        yield TrajectoryBlock(
+            start_s=block.start_s[:count],
+            duration_s=block.duration_s[:count],
+            coefficients=coefficients,
+            operation=block.operation[:count],
+        )
+        row += count

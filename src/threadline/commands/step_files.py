@@ -1,0 +1,248 @@
+"""Step tables and stitches as a set of files: binary and CSV, and a manifest with their hashes.
+
+``docs/files.md`` describes them byte by byte, so that another program can read them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline import __version__
+from threadline.base.arrays import FloatArray
+from threadline.base.writing import is_stdout
+from threadline.commands.step_tables import shortest_s, steps_residual_m
+from threadline.commands.stitched import Stitched
+from threadline.errors import OptionError, PlanError
+from threadline.files import StepPlay
+from threadline.files.formats.common import Written, atomic_file, written
+from threadline.jobs.embroidery.records import SUFFIXES, UNIT_M
+from threadline.jobs.embroidery.t15 import MOST, SUFFIX, t15_bytes
+
+FORMAT = "threadline step tables 1"
+_CUTS = ("colour", "trim")
+TABLES_MAGIC, STITCHES_MAGIC = b"TLSTEPT1", b"TLSTEPS1"
+
+
+def write_steps(stitched: Stitched, path: Path) -> list[Written]:
+    """Write tables and stitches; return the manifest at ``path`` and the files beside it.
+
+    They are named after the manifest: ``NAME.tables.bin``, ``NAME.tables.csv``,
+    ``NAME.stitches.bin``, ``NAME.stitches.csv`` and ``NAME.events.csv``.
+
+    Raises
+    ------
+    RecordingError
+        If a file cannot be written.
+    """
+    commands = stitched.commands
+    stem = path.with_suffix("") if path.suffix else path
+    told = _told(stitched)
+    content = {
+        ".tables.bin": _tables_bytes(commands),
+        ".tables.csv": _tables_text(commands, told),
+        ".stitches.bin": _stitches_bytes(commands),
+        ".stitches.csv": _stitches_text(commands),
+        ".events.csv": _events_text(stitched),
+    }
+    files: list[Written] = []
+    for ending, parts in content.items():
+        beside = stem.with_name(stem.name + ending)
+        with atomic_file(beside) as file:
+            for part in parts:
+                file.write(part)
+        facts = table_facts(commands, told) if ending == ".tables.csv" else ()
+        files.append(replace(written(beside), facts=facts))
+    with atomic_file(path) as file:
+        file.write(json.dumps(_manifest(stitched, files), indent=1, sort_keys=True).encode())
+        file.write(b"\n")
+    return [written(path), *files]
+
+
+def table_facts(commands: StepPlay, residual_m: FloatArray) -> tuple[str, ...]:
+    """Return what was checked of the tables: counts, intervals, ends, and what rounding leaves.
+
+    Parameters
+    ----------
+    residual_m
+        (tables, A) amplitudes that the steps of each table leave in the slowest mode, m.
+
+    Raises
+    ------
+    PlanError
+        If a table has another count than its length, a step without an interval, or one that is
+        due behind the window.
+    """
+    library, timer_s = commands.library, float(commands.clock.period_s)
+    per_unit = len(library[0]) // library[0].units
+    over = [commands.window_angle - int(table.intervals.sum()) for table in library]
+    for table, left in zip(library, over, strict=True):
+        if len(table) != per_unit * table.units or table.intervals.min() < 1 or left < 0:
+            raise PlanError(
+                f"step tables: that of {table.units} units has {len(table)} steps, the shortest "
+                f"interval {table.intervals.min()}, and ends {left} periods before its window",
+                remedy="Take a finer timer or a longer window.",
+            )
+    shortest = min(library, key=lambda table: int(table.intervals.min()))
+    interval = int(shortest.intervals.min())
+    worst, axis = np.unravel_index(int(np.argmax(residual_m)), residual_m.shape)
+    window_s = commands.window_angle * timer_s
+    return (
+        f"{len(library)} tables of {per_unit} steps a unit, {len(library[0])} to "
+        f"{len(library[-1])}, counted by {commands.counted_by}; window {window_s * 1e3:.6g} ms",
+        f"shortest interval {interval} periods ({interval * timer_s * 1e6:.4g} us at that speed), "
+        f"in the table of {shortest.units} units; the last step is due {min(over)} to {max(over)} "
+        "periods before the end of the window",
+        f"left swinging after the rounded steps: at most {residual_m[worst, axis] * 1e3:.4g} mm on "
+        f"{commands.axes[axis]}, by the table of {library[worst].units} units at that speed",
+    )
+
+
+def write_t15(stitched: Stitched, path: Path) -> Written:
+    """Write the design as a Saurer T15 card.
+
+    Raises
+    ------
+    PlanError
+        If the design is in units that a card does not have.
+    OptionError
+        If the name ends as that of another format of designs.
+    """
+    unit_m = stitched.pace.tables.unit.si
+    if abs(unit_m / UNIT_M - 1.0) > 1e-9 or stitched.pace.tables.longest_units > MOST:
+        raise PlanError(
+            f"a T15 card is in units of {UNIT_M * 1e3:g} mm and holds {MOST} in a stitch; the "
+            f"machine moves by {unit_m * 1e3:g} mm, {stitched.pace.tables.longest_units} at most",
+            place=stitched.machine.place,
+            remedy="Take a machine with such units.",
+        )
+    ending = path.suffix.lower()
+    if ending in SUFFIXES and ending != SUFFIX:
+        raise OptionError(
+            f"a Saurer T15 card, and the name of {str(path)!r} ends in {path.suffix}: whoever "
+            "reads it would take it for another format",
+            remedy=f"Name it {str(path.with_suffix(SUFFIX))!r}.",
+        )
+    turns = stitched.turns
+    changes = {e.tick for e in stitched.turns.events if e.kind == "tool" and e.name in _CUTS}
+    with atomic_file(path) as file:
+        file.write(t15_bytes(turns.moves.units, turns.moves.needle, changes | {len(turns)}))
+    if ending == SUFFIX or is_stdout(path):
+        return written(path)
+    said = f"{path}: a Saurer T15 card is known by the ending {SUFFIX}, which this name has not"
+    return replace(written(path), warnings=(said,))
+
+
+def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:
+    commands = stitched.commands
+    period_s = commands.clock.period_s
+    return {
+        "format": FORMAT,
+        "threadline": __version__,
+        "job": stitched.job.name,
+        "job_sha256": commands.job_sha256,
+        "machine": stitched.machine.name,
+        "machine_sha256": commands.machine_sha256,
+        "law": stitched.law.name,
+        "counted_by": commands.counted_by,
+        "timer_s": f"{period_s.numerator}/{period_s.denominator}",
+        "angles_per_turn": commands.steps_per_turn,
+        "angles_of_window": commands.window_angle,
+        "axes": list(commands.axes),
+        "steps_per_m": commands.steps_per_unit.tolist(),
+        "start_steps": commands.start_steps.tolist(),
+        "tables": len(commands.library),
+        "turns": commands.stitch_count(),
+        "duration_ticks": commands.duration_ticks,
+        "rows_sha256": commands.rows_sha256(),
+        "files": {file.path.name: file.sha256 for file in files},
+    }
+
+
+def _told(stitched: Stitched) -> FloatArray:
+    """Return (tables, A) amplitudes that the steps of each table leave in the slowest mode, m."""
+    commands, pace = stitched.commands, stitched.pace
+    period_s = commands.clock.period_s
+    window_s = commands.window_angle * period_s
+    columns = []
+    for modes, scale in zip(pace.modes.values(), commands.steps_per_unit.tolist(), strict=True):
+        columns.append(
+            [
+                max(
+                    (steps_residual_m(t, period_s, window_s, 1.0 / scale, m) for m in modes[:1]),
+                    default=0.0,
+                )
+                for t in commands.library
+            ]
+        )
+    return np.array(columns).T
+
+
+def _tables_bytes(commands: StepPlay) -> Iterator[bytes]:
+    yield TABLES_MAGIC + np.array([len(commands.library)], dtype="<u4").tobytes()
+    for table in commands.library:
+        yield np.array([table.units, len(table)], dtype="<u4").tobytes()
+        yield table.intervals.astype("<u4").tobytes()
+
+
+def _tables_text(commands: StepPlay, residual_m: FloatArray) -> Iterator[bytes]:
+    period_s = commands.clock.period_s if commands.counted_by == "time" else Fraction(0)
+    names = ",".join(f"residual_{axis}_mm" for axis in commands.axes)
+    yield f"units,steps,sum,shortest,shortest_us,{names},intervals\n".encode()
+    for table, left in zip(commands.library, residual_m.tolist(), strict=True):
+        intervals = " ".join(map(str, table.intervals.tolist()))
+        short = f"{shortest_s(table, period_s) * 1e6:.4f}" if period_s else ""
+        rest = ",".join(f"{value * 1e3:.6f}" for value in left)
+        yield (
+            f"{table.units},{len(table)},{table.intervals.sum()},{table.intervals.min()},{short},"
+            f"{rest},{intervals}\n"
+        ).encode()
+
+
+def _columns(commands: StepPlay) -> list[tuple[str, str]]:
+    """Return name and type of the columns of a turn."""
+    axes = [
+        column
+        for axis in commands.axes
+        for column in ((f"table_{axis}", "<i4"), (f"sign_{axis}", "<i4"))
+    ]
+    head = [("begin", "<i8"), ("window", "<i8"), ("start", "<i4"), ("needle", "<i4")]
+    return [*head, *axes, ("operation", "<i8")]
+
+
+def _turns(commands: StepPlay) -> Iterator[np.ndarray[Any, np.dtype[np.void]]]:
+    kind = np.dtype(_columns(commands))
+    for block in commands:
+        rows = np.empty(len(block), dtype=kind)
+        for name in ("begin", "window", "start", "needle", "operation"):
+            rows[name] = getattr(block, name)
+        for k, axis in enumerate(commands.axes):
+            rows[f"table_{axis}"], rows[f"sign_{axis}"] = block.table[:, k], block.sign[:, k]
+        yield rows
+
+
+def _stitches_bytes(commands: StepPlay) -> Iterator[bytes]:
+    yield STITCHES_MAGIC + np.array([commands.stitch_count()], dtype="<u4").tobytes()
+    for rows in _turns(commands):
+        yield rows.tobytes()
+
+
+def _stitches_text(commands: StepPlay) -> Iterator[bytes]:
+    yield ("turn," + ",".join(name for name, _ in _columns(commands)) + "\n").encode()
+    first = 0
+    for rows in _turns(commands):
+        lines = (f"{k}," + ",".join(map(str, row)) for k, row in enumerate(rows.tolist(), first))
+        yield ("\n".join(lines) + "\n").encode()
+        first += len(rows)
+
+
+def _events_text(stitched: Stitched) -> Iterator[bytes]:
+    yield b"turn,kind,name,operation\n"
+    for event in stitched.turns.events:
+        yield f"{event.tick},{event.kind},{event.name},{event.operation}\n".encode()

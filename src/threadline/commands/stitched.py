@@ -1,0 +1,385 @@
+"""A design -> step tables by stitches: which table each axis plays in each turn, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray, Recent
+from threadline.commands.step_tables import step_tables
+from threadline.commands.stitch_pace import Moves, Pace
+from threadline.errors import BudgetError, Place, PlanError
+from threadline.files import Event, StepPlay, StepTable, StitchBlock, Stream
+from threadline.jobs.operations import Job, MoveRun, Stop, ToolEvent
+from threadline.machine import Machine
+from threadline.motion.laws import Law
+
+_IN_BLOCK = 256
+_BLOCK_S = 32.0  # of a block: samples of slow turns would leave the fast memory
+_WHOLE = 1e-3  # of a unit: a place is on the grid of the design
+_BUDGET_S = 1e-9
+# A search plans the same job for many speeds of the shaft; how short a window may be is of none.
+_PACES: Recent[tuple[Machine, Law, float], Pace] = Recent(
+    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2] == b[2]
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turns:
+    """Every turn of the shaft; n turns, A axes.
+
+    Parameters
+    ----------
+    moves
+        What the frame does.
+    operation, line
+        (n,) of the job; the line is the record of the file.
+    stitch, block
+        (n,) numbers of the stitch, 0 while the needle is up, and of its block, both from 1.
+    turn_s
+        (n,) planned time of each.
+    begin, window
+        (n,) ticks of the timer: when its window begins, and how long that is.
+    events
+        Of the job, at turns.
+    """
+
+    moves: Moves
+    operation: IntArray
+    line: IntArray
+    stitch: IntArray
+    block: IntArray
+    turn_s: FloatArray
+    begin: IntArray
+    window: IntArray
+    events: tuple[Event, ...]
+
+    def __len__(self) -> int:
+        return len(self.stitch)
+
+    def name(self, turn: int) -> str:
+        """Return what a turn is called: its stitch and block."""
+        if self.stitch[turn]:
+            return f"block {self.block[turn]}, stitch {self.stitch[turn]}"
+        return f"block {self.block[turn]}, travel behind stitch {self.stitch[:turn].max(initial=0)}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stitched:
+    """What a design means to happen on a machine with a main shaft.
+
+    Parameters
+    ----------
+    job, machine, law
+        What it was made from.
+    commands
+        What the controller is given.
+    turns
+        Every turn, as it was planned.
+    pace
+        The time that each turn needs, with the tolerance of the swing that it was planned for.
+    constant, given
+        Whether the shaft is told one speed, and whether that was asked for.
+    alone_s
+        Time of a schedule in which each stitch is planned as if the frame were at rest before it,
+        on a spindle without inertia: a lower bound, s.
+    slowest_s
+        Time at the constant speed that the slowest stitch needs by itself, s.
+    """
+
+    job: Job
+    machine: Machine
+    law: Law
+    commands: StepPlay
+    turns: Turns
+    pace: Pace
+    constant: bool
+    given: bool
+    alone_s: float
+    slowest_s: float
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes, in the order of all columns."""
+        return self.commands.axes
+
+    @property
+    def duration_s(self) -> float:
+        """Duration of the commands, s."""
+        return self.commands.duration_ticks * float(self.commands.clock.period_s)
+
+    @property
+    def historical(self) -> bool:
+        """False: moves of a design keep the limits of the machine, or are judged by them."""
+        return False
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What deserves a second look: nothing but what the verdict says."""
+        return ()
+
+    def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return the motion law, which takes the place of an interpolation."""
+        return f"law:{self.law.name}"
+
+    def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
+        """Return how it was planned, for people."""
+        speed = f"{60.0 / float(self.turns.turn_s.max()):.4g}"
+        if np.ptp(self.turns.turn_s) > 0.0:
+            fastest = 60.0 / float(self.turns.turn_s.min())
+            return f"{self.law.name}, {speed} to {fastest:.4g} stitches a minute"
+        return f"{self.law.name}, {speed} stitches a minute"
+
+    def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
+        """Return what the JSON of a verdict tells of the stitches."""
+        sewn = self.turns.stitch > 0
+        return {
+            "stitches": {
+                "count": int(sewn.sum()),
+                "frame_moves": int(self.frame_moves.sum()),
+                "longest_move_m": self.longest_move_m,
+                "turns": len(self.turns),
+                "steps": int(np.abs(self.turns.moves.units).sum()) * self.steps_per_unit,
+                "law": self.law.name,
+                "constant_speed": self.constant,
+                "slowest_turn_s": float(self.turns.turn_s.max()),
+                "fastest_turn_s": float(self.turns.turn_s.min()),
+                "each_alone_s": self.alone_s,
+                "slowest_alone_s": self.slowest_s,
+            }
+        }
+
+    @property
+    def frame_moves(self) -> IntArray:
+        """(n,) 1 where the frame moves from stitch to stitch, with the thread."""
+        sewn = self.turns.stitch > 0
+        follows = np.concatenate(([False], sewn[:-1]))
+        return np.asarray(sewn & follows, dtype=np.int64)
+
+    @property
+    def longest_move_m(self) -> float:
+        """Longest way of an axis from stitch to stitch, m."""
+        ways = np.abs(self.turns.moves.units[self.frame_moves == 1])
+        return float(ways.max(initial=0)) * self.pace.tables.unit.si
+
+    @property
+    def steps_per_unit(self) -> int:
+        """Steps of a drive in a unit of the design."""
+        return round(float(self.commands.steps_per_unit[0]) * self.pace.tables.unit.si)
+
+    @property
+    def places_m(self) -> FloatArray:
+        """(n, A) where each turn leaves the frame, m."""
+        ways = np.cumsum(self.turns.moves.units, axis=0)
+        return np.asarray(ways * self.pace.tables.unit.si + np.array(self.job.start))
+
+    def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
+        """Return the record of each operation, 0 where it has none."""
+        at = {int(o): int(n) for o, n in zip(self.turns.operation, self.turns.line, strict=True)}
+        return {operation: at.get(operation, 0) for operation in operations}
+
+
+def stitch(
+    job: Job, machine: Machine, law: Law, tolerance_m: float, turn_s: float | None
+) -> Stitched:
+    """Return the plan of a design.
+
+    Parameters
+    ----------
+    job
+        A design.
+    machine
+        With a shaft and tables.
+    law
+        Of every move.
+    tolerance_m
+        How much swing may be left when a needle enters.
+    turn_s
+        Time of every turn; None slows each stitch as it needs, or, where the spindle cannot change
+        its speed, turns at the highest speed at which every needle enters within the tolerance.
+
+    Raises
+    ------
+    PlanError
+        If a place is between the units of the machine, the shaft does not turn at that speed, or
+        tables cannot be played.
+    BudgetError
+        If it takes longer than the machine's budget of ticks.
+    """
+    pace = _PACES.of((machine, law, tolerance_m), lambda: Pace(machine, law, tolerance_m))
+    shaft = pace.shaft
+    rows = _rows(job, pace)
+    moves: Moves = rows["moves"]
+    constant = turn_s is not None or shaft.acceleration is None
+    given = turn_s
+    if given is None:
+        given = pace.constant_turn_s(moves) if constant else float(shaft.turn_s)
+    if not float(shaft.turn_s) * (1.0 - 1e-9) <= given <= shaft.slowest_turn.si * (1.0 + 1e-9):
+        raise PlanError(
+            f"{60.0 / given:.6g} stitches a minute: the shaft of {machine.name} makes "
+            f"{60.0 / shaft.slowest_turn.si:g} to {60.0 / float(shaft.turn_s):.6g}",
+            place=machine.place,
+            remedy="Choose a speed between them.",
+        )
+    count = len(moves.needle)
+    turns_s = np.full(count, given) if constant else pace.scheduled(moves)
+    clock = machine.clock(pace.tables.clock)
+    period_s = float(clock.period_s)
+    windows = np.rint(pace.share * turns_s / period_s)
+    rests = pace.rests_s(turns_s) / period_s
+    begin = np.rint(np.cumsum(np.concatenate(([0.0], (pace.share * turns_s / period_s + rests)))))
+    _check_budget(machine, float(begin[-1]) * period_s)
+    turns = Turns(
+        turn_s=turns_s, begin=begin[:-1].astype(np.int64), window=windows.astype(np.int64), **rows
+    )
+    needed = pace.needed_turns_s(moves)
+    sewn = moves.needle == 1
+    by_angle = not constant
+    reference_s = shaft.turn_s if by_angle else Fraction(given).limit_denominator(10**9)
+    commands = StepPlay(
+        clock=clock,
+        counted_by="angle" if by_angle else "time",
+        steps_per_turn=round(float(reference_s) / period_s),
+        window_angle=int(reference_s * shaft.window_share / clock.period_s),
+        axes=machine.axis_names,
+        steps_per_unit=machine.counts_per_unit,
+        start_steps=np.rint(np.array(job.start) * machine.counts_per_unit).astype(np.int64),
+        library=tables_of(machine, law, reference_s * shaft.window_share),
+        blocks=Stream(_blocks, turns),
+        duration_ticks=int(begin[-1]),
+        job_sha256=job.sha256,
+        machine_sha256=machine.sha256,
+    )
+    return Stitched(
+        job=job,
+        machine=machine,
+        law=law,
+        commands=commands,
+        turns=turns,
+        pace=pace,
+        constant=constant,
+        given=turn_s is not None,
+        alone_s=float(needed.sum()),
+        slowest_s=float(needed[sewn].max()) * count,
+    )
+
+
+def tables_of(machine: Machine, law: Law, window_s: Fraction) -> tuple[StepTable, ...]:
+    """Return the tables of a machine for a window, from one unit to the longest move.
+
+    Raises
+    ------
+    PlanError
+        If the steps of a unit differ between axes, or two steps fall into one period of the timer.
+    """
+    assert machine.tables is not None
+    steps = {round(axis.counts.si * machine.tables.unit.si) for axis in machine.axes.values()}
+    if len(steps) > 1:
+        raise PlanError(
+            f"the axes take {' and '.join(map(str, sorted(steps)))} steps for a unit: one library "
+            "of tables cannot serve both",
+            place=machine.place,
+            remedy="Give every axis the same counts.",
+        )
+    return step_tables(
+        law,
+        window_s=window_s,
+        timer_s=machine.clock(machine.tables.clock).period_s,
+        steps_per_unit=steps.pop(),
+        longest_units=machine.tables.longest_units,
+    )
+
+
+def _rows(job: Job, pace: Pace) -> dict[str, Any]:
+    """Return the columns of the turns; a travel too long for one turn is divided into several."""
+    unit, longest = pace.tables.unit.si, pace.tables.longest_units
+    at: IntArray = np.zeros((1, len(job.axes)), dtype=np.int64)
+    units: list[IntArray] = []
+    columns: list[IntArray] = []  # needle, operation, line, stitch, block
+    events: list[Event] = []
+    index = turns = 0
+    for item in job.runs():
+        if not isinstance(item, MoveRun):
+            if isinstance(item, ToolEvent):
+                events.append(Event(tick=turns, kind="tool", operation=index, name=item.name))
+            elif isinstance(item, Stop) and item.final:
+                events.append(Event(tick=turns, kind="end", operation=index))
+            index += 1
+            continue
+        places = _on_grid(item, unit)
+        way = np.diff(places, axis=0, prepend=at)
+        stitch = np.asarray(item.columns["stitch"], dtype=np.int64)
+        most = np.abs(way).max(axis=1)
+        parts = np.where(stitch > 0, 1, np.maximum(1, -(-most // longest)))
+        of = np.repeat(np.arange(len(way)), parts)
+        number = np.arange(len(of)) - np.repeat(np.cumsum(parts) - parts, parts)
+        ends = [
+            np.rint(((number + more) / parts[of])[:, None] * way[of]).astype(np.int64)
+            for more in (0, 1)
+        ]
+        units.append(ends[1] - ends[0])
+        block = np.asarray(item.columns["block"], dtype=np.int64)
+        row = (stitch > 0, index + np.arange(len(way)), item.line, stitch, block)
+        columns.append(np.stack(row, axis=1).astype(np.int64)[of])
+        at = places[-1:]
+        index, turns = index + len(way), turns + len(of)
+    table = np.concatenate(columns)
+    return {
+        "moves": Moves(units=np.concatenate(units), needle=table[:, 0]),
+        "operation": table[:, 1],
+        "line": table[:, 2],
+        "stitch": table[:, 3],
+        "block": table[:, 4],
+        "events": tuple(events),
+    }
+
+
+def _on_grid(item: MoveRun, unit_m: float) -> IntArray:
+    """Return the (n, A) places of a run in units of the machine."""
+    places = np.rint(item.targets / unit_m).astype(np.int64)
+    off = np.abs(item.targets / unit_m - places).max(axis=1)
+    if (off > _WHOLE).any():
+        wrong = int(np.argmax(off > _WHOLE))
+        raise PlanError(
+            f"a stitch at {', '.join(f'{m * 1e3:g}' for m in item.targets[wrong])} mm is between "
+            f"the units of {unit_m * 1e3:g} mm in which the machine moves",
+            place=Place(item.file, int(item.line[wrong])),
+            remedy="Scale the design, or take a machine with a finer unit.",
+        )
+    return places
+
+
+def _check_budget(machine: Machine, seconds: float) -> None:
+    ticks = seconds / float(machine.tick_clock.period_s)
+    if ticks > machine.tick_budget.si * (1.0 + _BUDGET_S):
+        raise BudgetError(
+            f"the design takes {ticks:.4g} ticks of {machine.tick_clock.name!r}, the budget is "
+            f"{machine.tick_budget.si:g}",
+            place=machine.place,
+            remedy="Split the design, or raise tick_budget.",
+        )
+
+
+def _blocks(turns: Turns) -> Iterator[StitchBlock]:
+    rows = int(np.clip(_BLOCK_S / turns.turn_s.max(), 1, _IN_BLOCK))
+    for first in range(0, len(turns), rows):
+        part = slice(first, first + rows)
+        units = turns.moves.units[part]
+        last = first + len(units) >= len(turns)
+        yield StitchBlock(
+            first_stitch=first,
+            begin=turns.begin[part],
+            window=turns.window[part],
+            table=np.abs(units) - 1,
+            sign=np.sign(units),
+            start=np.zeros(len(units), dtype=np.int64),
+            needle=turns.moves.needle[part],
+            operation=turns.operation[part],
+            events=tuple(
+                e for e in turns.events if first <= e.tick and (last or e.tick < first + rows)
+            ),
+        )

@@ -1,0 +1,323 @@
+"""IEC 61131-3 structured text of a schedule: a block that plays its Petri net, scan by scan.
+
+Standard text only (second and third edition): no vendor's functions, every name declared and
+typed, located variables in a VAR block of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from threadline import __version__
+from threadline.base.wording import st_comment
+from threadline.base.writing import together
+from threadline.commands.plc_net import Names, PetriNet
+from threadline.commands.plc_sequence import (
+    FAULTS,
+    Block,
+    PlcProgram,
+    Pou,
+    Sequence,
+    Variable,
+    sequence_of,
+)
+from threadline.commands.plc_watch import air_ms
+from threadline.commands.schedule import Scheduled
+from threadline.commands.schedule_moves import shaping_words
+from threadline.commands.structured_text_body import (
+    HAND_NAMES,
+    Words,
+    body_lines,
+    hand_constants,
+    hand_state,
+)
+from threadline.errors import PlanError
+from threadline.files.formats.common import Written, atomic_file, written
+from threadline.machine import Machine
+
+_PANEL_INPUTS = {
+    "continuous": ("BOOL", "cycle after cycle; single cycles else"),
+    "stop_at_end": ("BOOL", "ends continuous cycles at the end of this one"),
+    "manual": ("BOOL", "by hand, where no cycle runs"),
+    "jog": ("INT", "what is done by hand; 0 for nothing"),
+}
+_PANEL_OUTPUTS = {
+    "busy": ("BOOL", "FALSE", "a cycle or the way home runs"),
+    "finished": ("BOOL", "FALSE", "the cycle ran to its end"),
+    "homed": ("BOOL", "FALSE", "every piston is home"),
+    "stopped": ("BOOL", "FALSE", "it was broken off"),
+    "fault": ("BOOL", "FALSE", "until it is acknowledged"),
+    "fault_code": ("INT", "0", "one of the constants no_fault, f_..."),
+    "fault_place": ("INT", "0", "the place in which it stopped"),
+    "fault_contact": ("INT", "0", "the input that it is about, c_...; 0 for none"),
+    "place": ("INT", "0", "the step counter: one of the constants s_..."),
+    "count": ("DINT", "0", "cycles since power-on"),
+    "step_text": ("STRING", "'idle'", ""),
+    "hint_text": ("STRING", "''", "why nothing happens, and what is asked for next"),
+    "fault_text": ("STRING", "''", ""),
+    "fault_step": ("STRING", "''", "the step in which it stopped"),
+    "contact_text": ("STRING", "''", ""),
+    "contact_address": ("STRING", "''", ""),
+}
+_INTERNAL = (
+    "origin", "elapsed", "late", "allowed", "start_before", "home_before", "acknowledge_before",
+    "cycle_timer", "scan_timer", "cause", "culprit", "ending", "sequence", *HAND_NAMES,
+    *_PANEL_INPUTS, *_PANEL_OUTPUTS, *FAULTS,
+)  # fmt: skip
+_ONCE = ("start", "acknowledge", "home")
+
+
+def plc_program(scheduled: Scheduled) -> PlcProgram:
+    """Return the program units of ``scheduled``.
+
+    Raises
+    ------
+    PlanError
+        If the machine lacks an input that a program needs, a cylinder could not be brought home,
+        or the net can't be made.
+    """
+    machine = scheduled.machine
+    assert machine.plc is not None
+    roles = {kind: _of_kind(machine, kind) for kind in ("light-grid", "enable", *_ONCE)}
+    names = Names(_INTERNAL)
+    block_name, main_name = names.give(scheduled.job.name), names.give(f"{machine.name}_main")
+    inputs = {contact: names.give(contact) for contact in machine.contacts}
+    outputs = {output: names.give(output) for output in machine.outputs}
+    sequence = sequence_of(scheduled, names, inputs, outputs)
+    net = sequence.net
+    free = [
+        named.place.wait
+        for named in sequence.cycle
+        if named.place.wait is not None and machine.contacts[named.place.wait[0]].cylinder is None
+    ]
+    words = Words(
+        inputs=inputs,
+        outputs=outputs,
+        grids=tuple(inputs[n] for n in roles["light-grid"]),
+        enables=tuple(inputs[n] for n in roles["enable"]),
+        start=inputs[roles["start"][0]],
+        acknowledge=inputs[roles["acknowledge"][0]],
+        home=inputs[roles["home"][0]],
+        fresh={
+            wait: names.give(f"{wait[0]}_was_{'off' if wait[1] else 'on'}")
+            for wait in dict.fromkeys(free)
+        },
+        watchdog_ms=round(1000.0 * machine.plc.watchdog.si),
+        early_ms=net.scan_ms // 2,
+        air_ms=air_ms(machine, net.scan_ms),
+        dwell_ms=_dwell_ms(machine),
+    )
+    block = Pou(
+        kind="FUNCTION_BLOCK",
+        name=block_name,
+        notes=_notes(scheduled, net),
+        blocks=_block_variables(words, sequence),
+        body=tuple(body_lines(sequence, words, machine)),
+    )
+    main = _main(machine, words, block_name, main_name)
+    return PlcProgram(
+        block=block,
+        main=main,
+        configuration=names.give("cell"),
+        resource=names.give("cpu"),
+        task=names.give("timed"),
+        instance=names.give("machine"),
+        interval_ms=net.scan_ms,
+    )
+
+
+def _of_kind(machine: Machine, kind: str) -> list[str]:
+    found = [name for name, contact in machine.contacts.items() if contact.kind == kind]
+    if not found or (kind in _ONCE and len(found) > 1):
+        raise PlanError(
+            f"machine {machine.name!r} has {len(found)} contacts of kind {kind!r}; a PLC program "
+            f"needs {'exactly' if kind in _ONCE else 'at least'} one",
+            remedy=f'Add contacts with kind = "{kind}" to the machine file.',
+        )
+    return found
+
+
+def _dwell_ms(machine: Machine) -> int:
+    """Return the longest of the shortest times between two switchings of one valve."""
+    assert machine.plc is not None
+    ways = [way for c in machine.cylinders.values() for way in (c.forward, c.back)]
+    dwells_s = [machine.plc.dwell.si, *(way.least_hold_s(machine.plc) for way in ways)]
+    return math.ceil(1000.0 * max(dwells_s) - 1e-9)
+
+
+def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
+    assert scheduled.machine.plc is not None
+    cycle_s = scheduled.commands.duration_ticks * net.scan_ms / 1000.0
+    return (
+        f"Written by Threadline {__version__}",
+        f"Job {scheduled.job.name}, sha256 {scheduled.job.sha256[:16]}",
+        f"Machine {scheduled.machine.name}, sha256 {scheduled.machine.sha256[:16]}",
+        "Compiling proves nothing: threadline prove of this list on this machine gives a verdict.",
+        f"A cycle takes {cycle_s:.3f} s where every input comes as soon as it is waited for.",
+        f"Call it every {net.scan_ms} ms from a timed task. Place idle has every output off.",
+        "A broken light grid, a missing enable, a late scan, or a contact that cannot be believed",
+        "switches all outputs off in the same scan. Then: acknowledge, home, start.",
+        "Power-on, work by hand and every fault ask for home before a start.",
+        "Times t_... count from the input that came last, or from the start of the run.",
+        "It is no safety function: what protects people has to cut the air without it.",
+        *(f"{axis}: {_shaped(scheduled, axis)}" for axis in scheduled.machine.cylinders),
+    )
+
+
+def _shaped(scheduled: Scheduled, axis: str) -> str:
+    """Return how the moves of a cylinder are shaped, for people."""
+    shaping = scheduled.shaping.get(axis)
+    plain = all(move.levels.levels == (1.0, 0.0) for move in scheduled.moves if move.axis == axis)
+    return shaping_words(shaping) if shaping or plain else "each move as the move list says"
+
+
+def _block_variables(words: Words, sequence: Sequence) -> tuple[Block, ...]:
+    return (
+        Block(
+            kind="VAR_INPUT",
+            variables=(
+                *(Variable(name=n, type="BOOL") for n in words.inputs.values()),
+                *_panel_inputs(),
+            ),
+        ),
+        Block(
+            kind="VAR_OUTPUT",
+            variables=(
+                *(Variable(name=n, type="BOOL", initial="FALSE") for n in words.outputs.values()),
+                *_panel_outputs(),
+            ),
+        ),
+        Block(
+            kind="VAR CONSTANT",
+            variables=(*sequence.constants(words.outputs), *hand_constants(words)),
+        ),
+        Block(kind="VAR", variables=tuple(_state(words, sequence))),
+    )
+
+
+def _panel_inputs() -> Iterator[Variable]:
+    for name, (kind, note) in _PANEL_INPUTS.items():
+        yield Variable(name=name, type=kind, note=note)
+
+
+def _panel_outputs() -> Iterator[Variable]:
+    for name, (kind, initial, note) in _PANEL_OUTPUTS.items():
+        yield Variable(name=name, type=kind, initial=initial, note=note)
+
+
+def _state(words: Words, sequence: Sequence) -> Iterator[Variable]:
+    yield Variable(name="origin", type="TIME", initial="T#0ms", note="of the last input")
+    yield Variable(name="elapsed", type="TIME", initial="T#0ms", note="since the origin")
+    for name in ("late", "allowed", "ending"):
+        yield Variable(name=name, type="BOOL", initial="FALSE")
+    yield Variable(name="cause", type="INT", initial="0", note="of a stop in this scan")
+    yield Variable(name="culprit", type="INT", initial="0", note="the input that it is about")
+    # TRUE at power-on: a button that is held then is no fresh press.
+    for name in ("start_before", "home_before", "acknowledge_before"):
+        yield Variable(name=name, type="BOOL", initial="TRUE")
+    for name in words.fresh.values():
+        yield Variable(name=name, type="BOOL", initial="FALSE")
+    for one in sequence.guarded:
+        yield Variable(name=one.expect, type="INT", initial="0")
+        yield Variable(name=one.early, type="TIME", initial="T#0ms")
+        yield Variable(name=one.gone, type="TIME", initial="T#0ms")
+    yield from hand_state()
+    yield Variable(name="cycle_timer", type="TON", derived=True)
+    yield Variable(name="scan_timer", type="TON", derived=True)
+
+
+def _main(machine: Machine, words: Words, block_name: str, name: str) -> Pou:
+    located = [
+        Variable(name=words.inputs[n], type="BOOL", address=contact.address)
+        for n, contact in machine.contacts.items()
+    ] + [
+        Variable(name=words.outputs[n], type="BOOL", address=output.address)
+        for n, output in machine.outputs.items()
+    ]
+    arguments = ", ".join(f"{n} := {n}" for n in (*words.inputs.values(), *_PANEL_INPUTS))
+    body = [f"sequence({arguments});"]
+    body += [f"{n} := sequence.{n};" for n in (*words.outputs.values(), *_PANEL_OUTPUTS)]
+    return Pou(
+        kind="PROGRAM",
+        name=name,
+        notes=(
+            "Feeds the block from the inputs and writes its outputs, once a scan. What has no",
+            "address is for a panel.",
+        ),
+        blocks=(
+            Block(kind="VAR", variables=tuple(located)),
+            Block(
+                kind="VAR",
+                variables=(
+                    *_panel_inputs(),
+                    *_panel_outputs(),
+                    Variable(name="sequence", type=block_name, derived=True),
+                ),
+            ),
+        ),
+        body=tuple(body),
+    )
+
+
+def pou_text(pou: Pou) -> list[str]:
+    """Return the lines of one program unit."""
+    lines = [f"{pou.kind} {pou.name}", *(f"(* {st_comment(note)} *)" for note in pou.notes)]
+    for block in pou.blocks:
+        lines.append(block.kind)
+        lines += [f"  {_declaration(variable)}" for variable in block.variables]
+        lines.append("END_VAR")
+    return [*lines, "", *pou.body, f"END_{pou.kind}"]
+
+
+def _declaration(variable: Variable) -> str:
+    at = f" AT {variable.address}" if variable.address else ""
+    initial = f" := {variable.initial}" if variable.initial else ""
+    note = f" (* {st_comment(variable.note)} *)" if variable.note else ""
+    return f"{variable.name}{at} : {variable.type}{initial};{note}"
+
+
+def configuration_text(program: PlcProgram) -> list[str]:
+    """Return the configuration: the timed task and the program that runs in it."""
+    return [
+        f"CONFIGURATION {program.configuration}",
+        f"  RESOURCE {program.resource} ON PLC",
+        f"    TASK {program.task}(INTERVAL := T#{program.interval_ms}ms, PRIORITY := 0);",
+        f"    PROGRAM {program.instance} WITH {program.task} : {program.main.name};",
+        "  END_RESOURCE",
+        "END_CONFIGURATION",
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class StructuredText:
+    """The two texts: program units, and the configuration that not every tool imports."""
+
+    units: str
+    configuration: str
+
+
+def structured_text(scheduled: Scheduled) -> StructuredText:
+    """Return the structured text of ``scheduled``.
+
+    Raises
+    ------
+    PlanError
+        As ``plc_program``.
+    """
+    program = plc_program(scheduled)
+    units = [*pou_text(program.block), "", *pou_text(program.main)]
+    return StructuredText("\n".join(units) + "\n", "\n".join(configuration_text(program)) + "\n")
+
+
+def write_structured_text(scheduled: Scheduled, path: Path) -> list[Written]:
+    """Write the units to ``path`` and the configuration beside it, ``NAME.configuration.st``."""
+    text = structured_text(scheduled)
+    beside = path.with_name(f"{path.stem}.configuration.st")
+    with together():
+        for file, content in ((path, text.units), (beside, text.configuration)):
+            with atomic_file(file) as stream:
+                stream.write(content.encode("ascii"))
+        return [written(path, scheduled.warnings), written(beside)]

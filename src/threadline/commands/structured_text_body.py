@@ -1,0 +1,473 @@
+"""The names of a sequence's inputs and outputs in its structured text, and times of the text.
+
+A jog that is held while the work by hand begins, or while a fault is acknowledged, is no fresh
+press. What has stopped, at its end or because a switch that it needs went off, stays so until the
+next press.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import groupby
+
+from threadline.commands.plc_sequence import FAULTS, Guarded, Sequence, Variable
+from threadline.commands.plc_watch import NamedPlace, reads, switches_of
+from threadline.machine import Machine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Words:
+    """The names that the program uses, and some of its times.
+
+    Parameters
+    ----------
+    inputs, outputs
+        Name in the machine file to name in the program.
+    grids, enables
+        Inputs that all must be true while the machine moves.
+    start, acknowledge, home
+        Inputs whose rising edges count.
+    fresh
+        By input and value: the variable that says that the input had its other value since it last
+        counted.
+    watchdog_ms
+        A scan that comes later than this after the one before is a fault.
+    early_ms
+        A transition fires in the scan nearest to its time: half a scan before it already.
+    air_ms, dwell_ms
+        By hand: how long the air takes to come up, and the rest of the valves between two jogs.
+    """
+
+    inputs: Mapping[str, str]
+    outputs: Mapping[str, str]
+    grids: tuple[str, ...]
+    enables: tuple[str, ...]
+    start: str
+    acknowledge: str
+    home: str
+    fresh: Mapping[tuple[str, bool], str]
+    watchdog_ms: int
+    early_ms: int
+    air_ms: int
+    dwell_ms: int
+
+
+HAND_NAMES = (
+    "jogging", "hand_before", "hand_ready", "jog_before", "jog_asked", "jog_runs", "hand_timer",
+    "rest_timer", "t_hand_air", "t_hand_rest",
+)  # fmt: skip
+
+
+def hand_constants(words: Words) -> Iterator[Variable]:
+    """Yield the two times of work by hand."""
+    for name, ms, note in (
+        ("t_hand_air", words.air_ms, "by hand: the air is up"),
+        ("t_hand_rest", words.dwell_ms, "by hand: the valves rest between two things"),
+    ):
+        yield Variable(name=name, type="TIME", initial=f"T#{ms}ms", note=note)
+
+
+def hand_state() -> Iterator[Variable]:
+    """Yield the variables that ``hand_lines`` keeps from scan to scan."""
+    for name in ("jogging", "hand_before", "hand_ready", "jog_runs"):
+        yield Variable(name=name, type="BOOL", initial="FALSE")
+    for name in ("jog_before", "jog_asked"):
+        yield Variable(name=name, type="INT", initial="0")
+    for name in ("hand_timer", "rest_timer"):
+        yield Variable(name=name, type="TON", derived=True)
+
+
+def hand_lines(sequence: Sequence, words: Words) -> Iterator[str]:
+    """Yield the part of the body that works by hand."""
+    yield "(* By hand: one thing at a time, slowly, where the cycle would do it. A change of jog *)"
+    yield "(* asks for it; what is held when the work by hand begins asks for nothing. *)"
+    yield f"jogging := manual AND allowed AND NOT fault AND (place = {sequence.idle});"
+    yield "IF NOT jogging OR NOT hand_before THEN"
+    yield "  jog_asked := 0;"
+    yield "  jog_runs := FALSE;"
+    yield "ELSIF jog <> jog_before THEN"
+    yield "  jog_asked := jog;"
+    yield "  jog_runs := FALSE;"
+    yield "END_IF;"
+    yield "jog_before := jog;"
+    yield "hand_before := jogging;"
+    yield "(* First the air is up; then the valves rest between two things as long as they must. *)"
+    yield "hand_timer(IN := jogging, PT := t_hand_air);"
+    yield "rest_timer(IN := NOT jog_runs, PT := t_hand_rest);"
+    yield "hand_ready := hand_timer.Q AND (jog_runs OR rest_timer.Q);"
+    yield "jog_runs := FALSE;"
+    yield "IF jogging THEN"
+    yield "  homed := FALSE;"
+    yield "  step_text := 'by hand';"
+    for name in sequence.air:
+        yield f"  {words.outputs[name]} := TRUE;"
+    yield "END_IF;"
+    for jog in sequence.jogs:
+        needs = [_reads(contact, words) for contact in jog.needs]
+        where = [" AND ".join(_reads(c, words) for c in one) for one in jog.where]
+        if where:
+            needs.append(f"({' OR '.join(f'({one})' for one in where)})")
+        yield f"IF hand_ready AND (jog_asked = {jog.name}) THEN"
+        on = [f"{words.outputs[name]} := TRUE;" for name in jog.on] + ["jog_runs := TRUE;"]
+        if needs:
+            yield f"  IF {' AND '.join(needs)} THEN"
+            yield from (f"    {line}" for line in on)
+            yield "  ELSE"
+            yield "    jog_asked := 0;"
+            yield "  END_IF;"
+        else:
+            yield from (f"  {line}" for line in on)
+        yield "END_IF;"
+    yield ""
+
+
+def _reads(contact: tuple[str, bool], words: Words) -> str:
+    name, value = contact
+    return words.inputs[name] if value else f"NOT {words.inputs[name]}"
+
+
+_LONGEST = "PT := T#24h"
+
+
+def body_lines(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
+    """Yield the lines of the body."""
+    yield from _watchdog(words)
+    yield from _guards(words, sequence)
+    yield from _buttons(words, sequence)
+    yield from _clock(words, sequence)
+    yield from _plausible(words, sequence, machine)
+    yield from _stop(sequence)
+    yield "(* The transitions, in order: several may fire in one scan. *)"
+    step = None
+    for run in (sequence.cycle, sequence.homing):
+        for named, then in zip(run, (*run[1:], None), strict=True):
+            if named.place.step != step:
+                step = named.place.step
+                yield f"(* Step {step} *)"
+            yield from _transition(named, then, words, sequence)
+    yield ""
+    yield from _steps(sequence)
+    yield from _interlocks(words, sequence)
+    yield from _stop(sequence)
+    yield from _outputs(words, sequence)
+    yield from hand_lines(sequence, words)
+    yield from _texts(sequence, words, machine)
+    yield f"busy := place <> {sequence.idle};"
+
+
+def _watchdog(words: Words) -> Iterator[str]:
+    limit = f"PT := T#{words.watchdog_ms}ms"
+    yield "(* The watchdog: Q tells that the scan before this one is too long ago. *)"
+    yield f"scan_timer(IN := TRUE, {limit});"
+    yield "late := scan_timer.Q;"
+    yield f"scan_timer(IN := FALSE, {limit});"
+    yield f"scan_timer(IN := TRUE, {limit});"
+    yield ""
+
+
+def _guards(words: Words, sequence: Sequence) -> Iterator[str]:
+    clear = " AND ".join((*words.grids, *words.enables))
+    yield "(* What forbids motion: the cause of a stop, and the input that it is about. *)"
+    yield "cause := no_fault;"
+    yield "culprit := 0;"
+    yield f"allowed := {clear} AND NOT late;"
+    yield f"IF (place <> {sequence.idle}) OR jogging THEN"
+    first = True
+    for condition, fault in (
+        *((f"NOT {name}", "f_light_grid") for name in words.grids),
+        *((f"NOT {name}", "f_enable") for name in words.enables),
+        ("late", "f_late_scan"),
+    ):
+        yield f"  {'IF' if first else 'ELSIF'} {condition} THEN"
+        yield f"    cause := {fault};"
+        first = False
+    yield "  END_IF;"
+    yield "END_IF;"
+    yield ""
+
+
+def _buttons(words: Words, sequence: Sequence) -> Iterator[str]:
+    idle = sequence.idle
+    yield "(* A fault stays until it is acknowledged; then home, then start. *)"
+    yield f"IF {words.acknowledge} AND NOT acknowledge_before AND allowed THEN"
+    yield "  fault := FALSE;"
+    yield "  stopped := FALSE;"
+    yield "  fault_code := no_fault;"
+    yield "  fault_place := 0;"
+    yield "  fault_contact := 0;"
+    yield "  fault_step := '';"
+    yield "END_IF;"
+    yield f"acknowledge_before := {words.acknowledge};"
+    ready = f"allowed AND NOT fault AND NOT manual AND (place = {idle})"
+    for button, before, run, condition in (
+        (words.home, "home_before", sequence.homing, ready),
+        (words.start, "start_before", sequence.cycle, f"{ready} AND homed"),
+    ):
+        yield f"IF {button} AND NOT {before} AND {condition} THEN"
+        yield from (f"  {line}" for line in _begin(run[0].name, words))
+        yield "  finished := FALSE;"
+        yield "  ending := FALSE;"
+        if run is sequence.homing:
+            yield "  homed := FALSE;"
+        yield "END_IF;"
+        yield f"{before} := {button};"
+    yield "IF stop_at_end THEN"
+    yield "  ending := TRUE;"
+    yield "END_IF;"
+    yield ""
+
+
+def _begin(first: str, words: Words) -> Iterator[str]:
+    yield f"place := {first};"
+    yield "origin := T#0ms;"
+    yield f"cycle_timer(IN := FALSE, {_LONGEST});"
+    for fresh in words.fresh.values():
+        yield f"{fresh} := FALSE;"
+
+
+def _clock(words: Words, sequence: Sequence) -> Iterator[str]:
+    early = f" + T#{words.early_ms}ms" if words.early_ms else ""
+    yield "(* Milliseconds since the last input, by half a scan ahead: the nearest scan acts. *)"
+    yield f"cycle_timer(IN := place <> {sequence.idle}, {_LONGEST});"
+    yield f"elapsed := cycle_timer.ET - origin{early};"
+    yield from _fresh(words, sequence)
+    yield ""
+
+
+def _fresh(words: Words, sequence: Sequence) -> Iterator[str]:
+    """Yield the lines that note that an input had its other value before it counts.
+
+    An input that a vacuum switches must have had it when the vacuum was switched on.
+    """
+    for (name, value), fresh in words.fresh.items():
+        word = words.inputs[name]
+        yield f"IF {f'NOT {word}' if value else word} THEN"
+        yield f"  {fresh} := TRUE;"
+        before = sequence.before_vacuum.get((name, value), ())
+        if before:
+            yield f"ELSIF {' OR '.join(f'(place = {one})' for one in before)} THEN"
+            yield f"  {fresh} := FALSE;"
+        yield "END_IF;"
+
+
+def _plausible(words: Words, sequence: Sequence, machine: Machine) -> Iterator[str]:
+    for one in sequence.guarded:
+        yield f"(* The end switches of {one.axis}: where it stands, and on its way. *)"
+        yield f"IF (place <> {sequence.idle}) AND (cause = no_fault) THEN"
+        lines = list(_contradictions(one, words, machine))
+        for number, (condition, fault, name) in enumerate(lines):
+            yield f"  {'ELSIF' if number else 'IF'} {condition} THEN"
+            yield f"    cause := {fault};"
+            yield f"    culprit := {sequence.contacts[name]};"
+        if lines:
+            yield "  END_IF;"
+        yield "END_IF;"
+    yield ""
+
+
+def _contradictions(one: Guarded, words: Words, machine: Machine) -> Iterator[tuple[str, str, str]]:
+    """Yield condition, fault and contact of everything that cannot be."""
+    switches = switches_of(machine, one.axis)
+    for (begin, end), constant in one.known.items():
+        at = f"({one.expect} = {constant})"
+        said = {
+            name: (reads(contact, begin), reads(contact, end)) for name, contact in switches.items()
+        }
+        for name, (first, last) in said.items():
+            word = words.inputs[name]
+            if (first, last) == (True, True):
+                yield f"{at} AND NOT {word}", "f_lost", name
+            elif (first, last) == (False, False):
+                yield f"{at} AND {word}", "f_wrong", name
+            elif (first, last) == (False, True):
+                yield f"{at} AND {word} AND (elapsed < {one.early})", "f_early", name
+        for name, (first, last) in said.items():
+            word = words.inputs[name]
+            if (first, last) == (True, False):
+                yield f"{at} AND {word} AND (elapsed >= {one.gone})", "f_stayed", name
+                # The far end has come in its time: the near one is what should be off.
+                for far, far_said in said.items():
+                    if far_said == (False, True):
+                        yield f"{at} AND {word} AND {words.inputs[far]}", "f_stayed", name
+    for near, low in switches.items():
+        for far, high in switches.items():
+            if low.at is None or high.at is None:
+                continue
+            if (low.beyond, high.beyond) == ("below", "above") and low.at.si < high.at.si:
+                yield f"{words.inputs[near]} AND {words.inputs[far]}", "f_opposite", far
+
+
+def _stop(sequence: Sequence) -> Iterator[str]:
+    yield "IF cause <> no_fault THEN"
+    yield "  fault_code := cause;"
+    yield "  fault_contact := culprit;"
+    yield "  fault_place := place;"
+    yield "  fault_step := step_text;"
+    yield "  step_text := 'idle';"
+    yield f"  place := {sequence.idle};"
+    yield "  fault := TRUE;"
+    yield "  stopped := TRUE;"
+    yield "  homed := FALSE;"
+    yield "  cause := no_fault;"
+    yield "END_IF;"
+    yield ""
+
+
+def _transition(
+    named: NamedPlace, then: NamedPlace | None, words: Words, sequence: Sequence
+) -> Iterator[str]:
+    place = named.place
+    leave = [f"place := {then.name};"] if then else list(_end(named, words, sequence))
+    if place.wait is None:
+        yield f"IF (place = {named.name}) AND (elapsed >= {named.due}) THEN"
+        yield from (f"  {line}" for line in leave)
+        yield "END_IF;"
+        return
+    word = words.inputs[place.wait[0]]
+    fresh = "" if named.name in sequence.still_held else words.fresh.get(place.wait)
+    awaited = word if place.wait[1] else f"NOT {word}"
+    yield f"IF place = {named.name} THEN"
+    yield f"  IF {awaited}{f' AND {fresh}' if fresh else ''} THEN"
+    if fresh:
+        yield f"    {fresh} := FALSE;"
+    yield "    origin := cycle_timer.ET;"
+    yield f"    elapsed := T#{words.early_ms}ms;"
+    yield from (f"    {line}" for line in leave)
+    yield f"  ELSIF elapsed >= {named.due} THEN"
+    if fresh:
+        yield "    cause := f_missing;"
+        yield f"    IF {awaited} THEN"
+        yield "      cause := f_stuck;"
+        yield "    END_IF;"
+    else:
+        yield "    cause := f_missing;"
+    yield f"    culprit := {sequence.contacts[place.wait[0]]};"
+    yield "  END_IF;"
+    yield "END_IF;"
+
+
+def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
+    """Yield what the last place of a run does."""
+    if named in sequence.homing:
+        yield f"place := {sequence.idle};"
+        yield "homed := TRUE;"
+        return
+    yield "count := count + 1;"
+    yield "IF continuous AND NOT ending THEN"
+    yield from (f"  {line}" for line in _begin(sequence.cycle[0].name, words))
+    yield "ELSE"
+    yield f"  place := {sequence.idle};"
+    yield "  finished := TRUE;"
+    yield "END_IF;"
+
+
+def _steps(sequence: Sequence) -> Iterator[str]:
+    yield "step_text := 'idle';"
+    for first, last in _runs(sequence.places, lambda named: named.place.step):
+        yield f"IF {_within(first, last)} THEN"
+        yield f"  step_text := '{_plain(first.place.step)}';"
+        yield "END_IF;"
+    yield ""
+
+
+def _interlocks(words: Words, sequence: Sequence) -> Iterator[str]:
+    """Yield what the machine file needs while something moves or is on: a fault in that scan."""
+    for name, places in sequence.interlocks.items():
+        where = _in_any(sequence.places, frozenset(places))
+        word = words.inputs[name]
+        yield f"(* An interlock of the machine file: {word} is on in all of these places. *)"
+        yield f"IF (cause = no_fault) AND NOT {word} AND ({where}) THEN"
+        yield "  cause := f_interlock;"
+        yield f"  culprit := {sequence.contacts[name]};"
+        yield "END_IF;"
+
+
+def _runs(
+    places: tuple[NamedPlace, ...], key: Callable[[NamedPlace], object]
+) -> Iterator[tuple[NamedPlace, NamedPlace]]:
+    """Yield the first and the last of places in a row that a key makes equal."""
+    for _, group in groupby(places, key):
+        run = list(group)
+        yield run[0], run[-1]
+
+
+def _in_any(places: tuple[NamedPlace, ...], names: frozenset[str]) -> str:
+    runs = _runs(places, lambda named: named.name in names)
+    return " OR ".join(f"({_within(*run)})" for run in runs if run[0].name in names)
+
+
+def _within(first: NamedPlace, last: NamedPlace) -> str:
+    if first is last:
+        return f"place = {first.name}"
+    return f"(place >= {first.name}) AND (place <= {last.name})"
+
+
+def _outputs(words: Words, sequence: Sequence) -> Iterator[str]:
+    yield "(* The outputs: off, but for those that the place has on. *)"
+    for word in words.outputs.values():
+        yield f"{word} := FALSE;"
+    for one in sequence.guarded:
+        yield f"{one.expect} := {one.unknown};"
+        yield f"{one.early} := T#0ms;"
+        yield f"{one.gone} := T#0ms;"
+    for named in sequence.places:
+        yield f"IF place = {named.name} THEN"
+        for name in named.place.on:
+            yield f"  {words.outputs[name]} := TRUE;"
+        for one in sequence.guarded:
+            watch = named.watch.get(one.axis)
+            if watch is None:
+                continue
+            known = one.known[round(watch.begin_m, 9), round(watch.end_m, 9)]
+            yield f"  {one.expect} := {known};"
+            if not watch.stands:
+                early, gone = named.bounds[one.axis]
+                yield f"  {one.early} := {early};"
+                yield f"  {one.gone} := {gone};"
+        yield "END_IF;"
+    yield ""
+
+
+def _texts(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
+    yield "(* Words for a panel. *)"
+    for name, text in FAULTS.items():
+        yield f"IF fault_code = {name} THEN"
+        yield f"  fault_text := '{text}';"
+        yield "END_IF;"
+    yield "contact_text := '';"
+    yield "contact_address := '';"
+    for contact, name in sequence.contacts.items():
+        yield f"IF fault_contact = {name} THEN"
+        yield f"  contact_text := '{_plain(contact)}';"
+        yield f"  contact_address := '{machine.contacts[contact].address}';"
+        yield "END_IF;"
+    yield ""
+    yield "(* Why nothing happens, and what is asked for next. *)"
+    yield "hint_text := '';"
+    yield f"IF place = {sequence.idle} THEN"
+    hints = (
+        *((f"NOT {name}", "the light grid is broken") for name in words.grids),
+        *((f"NOT {name}", "the enable is missing") for name in words.enables),
+        ("fault", "acknowledge first"),
+        ("manual AND NOT hand_timer.Q", "the air is coming up"),
+        ("jog_runs", ""),
+        ("manual AND (jog_asked <> 0) AND NOT hand_ready", "the valves rest"),
+        ("manual AND (jog <> 0)", "not here, at its end, or held too long: let go of it"),
+        ("manual", "choose a jog"),
+        ("NOT homed", "home first"),
+    )
+    for number, (condition, text) in enumerate(hints):
+        yield f"  {'ELSIF' if number else 'IF'} {condition} THEN"
+        yield f"    hint_text := '{text}';"
+    yield "  ELSE"
+    yield "    hint_text := 'ready to start';"
+    yield "  END_IF;"
+    yield "END_IF;"
+    yield ""
+
+
+def _plain(text: str) -> str:
+    """Return text that a string literal of every PLC takes."""
+    kept = (c if c.isascii() and (c.isalnum() or c in " _-.,") else " " for c in text[:60])
+    return "".join(kept).strip()

@@ -1,0 +1,178 @@
+"""The targets: what a plan can be written as, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+from threadline.commands.boards import BOARDS, refuse_lost
+from threadline.commands.firmware_program import refuse_slower, write_firmware_program
+from threadline.commands.nc import NcStyle, write_part_program
+from threadline.commands.planned_job import planned_job
+from threadline.commands.plcopen import write_plcopen, write_scl
+from threadline.commands.schedule import Scheduled
+from threadline.commands.step_files import write_steps, write_t15
+from threadline.commands.stitched import Stitched
+from threadline.commands.structured_text import write_structured_text
+from threadline.files import Commands, TickTable
+from threadline.files.formats.common import Written, written
+from threadline.files.formats.tick_table import Beside, write_table_csv, write_table_npz
+from threadline.files.formats.trajectory_array import write_array
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.motion.path.types import ProgrammedPath
+from threadline.motion.timing.types import Trajectory
+
+
+class TableWriter(Protocol):
+    """Writes a tick table."""
+
+    def __call__(self, table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+        """Write ``table`` to ``path``; rows of a seam have the columns of ``needle``, too."""
+        ...
+
+
+TABLES: dict[str, TableWriter] = {
+    "csv": write_table_csv,
+    "npz": write_table_npz,
+    "ticks": write_array,
+}
+"""The writers of a tick table, by the word of ``--target``."""
+
+
+class Timed(Protocol):
+    """What a target of moves needs of an intent."""
+
+    @property
+    def programmed(self) -> ProgrammedPath:
+        """What the job says, at the feeds that were asked for."""
+        ...
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The planned motion."""
+        ...
+
+
+class WrittenPlan(Protocol):
+    """What targets read of a plan; each asks for what its kind of work has."""
+
+    @property
+    def job(self) -> Job:
+        """What is to be done."""
+        ...
+
+    @property
+    def machine(self) -> Machine:
+        """On what."""
+        ...
+
+    @property
+    def commands(self) -> Commands:
+        """What the controller is given."""
+        ...
+
+    @property
+    def feed_override(self) -> float | None:
+        """By which the feeds of the job hold; None where another was given in their place."""
+        ...
+
+    @property
+    def limits_in_full(self) -> bool:
+        """Whether it may use all of the limits of acceleration and jerk."""
+        ...
+
+    @property
+    def motion(self) -> Timed:
+        """Paths and trajectory."""
+        ...
+
+    @property
+    def scheduled(self) -> Scheduled:
+        """Schedule and moves."""
+        ...
+
+    @property
+    def stitched(self) -> Stitched:
+        """Turns and stitches."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """What a plan can be written as.
+
+    Parameters
+    ----------
+    write
+        Writes whole files, or none.
+    takes_shaped
+        It can hold what a shaper or feed-forward makes of the motion.
+    write_no_slower
+        Writes a program that the firmware takes no longer over than over the job as it stands, or
+        refuses to; None where no planner of a firmware runs what is written.
+    """
+
+    write: Callable[[WrittenPlan, Path], list[Written]]
+    takes_shaped: bool = True
+    write_no_slower: Callable[[WrittenPlan, Path], list[Written]] | None = None
+
+
+def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> Written:
+    """Write the planned motion as a part program: chords with their times (G93), blended (G64)."""
+    refuse_lost(job, machine, NcStyle.LINUXCNC)
+    timed = planned_job(job, trajectory, machine)
+    # The plan has already been held to the operator's normal feed; its times are not to be
+    # stretched again.
+    write_part_program(timed, replace(machine, operator=None), path, style=NcStyle.LINUXCNC)
+    return written(path)
+
+
+def _of_firmware(name: str) -> Target:
+    def write_one(plan: WrittenPlan, path: Path, slower: bool) -> Written:
+        return write_firmware_program(
+            name,
+            plan.job,
+            plan.motion.trajectory,
+            plan.machine,
+            path,
+            programmed=plan.motion.programmed,
+            override=plan.feed_override,
+            slower=slower,
+        )
+
+    def no_slower(plan: WrittenPlan, path: Path) -> list[Written]:
+        # With a share of the limits the planned speeds are what was asked for: they stay.
+        gentle = not plan.limits_in_full
+        file = write_one(plan, path, slower=gentle)
+        refuse_slower(name, plan.job, file.as_run_s)
+        return [file]
+
+    return Target(
+        write=lambda plan, path: [write_one(plan, path, slower=True)],
+        takes_shaped=False,
+        write_no_slower=no_slower,
+    )
+
+
+TICK_TARGETS: Mapping[str, Target] = {
+    "nc": Target(
+        write=lambda plan, path: [write_nc(plan.job, plan.motion.trajectory, plan.machine, path)],
+        takes_shaped=False,
+    ),
+    **{name: _of_firmware(name) for name in BOARDS},
+}
+"""Targets of machines whose controllers take a row per tick."""
+SWITCH_TARGETS: Mapping[str, Target] = {
+    "plcopen": Target(write=lambda plan, path: write_plcopen(plan.scheduled, path)),
+    "scl": Target(write=lambda plan, path: write_scl(plan.scheduled, path)),
+    "st": Target(write=lambda plan, path: write_structured_text(plan.scheduled, path)),
+}
+"""Targets of on/off machines."""
+STEP_TARGETS: Mapping[str, Target] = {
+    "steps": Target(write=lambda plan, path: write_steps(plan.stitched, path)),
+    "t15": Target(write=lambda plan, path: [write_t15(plan.stitched, path)]),
+}
+"""Targets of machines that play step tables between their stitches."""

@@ -1,5 +1,0 @@
-"""SVG drawings, read strictly: a construct that is not understood is refused and not ignored."""
-
-from threadline.drawing.svg.read_svg import read_svg
-
-__all__ = ["read_svg"]

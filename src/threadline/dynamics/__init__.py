@@ -1,0 +1,34 @@
+"""Equations of motion of a machine, their analysis, and the control that is designed from them."""
+
+from __future__ import annotations
+
+from threadline.dynamics.feedforward import FeedForward, SmoothMotion, feed_forward, smooth_motion
+from threadline.dynamics.inverse import Followed, Inverse, Motion, inverse_of
+from threadline.dynamics.lead import LeadDesign, design_lead, lead_deg, lead_from_response
+from threadline.dynamics.loop_ticks import Told
+from threadline.dynamics.preview import AxisPreview, Demand, Timing, timing_of
+from threadline.dynamics.table_ends import CHOSEN, EARLIEST, AxisEnds, TableEnd
+
+__all__ = [
+    "CHOSEN",
+    "EARLIEST",
+    "AxisEnds",
+    "AxisPreview",
+    "Demand",
+    "FeedForward",
+    "Followed",
+    "Inverse",
+    "LeadDesign",
+    "Motion",
+    "SmoothMotion",
+    "TableEnd",
+    "Timing",
+    "Told",
+    "design_lead",
+    "feed_forward",
+    "inverse_of",
+    "lead_deg",
+    "lead_from_response",
+    "smooth_motion",
+    "timing_of",
+]

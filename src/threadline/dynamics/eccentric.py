@@ -1,0 +1,329 @@
+"""An axis with rigid links: the motion of its bodies, and the force and current that it takes.
+
+The full width is ``play + width cos(angle)``. A piecewise linear system has no cosine, so each turn
+is divided into 80 straight pieces, which differ from it by at most 2e-4 of ``width``. On a piece
+the edge of the band is ``level + slope angle``. The force of the contact acts along the stretch, as
+without eccentricity; its moment on the gear itself, ``slope`` times as large, is neglected.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.elements import Element, Guard, Mode
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.parts import Eccentric
+from threadline.machine.quantity import LEAST_SI
+
+_CREEP = 1e-12  # m/s or rad/s: sliding, and nothing else
+
+
+def current_needed(
+    machine: Machine, axis: str, velocity_si: float, acceleration_si: float
+) -> float:
+    """Return the current in A that an axis needs at a velocity and acceleration, all links rigid.
+
+    Parameters
+    ----------
+    velocity_si, acceleration_si
+        Velocity and acceleration of the axis, in m/s and m/s^2 or rad/s and rad/s^2.
+
+    Raises
+    ------
+    MachineError
+        If the axis moves without its drive.
+    """
+    rates = rigid_motion(machine, axis)
+    drive = machine.drive_of(axis)
+    turning = drive_rate(machine, axis, rates)
+    force = rigid_force(machine, axis, velocity_si, acceleration_si)
+    return float(force / (turning * drive.torque_constant.si))
+
+
+def drive_needs(machine: Machine, axis: str) -> tuple[FloatArray, FloatArray]:
+    """Return what an axis needs of its motor, all links rigid: current in A, voltage in V.
+
+    Returns
+    -------
+    tuple
+        Two (3,): to overcome sliding friction, more for 1 m/s or rad/s, and more for 1 m/s^2 or
+        rad/s^2; the voltage is that across the winding.
+    """
+    drive = machine.drive_of(axis)
+    turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+    still, moving = (abs(current_needed(machine, axis, speed, 0.0)) for speed in (_CREEP, 1.0))
+    push = abs(current_needed(machine, axis, 0.0, 1.0))
+    current = np.array([still, moving - still, push])
+    winding = drive.resistance.si * current
+    winding[1] += drive.back_emf.si * turning
+    return current, winding
+
+
+def drive_limits(
+    machine: Machine, axis: str, current: FloatArray, winding: FloatArray
+) -> list[tuple[float, FloatArray, str]]:
+    """Return the limits of an axis' drive, each beside the needs that it is a limit of.
+
+    They are those of the controller's output and of the winding's voltage in V, and of the current
+    in A; infinite where the file has none. ``current`` and ``winding`` are as from ``drive_needs``.
+
+    Returns
+    -------
+    list
+        Limit, (3,) needs in its unit, and what the limit is called.
+    """
+    amplifier = machine.drive_of(axis).amplifier
+    told = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
+    most_v, most_a = (
+        np.inf if limit is None else limit.si
+        for limit in (amplifier.voltage_limit, amplifier.current_limit)
+    )
+    return [
+        (machine.controller_of(axis).dac.range.si, told, "full output of the controller, {:.4g} V"),
+        (most_v, winding, "voltage_limit of {:.4g} V"),
+        (most_a, current, "current_limit of {:.4g} A"),
+    ]
+
+
+def rigid_force(machine: Machine, axis: str, velocity_si: float, acceleration_si: float) -> float:
+    """Return the force in N (torque in N m) in the coordinate of the axis, all links rigid."""
+    rates = rigid_motion(machine, axis)
+    force = 0.0
+    for name, body in machine.bodies.items():
+        rate = rates[name]
+        damping = 0.0 if body.damping is None else body.damping.si
+        friction = 0.0 if body.friction is None else body.friction.si
+        force += rate * rate * (body.inertia.si * acceleration_si + damping * velocity_si)
+        force += abs(rate) * friction * np.sign(velocity_si)
+    return float(force)
+
+
+def drive_unit(machine: Machine, axis: str) -> str:
+    """Return the unit of the torque or force of an axis' stepper or pulse servo: "N m" or "N"."""
+    source = machine.source_of(axis)
+    assert source is not None
+    return "N" if machine.bodies[source.body].kind == "linear" else "N m"
+
+
+def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
+    """Return the angle of an axis's drive, in rad (m), for 1 m or rad of the axis.
+
+    Parameters
+    ----------
+    rates
+        Rates of the bodies, from ``rigid_motion``.
+
+    Raises
+    ------
+    MachineError
+        If the drive does not turn, or too little for a division by it.
+    """
+    source = machine.source_of(axis)
+    if source is not None:
+        turning = rates[source.body]
+    else:
+        turning = sum(q.si * rates[b] for b, q in machine.drive_of(axis).acts_on.items())
+    if abs(turning) < LEAST_SI:
+        raise MachineError(
+            f"axes.{axis}: its load moves, and its drive does not turn with it",
+            remedy="Look at the links between them, and at what the drive acts on.",
+        )
+    return turning
+
+
+def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
+    """Return the rate of every body when the axis moves at 1 m/s or rad/s and nothing stretches.
+
+    Bodies that are not connected with the axis have the rate 0.
+    """
+    bodies = list(machine.bodies)
+    rows: list[FloatArray] = []
+    for link in machine.links.values():
+        if link.stiffness.si > 0:
+            rows.append(_row(bodies, {b: q.si for b, q in link.stretch.items()}))
+    part = machine.axes[axis]
+    if part.load is not None:
+        rows.append(_row(bodies, {b: q.si for b, q in part.load.items()}))
+    elif source := machine.source_of(axis):
+        rows.append(_row(bodies, {source.body: source.counts / part.counts.si}))
+    else:
+        sensor = machine.sensors[machine.controller_of(axis).sensor]
+        rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))
+    wanted = np.zeros(len(rows))
+    wanted[-1] = 1.0
+    # Lengths and angles differ by orders of magnitude: the least squares are scaled per body.
+    matrix = np.array(rows)
+    scale = np.maximum(np.abs(matrix).max(axis=0), 1e-30)
+    solution = np.linalg.lstsq(matrix / scale, wanted, rcond=None)[0] / scale
+    return dict(zip(bodies, solution.tolist(), strict=True))
+
+
+def _row(bodies: list[str], weights: dict[str, float]) -> FloatArray:
+    return np.array([weights.get(b, 0.0) for b in bodies])
+
+
+PIECES_A_TURN = 80
+_MOST_PIECES = 20_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Band:
+    """A dead band of straight pieces, for V variants.
+
+    Parameters
+    ----------
+    angle, angle_rate
+        (V, N) rows that give the gear's angle, counted from the start of the machine, and its rate.
+    width, phase
+        (V,) amplitude of the full width; angle of the gear at the start, rad.
+    first, last
+        Number of the first piece, and one more than that of the last; piece j begins at j / 80
+        turns.
+    """
+
+    angle: FloatArray
+    angle_rate: FloatArray
+    width: FloatArray
+    phase: FloatArray
+    first: int
+    last: int
+
+
+def pieces_needed(
+    machine: Machine, link: str, eccentric: Eccentric, start: dict[str, float], phase: FloatArray
+) -> tuple[int, int]:
+    """Return ``first`` and ``last`` of a band for all travels and a turn beyond on either side.
+
+    Parameters
+    ----------
+    machine, link, eccentric
+        The machine, and the name of the link with its eccentricity.
+    start
+        Position of each axis at the start, m or rad.
+    phase
+        (V,) angle of the gear at the start, rad.
+
+    Raises
+    ------
+    MachineError
+        If the gear turns with an endless axis, or makes more than 250 turns.
+    """
+    low = high = 0.0
+    for name, axis in machine.axes.items():
+        rates = rigid_motion(machine, name)
+        rate = sum(q.si * rates[body] for body, q in eccentric.angle.items())
+        if abs(rate) < 1e-12:
+            continue
+        if axis.travel is None:
+            raise MachineError(
+                f"links.{link}.eccentric turns with axis {name}, which is endless",
+                place=machine.place,
+                remedy=f"Give axes.{name} a travel.",
+            )
+        ends = [rate * (end.si - start[name]) for end in axis.travel]
+        low, high = low + min(ends), high + max(ends)
+    turn = 2.0 * np.pi
+    first = int(np.floor((float(phase.min()) + low) / turn * PIECES_A_TURN)) - PIECES_A_TURN
+    last = int(np.ceil((float(phase.max()) + high) / turn * PIECES_A_TURN)) + PIECES_A_TURN
+    if last - first > _MOST_PIECES:
+        raise MachineError(
+            f"links.{link}.eccentric: the gear makes {(last - first) / PIECES_A_TURN:.0f} turns "
+            f"over the travel, limit {_MOST_PIECES // PIECES_A_TURN}",
+            place=machine.place,
+            remedy="Correct its angle, or leave the eccentricity out.",
+        )
+    return first, last
+
+
+def eccentric_play(
+    name: str,
+    direction: FloatArray,
+    stretch: FloatArray,
+    spring: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    play: FloatArray,
+    band: Band,
+) -> Element:
+    """Return a spring and damper behind a dead band whose width varies with a gear's angle.
+
+    On every piece of the band it has the modes of ``elements.play``: free, touching above and below
+    and, where the contact is damped, separating above and below.
+
+    Parameters
+    ----------
+    name, direction
+        As in ``Element``.
+    stretch, spring
+        (V, N) rows of the stretch, and of the force of spring and damper without the band.
+    stiffness, damping, play
+        (V,) stiffness and damping of the spring, and the mean full width of the band.
+    band
+        How the width varies.
+    """
+    damped = bool((damping > 0).any())
+    kinds = 5 if damped else 3
+    begins = int(np.floor(float(band.phase.mean()) / (2.0 * np.pi) * PIECES_A_TURN))
+    # The simulation starts in mode 0, so pieces are numbered from the one that it starts on.
+    order = [*range(begins, band.last), *range(band.first, begins)]
+    number = {piece: at for at, piece in enumerate(order)}
+    modes: list[Mode] = []
+    for piece in order:
+        half, bent = _edge(band, play, piece)
+        gone = (stiffness[:, None] * half) + (damping * bent)[:, None] * band.angle_rate
+        above, below = spring - gone, spring + gone
+        over, under = stretch - half, stretch + half
+        none = np.zeros_like(stretch)
+        base = kinds * number[piece]
+        free = (Guard(row=over, high=0.0, high_to=base + 1),
+                Guard(row=under, low=0.0, low_to=base + 2))  # fmt: skip
+        up = (Guard(row=above, low=0.0, low_to=base + (3 if damped else 0)),)
+        down = (Guard(row=below, high=0.0, high_to=base + (4 if damped else 0)),)
+        leaving_up = (Guard(row=over, low=0.0, low_to=base),
+                      Guard(row=above, high=0.0, high_to=base + 1))  # fmt: skip
+        leaving_down = (Guard(row=under, high=0.0, high_to=base),
+                        Guard(row=below, low=0.0, low_to=base + 2))  # fmt: skip
+        sides = [
+            ("free", none, free),
+            ("touching above", above, up),
+            ("touching below", below, down),
+            ("separating above", none, leaving_up),
+            ("separating below", none, leaving_down),
+        ]
+        for kind, (label, law, guards) in enumerate(sides[:kinds]):
+            turned = _turned(band, piece, number, kinds, kind)
+            modes.append(Mode(name=f"{label}, piece {piece}", law=law, guards=(*guards, turned)))
+    return Element(name=name, direction=direction, modes=tuple(modes), working_mode=1)
+
+
+def _edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatArray]:
+    """Return half the width on a piece as a (V, N) row, and its slope (V,) against the angle."""
+    step = 2.0 * np.pi / PIECES_A_TURN
+    # Chords lie inside a cosine; raised, they are as far outside it at their ends as inside it
+    # half way.
+    raised = 2.0 / (1.0 + np.cos(0.5 * step))
+    begin = np.full(len(play), raised * np.cos(piece * step))
+    end = np.full(len(play), raised * np.cos((piece + 1) * step))
+    if piece in {band.first, band.last - 1}:
+        begin = end = 0.5 * (begin + end)
+    slope = 0.5 * band.width * (end - begin) / step
+    half = slope[:, None] * band.angle
+    half[:, -1] += 0.5 * (play + band.width * begin) + slope * (band.phase - piece * step)
+    return half, slope
+
+
+def _turned(band: Band, piece: int, number: dict[int, int], kinds: int, kind: int) -> Guard:
+    """Return the guard that leads to the pieces next to this one, in the same kind of mode."""
+    step = 2.0 * np.pi / PIECES_A_TURN
+    before, after = number.get(piece - 1), number.get(piece + 1)
+    return Guard(
+        row=band.angle,
+        low=-np.inf if before is None else piece * step - band.phase,
+        high=np.inf if after is None else (piece + 1) * step - band.phase,
+        low_to=-1 if before is None else kinds * before + kind,
+        high_to=-1 if after is None else kinds * after + kind,
+    )

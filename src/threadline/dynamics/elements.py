@@ -1,0 +1,368 @@
+"""Elements with several force laws (limits, belts, play, friction), as modes with linear guards.
+
+An element adds ``direction * (law . z)`` to the derivative of the state, where
+``z = [states, held inputs, 1]`` and the law depends on the element's mode. A mode lasts while
+every guard ``low <= row . z <= high`` is true; the guard that is first violated names the next
+mode. A mode may also hold one state constant (of a sticking body, of a limited current); the guard
+of such a mode may watch the force that would change that state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+
+INFINITE = np.inf
+STAY = -1
+"""The next mode of a guard that cannot be left, because its bound is infinite."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Guard:
+    """The condition ``low <= row . z <= high``, and the modes that follow its violation.
+
+    Parameters
+    ----------
+    row
+        (variants, N). With None, the guard watches the net force on the state that the mode holds
+        constant.
+    low, high
+        (variants,) or one number for all variants.
+    low_to, high_to
+        Mode that follows a value below ``low``, and one above ``high``.
+    switch
+        Index of the limit switch that this guard stands for, -1 for none.
+    """
+
+    row: FloatArray | None
+    low: FloatArray | float = -INFINITE
+    high: FloatArray | float = INFINITE
+    low_to: int = STAY
+    high_to: int = STAY
+    switch: int = -1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mode:
+    """One law of an element, and the guards that end it.
+
+    Parameters
+    ----------
+    name
+        Name of the mode, for people.
+    law
+        (variants, N): the element's force (or current) is ``law . z``.
+    guards
+        Conditions while which the mode lasts.
+    holds
+        Index of the state that is held constant, -1 for none.
+    held_at
+        (variants,) value that the held state is given when the mode begins.
+    net_scale
+        (variants,) factor from the derivative of the held state to the force that guards watch.
+    """
+
+    name: str
+    law: FloatArray
+    guards: tuple[Guard, ...] = ()
+    holds: int = -1
+    held_at: FloatArray | float = 0.0
+    net_scale: FloatArray | float = 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Element:
+    """A force or current with several laws.
+
+    Parameters
+    ----------
+    name
+        Path of its part in the machine file, such as ``"links.belt"``.
+    direction
+        (variants, n): what a force (or current) of 1 adds to the derivative of each state.
+    modes
+        Its laws; a simulation starts in the first.
+    working_mode
+        Mode in which the element is in a linear model.
+    """
+
+    name: str
+    direction: FloatArray
+    modes: tuple[Mode, ...]
+    working_mode: int = 0
+
+
+def working_rates(base: FloatArray, elements: Sequence[Element]) -> FloatArray:
+    """Return (variants, n, N) ``base`` with every element in its working mode.
+
+    Constant parts of their laws are left out, as for small motions about a working point.
+    """
+    rates = base.copy()
+    for element in elements:
+        law = element.modes[element.working_mode].law.copy()
+        law[:, -1] = 0.0
+        rates += element.direction[:, :, None] * law[:, None, :]
+    return rates
+
+
+def friction(
+    name: str,
+    direction: FloatArray,
+    velocity: int,
+    inertia: FloatArray,
+    sliding: FloatArray,
+    breakaway: FloatArray,
+    size: int,
+) -> Element:
+    """Return Coulomb friction on a body: sticking, sliding forwards, sliding backwards.
+
+    Parameters
+    ----------
+    name, direction
+        As in ``Element``.
+    velocity
+        Index of the body's velocity in the state.
+    inertia, sliding, breakaway
+        (variants,) inertia in kg or kg m^2; friction while sliding and at breakaway in N or N m.
+    size
+        Length N of ``z``.
+    """
+    none = np.zeros((len(inertia), size))
+    forwards, backwards, speed = none.copy(), none.copy(), none.copy()
+    forwards[:, -1], backwards[:, -1] = -sliding, sliding
+    speed[:, velocity] = 1.0
+    return Element(
+        name=name,
+        direction=direction,
+        modes=(
+            Mode(
+                name="stick",
+                law=none,
+                guards=(Guard(row=None, low=-breakaway, high=breakaway, low_to=2, high_to=1),),
+                holds=velocity,
+                net_scale=inertia,
+            ),
+            Mode(name="forwards", law=forwards, guards=(Guard(row=speed, low=0.0, low_to=0),)),
+            Mode(name="backwards", law=backwards, guards=(Guard(row=speed, high=0.0, high_to=0),)),
+        ),
+        working_mode=1,
+    )
+
+
+def belt(
+    name: str,
+    direction: FloatArray,
+    spring: FloatArray,
+    preload: FloatArray,
+    first: FloatArray,
+) -> Element:
+    """Return a preloaded belt of two runs, each of which pulls only while it is tight.
+
+    The force is ``max(0, P + a s) - max(0, P - (1 - a) s)``, where ``s`` is the force of the linear
+    spring and damper. It is continuous, and once one run is slack the stiffness is that of the
+    other. Appendix C of the stitcher thesis calls the stiffnesses of the runs ``k1`` (the short
+    one) and ``k2`` (the long one).
+
+    Parameters
+    ----------
+    name, direction
+        As in ``Element``.
+    spring
+        (variants, N): the linear law ``k stretch + c stretch'`` of both runs together.
+    preload
+        (variants,) tension P of each run at rest, N.
+    first
+        (variants,) share ``a`` that the run which a positive stretch tightens has in the stiffness.
+    """
+    upper, lower = first[:, None] * spring, (1.0 - first)[:, None] * spring
+    upper[:, -1] += preload
+    lower[:, -1] -= preload
+    slack, tight = -preload / first, preload / (1.0 - first)
+    return Element(
+        name=name,
+        direction=direction,
+        modes=(
+            Mode(
+                name="tight",
+                law=spring,
+                guards=(Guard(row=spring, low=slack, high=tight, low_to=2, high_to=1),),
+            ),
+            Mode(name="stretched", law=upper, guards=(Guard(row=spring, low=tight, low_to=0),)),
+            Mode(name="slackened", law=lower, guards=(Guard(row=spring, high=slack, high_to=0),)),
+        ),
+    )
+
+
+def play(
+    name: str,
+    direction: FloatArray,
+    stretch: FloatArray,
+    spring: FloatArray,
+    stiffness: FloatArray,
+    width: FloatArray,
+    damped: bool,
+) -> Element:
+    """Return a spring and damper behind a dead band; a contact pushes and never pulls.
+
+    The force of a damped contact falls to 0 while the spring is still compressed. From then until
+    the stretch is back inside the band the mode is ``separating``.
+
+    Parameters
+    ----------
+    name, direction
+        As in ``Element``.
+    stretch, spring
+        (variants, N): the stretch, and the force of spring and damper without the band.
+    stiffness, width
+        (variants,) stiffness of the spring, and full width of the band.
+    damped
+        Whether any variant has damping.
+    """
+    half = 0.5 * width
+    none = np.zeros_like(stretch)
+    above, below = spring.copy(), spring.copy()
+    above[:, -1] -= stiffness * half
+    below[:, -1] += stiffness * half
+    modes = [
+        Mode(
+            name="free",
+            law=none,
+            guards=(Guard(row=stretch, low=-half, high=half, low_to=2, high_to=1),),
+        ),
+        Mode(
+            name="touching above",
+            law=above,
+            guards=(Guard(row=above, low=0.0, low_to=3 if damped else 0),),
+        ),
+        Mode(
+            name="touching below",
+            law=below,
+            guards=(Guard(row=below, high=0.0, high_to=4 if damped else 0),),
+        ),
+    ]
+    if damped:
+        modes += [
+            Mode(
+                name="separating above",
+                law=none,
+                guards=(
+                    Guard(row=stretch, low=half, low_to=0),
+                    Guard(row=above, high=0.0, high_to=1),
+                ),
+            ),
+            Mode(
+                name="separating below",
+                law=none,
+                guards=(
+                    Guard(row=stretch, high=-half, high_to=0),
+                    Guard(row=below, low=0.0, low_to=2),
+                ),
+            ),
+        ]
+    return Element(name=name, direction=direction, modes=tuple(modes), working_mode=1)
+
+
+def motor(
+    name: str,
+    direction: FloatArray,
+    free: FloatArray,
+    *,
+    current_limit: FloatArray | None,
+    voltage_modes: tuple[tuple[FloatArray, float], ...],
+    state: int,
+    net_scale: FloatArray,
+    switches: tuple[Guard, ...],
+) -> Element:
+    """Return a motor's current: free, limited, or cut off for good by a limit switch.
+
+    Parameters
+    ----------
+    name, direction
+        As in ``Element``.
+    free
+        (variants, N): the current without limits.
+    current_limit
+        (variants,) in A; None without a limit.
+    voltage_modes
+        For a current amplifier with a limited supply: the currents at the upper and at the lower
+        limit of the supply, each with its sign (+1, -1). Empty for every other motor.
+    state
+        Index of the current in the state. It is -1 where the motor has no inductance, or where the
+        limit acts on the amplifier's output while the state goes on without limit.
+    net_scale
+        (variants,) factor from the derivative of that state to volts.
+    switches
+        Guards of the limit switches that cut the supply; the modes that follow are set here.
+    """
+    none = np.zeros_like(free)
+    limits = (1.0, -1.0) if current_limit is not None else ()
+    off = 1 + len(limits) + len(voltage_modes)
+    cut = tuple(
+        Guard(
+            row=s.row,
+            low=s.low,
+            high=s.high,
+            low_to=off if np.any(np.isfinite(s.low)) else STAY,
+            high_to=off if np.any(np.isfinite(s.high)) else STAY,
+            switch=s.switch,
+        )
+        for s in switches
+    )
+    modes: list[Mode] = []
+    if limits:
+        assert current_limit is not None
+        modes.append(
+            Mode(
+                name="free",
+                law=free,
+                guards=(
+                    Guard(row=free, low=-current_limit, high=current_limit, low_to=2, high_to=1),
+                    *cut,
+                ),
+            )
+        )
+        for sign in limits:
+            clipped = none.copy()
+            clipped[:, -1] = sign * current_limit
+            towards = {"low": 0.0, "low_to": 0} if sign > 0 else {"high": 0.0, "high_to": 0}
+            if state >= 0:
+                # The current is held at its limit until its voltage drives it back inside.
+                guard = Guard(row=None, **towards)  # type: ignore[arg-type]
+            else:
+                excess = free.copy()
+                excess[:, -1] -= sign * current_limit
+                guard = Guard(row=excess, **towards)  # type: ignore[arg-type]
+            modes.append(
+                Mode(
+                    name=f"limited {'+' if sign > 0 else '-'}",
+                    law=free if state >= 0 else clipped,
+                    guards=(guard, *cut),
+                    holds=state,
+                    held_at=sign * current_limit,
+                    net_scale=net_scale,
+                )
+            )
+    elif voltage_modes:
+        rows = [free - at_limit for at_limit, _ in voltage_modes]
+        guards = (
+            Guard(row=rows[0], high=0.0, high_to=1),
+            Guard(row=rows[1], low=0.0, low_to=2),
+        )
+        modes.append(Mode(name="free", law=free, guards=(*guards, *cut)))
+        for (at_limit, sign), row in zip(voltage_modes, rows, strict=True):
+            back = (
+                Guard(row=row, low=0.0, low_to=0)
+                if sign > 0
+                else Guard(row=row, high=0.0, high_to=0)
+            )
+            modes.append(Mode(name="supply limit", law=at_limit, guards=(back, *cut)))
+    else:
+        modes.append(Mode(name="free", law=free, guards=cut))
+    if cut:
+        law = none if state < 0 else free
+        modes.append(Mode(name="cut", law=law, holds=state))
+    return Element(name=name, direction=direction, modes=tuple(modes))

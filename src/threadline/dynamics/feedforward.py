@@ -1,0 +1,255 @@
+"""Exact moving averages of a piecewise polynomial: motions smooth enough for an inverse.
+
+A moving average over ``w`` makes a motion once more differentiable. The average of averages of a
+piecewise polynomial is a divided difference of its repeated integral,
+``y_n(t) = prod(delta_i / w_i) I^n y(t)``, so every derivative is exact and none is taken by
+differences of samples. The averages are centred, so the motion is not delayed. Axes with the same
+widths round a corner alike, and a straight path stays straight.
+
+A motion chip accepts nothing but position references, so the voltage of the exact inverse has to
+come out of the chip's own filter. At tick k the filter must put out the voltage that the plant
+needs one dead time and half a hold later, ``v = u(t + tau + T/2)``. The inverse of the filter's
+difference equation gives the error that produces this voltage; the reference is the predicted
+reading of the sensor plus that error. A reference holds for one reference tick, so each is
+computed for the instant half a reference tick after it is due.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, Locked, read_only
+from threadline.dynamics.inverse import Followed, Motion, inverse_of
+from threadline.dynamics.loop_ticks import AHEAD, Levels
+from threadline.dynamics.preview import timing_of
+from threadline.dynamics.values import Values
+from threadline.errors import OptionError
+from threadline.machine import Machine
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SmoothMotion(Locked):
+    """Moving averages of a motion, with exact derivatives.
+
+    Parameters
+    ----------
+    source
+        The motion before averaging, a piecewise polynomial with a piece of rest at either end.
+    widths_s
+        (n,) widths of the moving averages, in s.
+    start_s, end_s
+        The averaged motion rests before the one and after the other.
+    """
+
+    source: PPoly
+    widths_s: FloatArray
+    start_s: float
+    end_s: float
+
+    def __call__(self, time_s: FloatArray, order: int = 0) -> FloatArray:
+        """Return the (k,) derivative of an order at (k,) times."""
+        t = np.asarray(time_s, dtype=np.float64)
+        n = len(self.widths_s)
+        whole = (
+            self.source.antiderivative(n - order)
+            if order < n
+            else self.source.derivative(order - n)
+        )
+        if order == n:
+            whole = self.source
+        low, high = self.source.x[0], self.source.x[-1]
+        total = np.zeros_like(t)
+        for signs in product((-1.0, 1.0), repeat=n):
+            at = t + 0.5 * float(np.dot(signs, self.widths_s))
+            # Beyond its ends the source rests; its integrals go on as it does there.
+            total += np.prod(signs) * _beyond(whole, self.source, at, low, high, n - order)
+        scale = float(np.prod(self.widths_s)) if n else 1.0
+        return np.asarray(total / scale)
+
+
+def smooth_motion(
+    break_s: FloatArray, coefficients: FloatArray, widths_s: FloatArray
+) -> SmoothMotion:
+    """Return the moving averages of a piecewise polynomial, at rest before and after.
+
+    Parameters
+    ----------
+    break_s
+        (m + 1,) rising times.
+    coefficients
+        (degree + 1, m) of the position on each interval, highest power first, in the time since
+        its beginning (scipy's ``PPoly``).
+    widths_s
+        (n,) widths of the moving averages, in s.
+
+    Raises
+    ------
+    OptionError
+        If a width is not above zero.
+    """
+    from scipy.interpolate import PPoly
+
+    widths = read_only(widths_s, "widths_s", ndim=1)
+    if (widths <= 0).any():
+        raise OptionError(f"widths of moving averages must be above 0 s, got {widths.tolist()}")
+    times = read_only(break_s, "break_s", ndim=1)
+    powers = read_only(coefficients, "coefficients", ndim=2)
+    source = PPoly(powers, times)
+    rest = float(widths.sum()) + 1e-9
+    first, last = float(source(times[0])), float(source(times[-1]))
+    padded = np.zeros((len(powers), powers.shape[1] + 2))
+    padded[:, 1:-1] = powers
+    padded[-1, 0], padded[-1, -1] = first, last
+    whole = PPoly(padded, np.concatenate([[times[0] - rest], times, [times[-1] + rest]]))
+    half = 0.5 * float(widths.sum())
+    return SmoothMotion(
+        source=whole,
+        widths_s=widths,
+        start_s=float(times[0]) - half,
+        end_s=float(times[-1]) + half,
+    )
+
+
+def _beyond(
+    whole: PPoly, source: PPoly, at: FloatArray, low: float, high: float, integrals: int
+) -> FloatArray:
+    """Return ``whole``, an integral or derivative of ``source``, which rests beyond its ends.
+
+    ``integrals`` is the number of integrations; below 0 it is that of derivatives.
+    """
+    inside = np.asarray(whole(np.clip(at, low, high)), dtype=np.float64)
+    if integrals <= 0:
+        if integrals < 0:
+            inside = np.where((at < low) | (at > high), 0.0, inside)
+        return inside
+    # Taylor's series about the end: the source is constant there, its integrals are polynomials.
+    for end, out in ((low, at < low), (high, at > high)):
+        if not out.any():
+            continue
+        past = at[out] - end
+        value = np.zeros_like(past)
+        factor = np.ones_like(past)
+        for k in range(integrals + 1):
+            left = integrals - k
+            level = source.antiderivative(left)(end) if left else source(end)
+            value += float(level) * factor
+            factor = factor * past / (k + 1)
+        inside[out] = value
+    return inside
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FeedForward:
+    """References for one axis, and what they ask of its drive.
+
+    Parameters
+    ----------
+    reference_si
+        (k,) position to command at each reference tick, m or rad, from ``start_s`` on.
+    start_s
+        Time of the first reference, on the clock of the motion: earlier than the start of the
+        motion, since references act late.
+    period_s
+        Time from reference to reference.
+    followed
+        Load, sensor, voltage and current at each tick of the controller.
+    peak_volts, peak_current_a
+        Largest magnitudes at the controller's output and in the motor (None without a coil).
+    volt_limit, current_limit_a
+        Largest voltage of the DAC and current of the amplifier (infinite where it has no limit).
+    """
+
+    reference_si: FloatArray
+    start_s: float
+    period_s: float
+    followed: Followed
+    peak_volts: float
+    peak_current_a: float | None
+    volt_limit: float
+    current_limit_a: float
+
+    @property
+    def within_limits(self) -> bool:
+        """Whether peak voltage and peak current are within the limits of the drive."""
+        current = self.peak_current_a is None or self.peak_current_a <= self.current_limit_a
+        return current and self.peak_volts <= self.volt_limit
+
+    @property
+    def bound_by(self) -> str:
+        """Name of the limit that the motion comes closest to: ``"current"`` or ``"voltage"``."""
+        current = 0.0 if self.peak_current_a is None else self.peak_current_a / self.current_limit_a
+        return "current" if current >= self.peak_volts / self.volt_limit else "voltage"
+
+
+def feed_forward(
+    machine: Machine,
+    axis: str,
+    motion: Motion,
+    start_s: float,
+    end_s: float,
+    *,
+    settle_s: float | None = None,
+    model: Values | None = None,
+) -> FeedForward:
+    """Return the references with which the loop of ``axis`` follows ``motion``.
+
+    Parameters
+    ----------
+    motion
+        Position of the load, m or rad, with as many derivatives as there are integrations from
+        voltage to load (5 for a belt behind a motor with a coil).
+    start_s, end_s
+        The load rests before the one and after the other, on the clock of the motion.
+    settle_s
+        How long references go on after ``end_s``. By default until a swing inside the plant (of
+        the frame, say) has decayed to a thousandth: the motor has to yield to it until then.
+    model
+        Numbers from which the inverse is made; those of ``machine`` when None.
+
+    Raises
+    ------
+    MachineError
+        If the axis or its filter has no stable inverse, or the controller generates its own
+        positions (a ``ProfileController``).
+    """
+    from scipy.signal import lfilter
+
+    controller = machine.controller_of(axis)
+    inverse = inverse_of(machine, axis, model)
+    loop = inverse.loop
+    timing = timing_of(machine, axis, inverse)
+    if settle_s is None:
+        settle_s = timing.settle_s
+    digital = loop.filters[loop.index]
+    tick, step, held, early = timing.tick_s, timing.step_s, timing.held_s, timing.early_s
+    lead = timing.lead_s
+    begin = start_s - lead
+    # Twice as fine as the ticks: the volts are wanted in the middle of a hold.
+    count = int(np.ceil((end_s + settle_s + lead - begin) / tick)) + 2
+    ticks: FloatArray = np.asarray(begin + tick * np.arange(count))
+    sensed = inverse.follow(motion, ticks)
+    driven = inverse.follow(motion, np.asarray(ticks + early))
+    levels = Levels(digital.numerator, skips=controller.dac.zero_on_reversal)
+    volts = levels.feed(np.append(driven.volts, np.repeat(driven.volts[-1:], AHEAD)))
+    error = lfilter(digital.denominator, digital.numerator, volts)
+    wanted = (sensed.measured_counts + error) / loop.counts_per_unit
+    rows = int(np.floor((ticks[-1] - held - begin) / step)) + 1
+    due = begin + step * np.arange(rows)
+    limit = machine.drive_of(axis).amplifier.current_limit
+    return FeedForward(
+        reference_si=np.interp(due + held, ticks, wanted),
+        start_s=begin,
+        period_s=step,
+        followed=driven,
+        peak_volts=float(np.abs(driven.volts).max()),
+        peak_current_a=None if driven.current_a is None else float(np.abs(driven.current_a).max()),
+        volt_limit=controller.dac.range.si,
+        current_limit_a=np.inf if limit is None else limit.si,
+    )

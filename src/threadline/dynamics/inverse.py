@@ -1,0 +1,336 @@
+"""Exact steps of linear states under a force that is known at some instants of each step.
+
+The solution of ``x' = Q x + f(t)`` after a step T is
+``x(T) = e^(QT) x(0) + int e^(Q(T-s)) f(s) ds``. The force is replaced by the polynomial through its
+known values, and the integral of that is exact, by the phi functions of Q T (Hochbruck and
+Ostermann, Exponential integrators, Acta Numerica 2010). Quadrature of the whole integrand would be
+far off wherever ``|Q| T`` is not small, as for the zero k/c of a damped belt.
+
+From the controller's voltage u to the load y there are r integrations: ``y^(r) = C A^r x + g u``.
+The states are the load's position and derivatives and, where the plant has zeros (the Y frame of
+the stitcher), inner states that follow from the motion alone, ``eta' = Q eta + R (y ... y^(r-1))``.
+The eigenvalues of Q are the zeros of the plant, and an inverse exists only where all of them decay.
+The inverse holds belt, load damping, frame, motor and coil, but no dead time: the caller sends the
+voltage that much earlier.
+
+The references of feed-forward are the inverse ``1 / T0`` of the machine as its file says, applied
+to the intended motion of the load. A machine whose closed loop is ``T`` answers with ``T / T0``.
+Dead time, the hold of the references and their grid are the same in both and cancel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm, null_space
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.loop import Loop, axis_loop
+from threadline.dynamics.margins import not_decaying
+from threadline.dynamics.poles import Chain, chain_of
+from threadline.dynamics.sampled import StateSpace, sample
+from threadline.dynamics.values import Values
+from threadline.errors import MachineError
+from threadline.machine import Machine
+
+
+def decay_and_moments(Q: FloatArray, step_s: float, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return ``e^(Q T)`` and ``T int_0^1 e^(Q T (1-z)) z^k dz`` for k from 0 to ``count`` - 1.
+
+    Parameters
+    ----------
+    Q
+        (n, n) matrix of the states, in 1/s.
+    step_s
+        Length T of the step, in s.
+    count
+        Number of powers z^k: one more than the degree of the force's polynomial.
+
+    Returns
+    -------
+    The (n, n) decay, and the (count, n, n) moments in s.
+    """
+    n = len(Q)
+    whole = np.zeros((n * (count + 1), n * (count + 1)))
+    whole[:n, :n] = Q * step_s
+    for k in range(count):
+        whole[n * k : n * (k + 1), n * (k + 1) : n * (k + 2)] = np.eye(n)
+    row = expm(whole)[:n]
+    factorials = np.cumprod([1.0, *range(1, count)])
+    moments = [step_s * factorials[k] * row[:, n * (k + 1) : n * (k + 2)] for k in range(count)]
+    return row[:, :n], np.stack(moments)
+
+
+_GAUSS_AT = 0.5 + 0.5 * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
+# Coefficients, from the constant up, of the three parabolas that are 1 at one of Gauss's points and
+# 0 at the other two.
+_GAUSS_BASIS = np.linalg.inv(np.vander(_GAUSS_AT, increasing=True)).T
+
+
+class Motion(Protocol):
+    """Position of the load over time, with derivatives; m or rad."""
+
+    def __call__(self, time_s: FloatArray, order: int = 0) -> FloatArray:
+        """Return the (k,) derivative of ``order`` at (k,) times."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Followed:
+    """What an axis does while its load follows a motion exactly.
+
+    Parameters
+    ----------
+    time_s
+        (k,) instants, in s.
+    load_si
+        (k,) position of the load, m or rad.
+    measured_counts
+        (k,) reading of the controller's sensor, in counts.
+    volts
+        (k,) voltage that acts on the plant at these instants; dead time is not in it.
+    current_a
+        (k,) current of the motor, in A; None where the plant has no such state.
+    """
+
+    time_s: FloatArray
+    load_si: FloatArray
+    measured_counts: FloatArray
+    volts: FloatArray
+    current_a: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Inverse:
+    """The inverse of an axis in normal form: ``x = from_load (y ... y^(r-1)) + from_inner eta``.
+
+    Parameters
+    ----------
+    axis, loop
+        Name of the axis that is inverted, and its loop.
+    plant
+        State space, with n states, from the controller's voltage to the load in m or rad.
+    chain
+        The r integrations from that voltage to the load.
+    from_load, from_inner
+        (n, r) and (n, n - r): the states of the plant from the load's position and derivatives, and
+        from the inner states.
+    Q, R
+        (n - r, n - r) and (n - r, r): ``eta' = Q eta + R (y ... y^(r-1))``.
+    """
+
+    axis: str
+    loop: Loop
+    plant: StateSpace
+    chain: Chain
+    from_load: FloatArray
+    from_inner: FloatArray
+    Q: FloatArray
+    R: FloatArray
+
+    @property
+    def degree(self) -> int:
+        """Number r of derivatives of the motion that the inverse reads; only the r-th may jump."""
+        return self.chain.degree
+
+    def follow(self, motion: Motion, time_s: FloatArray) -> Followed:
+        """Return what the axis does while the load follows ``motion`` from rest.
+
+        Parameters
+        ----------
+        motion
+            Position of the load with ``degree`` derivatives, at rest at ``time_s[0]``.
+        time_s
+            (k,) equally spaced instants, in s. The inner states are exact to rounding only where
+            no derivative jumps between two of them.
+        """
+        t = np.asarray(time_s, dtype=np.float64)
+        ladder = np.stack([motion(t, order) for order in range(self.degree + 1)], axis=1)
+        return self.outputs(t, ladder, self._inner(motion, t), float(ladder[0, 0]))
+
+    def outputs(
+        self, time_s: FloatArray, ladder: FloatArray, inner: FloatArray, start_si: float
+    ) -> Followed:
+        """Return what the axis does, from the motion of its load and from its inner states.
+
+        Parameters
+        ----------
+        time_s
+            (k,) instants, in s.
+        ladder
+            (k, degree + 1) position of the load and its derivatives.
+        inner
+            (k, n - degree) inner states, 0 at rest.
+        start_si
+            Position at which the load rested before the motion, m or rad.
+        """
+        r = self.degree
+        states = ladder[:, :r] @ self.from_load.T + inner @ self.from_inner.T
+        states += self._rest(start_si)
+        volts = (ladder[:, r] - states @ self.chain.rows[r]) / self.chain.gain
+        coil = [k for k, name in enumerate(self.plant.states) if name.endswith(".i")]
+        return Followed(
+            time_s=time_s,
+            load_si=ladder[:, 0],
+            measured_counts=states @ self.loop.own().C[0],
+            volts=volts,
+            current_a=states[:, coil[0]] if len(coil) == 1 else None,
+        )
+
+    def _rest(self, start_si: float) -> FloatArray:
+        # Inner states are counted from their value at rest, which depends on where the load rests.
+        if not len(self.Q) or start_si == 0.0:
+            return np.zeros(len(self.plant.A))
+        still = np.zeros(self.degree)
+        still[0] = start_si
+        return np.asarray(self.from_inner @ -np.linalg.solve(self.Q, self.R @ still))
+
+    def _inner(self, motion: Motion, t: FloatArray) -> FloatArray:
+        """Integrate the inner states under the parabola through each step's three Gauss points."""
+        inner = np.zeros((len(t), len(self.Q)))
+        if not len(self.Q) or len(t) < 2:
+            return inner
+        step = float(t[1] - t[0])
+        decay, moments = decay_and_moments(self.Q, step, 3)
+        first = float(motion(t[:1], 0)[0])
+        push = np.zeros((len(t) - 1, len(self.Q)))
+        for at, parabola in zip(_GAUSS_AT, _GAUSS_BASIS, strict=True):
+            times = t[:-1] + at * step
+            ladder = np.stack([motion(times, order) for order in range(self.degree)], axis=1)
+            ladder[:, 0] -= first
+            push += ladder @ self.R.T @ np.tensordot(parabola, moments, axes=1).T
+        for k in range(len(t) - 1):
+            inner[k + 1] = decay @ inner[k] + push[k]
+        return inner
+
+
+def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inverse:
+    """Return the exact inverse of an axis, from the load's motion to the controller's voltage.
+
+    Parameters
+    ----------
+    values
+        Numbers from which the inverse is made; those of ``machine`` when None.
+
+    Raises
+    ------
+    OptionError
+        If there is no such axis.
+    MachineError
+        If other drives act on the same bodies, or the plant's zeros do not decay.
+    """
+    loop = axis_loop(machine, axis, values)
+    if len(loop.filters) > 1:
+        raise MachineError(
+            f"axis {axis} shares bodies with the drives of other axes",
+            place=machine.place,
+            remedy="An inverse is made for axes that move on their own.",
+        )
+    plant = loop.plant.select([loop.plant.inputs[loop.index]], [f"{axis}.load"])
+    chain = chain_of(plant)
+    r, n = chain.degree, len(plant.A)
+    # The inner states are such combinations W x that the voltage does not act on them: W b = 0.
+    ladder = chain.rows[:r]
+    scale = np.linalg.norm(ladder, axis=1)[:, None]
+    others = null_space(plant.B.T / np.linalg.norm(plant.B)).T
+    kept = _independent(others, ladder / scale, n - r)
+    whole = np.vstack([ladder / scale, kept])
+    back = np.linalg.inv(whole)
+    from_load, from_inner = back[:, :r] / scale.T, back[:, r:]
+    Q, R = kept @ plant.A @ from_inner, kept @ plant.A @ from_load
+    standing = not_decaying(Q)
+    if len(standing):
+        worst = standing[0]
+        raise MachineError(
+            f"axis {axis}: its inverse does not decay, a zero lies at {worst:.4g} rad/s",
+            place=machine.place,
+            remedy="Give the frame damping, or let the load be what its motor moves first.",
+        )
+    return Inverse(
+        axis=axis,
+        loop=loop,
+        plant=plant,
+        chain=chain,
+        from_load=from_load,
+        from_inner=from_inner,
+        Q=Q,
+        R=R,
+    )
+
+
+def _independent(candidates: FloatArray, taken: FloatArray, count: int) -> FloatArray:
+    """Return ``count`` combinations of rows that are independent of those ``taken``."""
+    if count == 0:
+        return np.empty((0, candidates.shape[1]))
+    # What of the candidates' space is orthogonal to the part that the taken rows fill.
+    inside = taken @ candidates.T @ candidates
+    _, _, vectors = np.linalg.svd(inside @ candidates.T)
+    rank = candidates.shape[0] - count
+    return np.asarray(vectors[rank:] @ candidates)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CornerResponse:
+    """The load and the motor of one machine, by frequency.
+
+    Parameters
+    ----------
+    load
+        (k,) velocity of the load over the intended one.
+    current_s_a_m
+        (k,) current of the motor over the intended velocity, A s/m or A s/rad; None without a coil.
+    """
+
+    load: NDArray[np.complex128]
+    current_s_a_m: NDArray[np.complex128] | None
+
+
+def corner_responses(
+    machine: Machine, axis: str, corners: Sequence[Machine], omega_rad_s: FloatArray
+) -> list[CornerResponse]:
+    """Return the response of each of ``corners`` to references that are planned for ``machine``.
+
+    Parameters
+    ----------
+    omega_rad_s
+        (k,) frequencies above 0.
+    """
+    believed, _ = _closed(axis_loop(machine, axis), omega_rad_s)
+    found = []
+    for corner in corners:
+        load, current = _closed(axis_loop(corner, axis), omega_rad_s)
+        found.append(
+            CornerResponse(
+                load=load / believed,
+                current_s_a_m=None if current is None else current * (load / believed),
+            )
+        )
+    return found
+
+
+def _closed(
+    loop: Loop, omega: FloatArray
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128] | None]:
+    """Return the loop from its reference to its load, and the current over the load's velocity."""
+    plant = loop.plant
+    coil = [k for k, name in enumerate(plant.states) if name.endswith(".i")]
+    rows = [f"{loop.axis}.load", loop.sensors[loop.index]]
+    seen = plant.select([plant.inputs[loop.index]], rows)
+    sampled = sample(seen, loop.period_s).response(omega)[:, :, 0]
+    D = loop.filters[loop.index].sampled_response(omega)
+    closed = sampled[:, 0] * D / (1.0 + sampled[:, 1] * D)
+    if len(coil) != 1:
+        return closed, None
+    state = np.zeros((1, len(plant.A)))
+    state[0, coil[0]] = 1.0
+    with_coil = replace(
+        seen,
+        C=np.vstack([seen.C[:1], state]),
+        D=np.zeros((2, 1)),
+        outputs=(rows[0], plant.states[coil[0]]),
+    ).response(omega)[:, :, 0]
+    return closed, with_coil[:, 1] / (1j * omega * with_coil[:, 0])

@@ -1,0 +1,149 @@
+"""The linear model of every connected piece of the network, and its natural frequencies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics import elements as el
+from threadline.dynamics.network import Group, PiecewiseLinear, connected_groups, piecewise_linear
+from threadline.dynamics.sampled import StateSpace
+from threadline.dynamics.values import Values
+from threadline.errors import MachineError
+from threadline.machine import Machine
+
+
+def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
+    """Return the linear model of every connected piece, one for each group of the network.
+
+    Limits and friction are left out, play is closed and a preloaded belt is tight, as in small
+    motions about a working point. Inputs are the drives, ``"drives.x"``, in volts of the
+    controller;
+    outputs are ``"sensors.x"`` in counts and, per axis, ``"X.measured"``, ``"X.load"`` and
+    ``"X.frame"`` in m or rad. The dead time of each drive is in ``delay_s``.
+
+    Raises
+    ------
+    MachineError
+        If a combination of parts has no equations here.
+    """
+    used = Values.of(machine) if values is None else values
+    # A piece whose drives are given positions has no input in volts: see ``prescribed``.
+    return tuple(
+        _linear(machine, piece, used)
+        for piece in piecewise_linear(machine, used)
+        if not piece.group.sources
+    )
+
+
+def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> StateSpace:
+    group, n = piece.group, len(piece.states)
+    full = el.working_rates(piece.base, piece.elements)[0]
+    rows, names = [], []
+    for index, sensor in enumerate(group.sensors):
+        rows.append(piece.sensor_rows[0, index, :n])
+        names.append(f"sensors.{sensor}")
+    for index, axis in enumerate(group.axes):
+        sensor = machine.controller_of(axis).sensor
+        counts = piece.sensor_rows[0, group.sensors.index(sensor), :n]
+        rows += [counts / machine.axes[axis].counts.si, piece.load_rows[0, index, :n]]
+        names += [f"{axis}.measured", f"{axis}.load"]
+        if piece.has_frame[index]:
+            rows.append(piece.frame_rows[0, index, :n])
+            names.append(f"{axis}.frame")
+    if not rows:
+        raise MachineError(
+            f"bodies.{group.bodies[0]}: no drive, sensor or axis has to do with it",
+            remedy="Take it out, or connect it by a link.",
+        )
+    delays = [
+        float(np.atleast_1d(values.at(f"drives.{d}.delay", machine.motors[d].delay))[0])
+        for d in group.drives
+    ]
+    return StateSpace(
+        A=full[:, :n],
+        B=full[:, n : n + len(group.drives)] * piece.input_gain[0],
+        C=np.array(rows),
+        D=np.zeros((len(rows), len(group.drives))),
+        delay_s=np.array(delays),
+        states=piece.states,
+        inputs=tuple(f"drives.{d}" for d in group.drives),
+        outputs=tuple(names),
+    )
+
+
+_RIGID = 1e-7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Oscillation:
+    """A natural mode.
+
+    Parameters
+    ----------
+    frequency_hz
+        Undamped natural frequency.
+    damping
+        Damping ratio of the pole pair of the mode; 1 where its poles are real.
+    """
+
+    frequency_hz: float
+    damping: float
+
+
+def locked_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
+    """Return the modes of an axis' piece of the network with its driven bodies held still."""
+    group, model = _piece(machine, axis)
+    held = {b for d in group.drives for b in machine.motors[d].acts_on}
+    return _modes(model, [b for b in group.bodies if b not in held])
+
+
+def free_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
+    """Return the modes of an axis' piece with its motors turning freely, without current."""
+    group, model = _piece(machine, axis)
+    return _modes(model, list(group.bodies))
+
+
+def _piece(machine: Machine, axis: str) -> tuple[Group, StateSpace]:
+    groups = [group for group in connected_groups(machine) if not group.sources]
+    for group, model in zip(groups, linear_model(machine), strict=True):
+        if axis in group.axes:
+            return group, model
+    raise KeyError(axis)
+
+
+def _modes(model: StateSpace, bodies: list[str]) -> tuple[Oscillation, ...]:
+    if not bodies:
+        return ()
+    place = [model.states.index(b) for b in bodies]
+    rate = [model.states.index(f"{b}'") for b in bodies]
+    stiffness = -model.A[np.ix_(rate, place)]
+    squares = np.sort(np.linalg.eigvals(stiffness).real)
+    squares = squares[squares > _RIGID * max(float(squares.max()), 1.0)]
+    if not len(squares):
+        return ()
+    return tuple(
+        Oscillation(frequency_hz=float(w / (2 * np.pi)), damping=_damping(model, place, rate, w))
+        for w in np.sqrt(squares)
+    )
+
+
+def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float) -> float:
+    """Return the damping ratio of the pole pair that belongs to an undamped mode.
+
+    The damping is raised from 0 in 64 steps, and the pair is followed from one to the next.
+    """
+    n = len(place)
+    whole = np.zeros((2 * n, 2 * n))
+    whole[:n, n:] = np.eye(n)
+    whole[n:, :n] = model.A[np.ix_(rate, place)]
+    damping: FloatArray = model.A[np.ix_(rate, rate)]
+    at = 1j * omega
+    for share in np.linspace(0.0, 1.0, 65)[1:]:
+        whole[n:, n:] = share * damping
+        poles = np.linalg.eigvals(whole)
+        at = poles[int(np.argmin(np.abs(poles - at)))]
+    # A pair that met on the real axis has a ratio of 1, also where one of it is lost in rounding.
+    return float(-at.real / abs(at)) if at else 1.0

@@ -1,0 +1,351 @@
+"""Margins of rounding for decisions that depend on which side of a boundary an eigenvalue lies.
+
+A simple eigenvalue is known to a small multiple of the machine's rounding times the norm of its
+matrix; one of a coinciding pair is known to the square root of that rounding. The digits beyond
+depend on the processor, so no decision may depend on them: an eigenvalue that is nearer to its
+boundary than the margins here counts as lying on it. Norms are those of the balanced matrix, in
+which states of different units have equal weight.
+
+Margins by polynomials need a rational approximation of the dead time (Pade), and the polynomial of
+a sampled loop has one power of z for every tick of it. Here the exact response is evaluated on a
+grid that is refined until neighbours differ by less than 0.1 rad in phase and 0.2 in the logarithm
+of the magnitude; every crossing on it is then found by bisection.
+
+With ``n`` open-loop poles, the closed loop's characteristic function ``prod(s - p_i) (1 + L)``
+turns by ``(n - 2 Z) pi / 2`` as ``s`` runs up the imaginary axis from 0, where Z is the number of
+its zeros in the right half plane (the argument principle in Mikhailov's form). The dead time of a
+strictly proper loop adds no turn at infinity, and poles at 0 need no detour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from scipy.linalg import matrix_balance
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.dynamics.loop import Loop, Model
+
+SIMPLE = 1e-11
+"""Share of the norm to which a simple eigenvalue is known: 5e4 roundings."""
+DOUBLE = 1e-7
+"""Share of the norm to which one of a coinciding pair is known: 7 square roots of a rounding."""
+
+_CIRCLE = 1e-9
+
+
+def size_of(matrix: FloatArray) -> float:
+    """Return the 1-norm of an (n, n) matrix after balancing, in the unit of its eigenvalues."""
+    if not matrix.size:
+        return 0.0
+    balanced = matrix_balance(matrix, permute=False)[0]
+    return float(np.abs(balanced).sum(axis=0).max())
+
+
+def not_decaying(matrix: FloatArray) -> ComplexArray:
+    """Return the eigenvalues of ``matrix`` that do not decay, those on the imaginary axis included.
+
+    Parameters
+    ----------
+    matrix
+        (n, n) of ``x' = matrix x``, 1/s.
+
+    Returns
+    -------
+    ComplexArray
+        (k,) rad/s, the rightmost first: real parts above ``-SIMPLE`` times the norm.
+    """
+    if not matrix.size:
+        return np.empty(0, dtype=np.complex128)
+    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    left = found[found.real > -SIMPLE * size_of(matrix)]
+    return left[np.argsort(-left.real, kind="stable")]
+
+
+def swinging(matrix: FloatArray) -> ComplexArray:
+    """Return the complex eigenvalues of ``matrix``, of each pair the one in the upper half plane.
+
+    Rounding can give a critically damped pair a small imaginary part; up to ``DOUBLE`` times the
+    norm the pair counts as real.
+    """
+    if not matrix.size:
+        return np.empty(0, dtype=np.complex128)
+    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    return found[found.imag > DOUBLE * size_of(matrix)]
+
+
+def off_the_circle(matrix: FloatArray) -> ComplexArray:
+    """Return the eigenvalues of ``x[k+1] = matrix x[k]`` outside the unit circle, beyond rounding.
+
+    The position under a velocity loop has the eigenvalue 1, which is no instability. An eigenvalue
+    outside the circle by up to 1e-9, or by up to ``SIMPLE`` times the norm, counts as on it.
+    """
+    found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
+    return found[np.abs(found) > 1.0 + max(_CIRCLE, SIMPLE * size_of(matrix))]
+
+
+Response: TypeAlias = Callable[[FloatArray], ComplexArray]
+
+_STEP = 0.1
+_ROUNDS = 14
+_MOST_POINTS = 400_000
+_START_POINTS = 600
+_NEGLIGIBLE = 1e-3
+_HALVINGS = 48  # of an interval of the grid: to the last digits of a double
+_SILENT = 1e-9  # a gain below is the rounding of its parts: it has neither phase nor slope
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GainCrossover:
+    """A frequency at which the loop's gain is 1, and the phase there less -180 degrees."""
+
+    omega_rad_s: float
+    phase_margin_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PhaseCrossover:
+    """A frequency at which the loop's phase is -180 degrees, and the reciprocal of its gain."""
+
+    omega_rad_s: float
+    gain_factor: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Margins:
+    """Every crossover of a loop, in the order of frequency.
+
+    Parameters
+    ----------
+    modulus_margin
+        Smallest distance of the response from -1.
+    """
+
+    gain_crossovers: tuple[GainCrossover, ...]
+    phase_crossovers: tuple[PhaseCrossover, ...]
+    modulus_margin: float
+
+    @property
+    def worst_phase(self) -> GainCrossover | None:
+        """The gain crossover with the phase nearest to -180 degrees; None when the gain is never 1.
+
+        A conditionally stable loop may have a negative margin there: that much phase lead, rather
+        than lag, would bring it to its limit.
+        """
+        return min(self.gain_crossovers, key=lambda c: abs(c.phase_margin_deg), default=None)
+
+    @property
+    def raise_to(self) -> float | None:
+        """Smallest factor above 1 on the gain that puts the loop on its limit; None for none."""
+        return min(
+            (c.gain_factor for c in self.phase_crossovers if c.gain_factor > 1), default=None
+        )
+
+    @property
+    def lower_to(self) -> float | None:
+        """Largest factor below 1 on the gain that puts the loop on its limit; None for none."""
+        return max(
+            (c.gain_factor for c in self.phase_crossovers if c.gain_factor <= 1), default=None
+        )
+
+    def gain_margin(self, stable: bool) -> float | None:
+        """Return the factor on the gain at which stability changes; None where it never does.
+
+        For a stable loop it is above 1 (a conditionally stable one has a limit below 1, too, which
+        is ``lower_to``). For an unstable loop that a lower gain would make stable it is below 1.
+        """
+        first, second = (self.raise_to, self.lower_to) if stable else (self.lower_to, self.raise_to)
+        return first if first is not None or stable else second
+
+    @property
+    def delay_margin_s(self) -> float | None:
+        """Smallest additional dead time in s that brings a stable loop to its limit, or None."""
+        return min(
+            (np.radians(c.phase_margin_deg % 360.0) / c.omega_rad_s for c in self.gain_crossovers),
+            default=None,
+        )
+
+
+def refined_grid(
+    response: Response, low: float, high: float, also: Iterable[float] = ()
+) -> FloatArray:
+    """Return (n,) rad/s from ``low`` to ``high``, dense where ``response`` changes fast.
+
+    Where it is below 1e-9 it is rounding, which changes from point to point however near they are.
+
+    Parameters
+    ----------
+    response
+        Function from (k,) rad/s to (k,) complex values.
+    also
+        Frequencies that the grid is to have, such as those of resonances.
+    """
+    inside = [w for w in also if low < w < high]
+    grid = np.unique(np.concatenate([np.geomspace(low, high, _START_POINTS), inside]))
+    values = response(grid)
+    for _ in range(_ROUNDS):
+        size = np.abs(values)
+        unit = values / np.maximum(size, _SILENT)
+        turn = np.abs(np.angle(unit[1:] * unit[:-1].conj()))
+        rise = np.abs(np.diff(_log(size)))
+        coarse = (turn > _STEP) | (rise > 2 * _STEP)
+        coarse &= np.maximum(size[1:], size[:-1]) > _SILENT
+        if not coarse.any() or len(grid) > _MOST_POINTS:
+            break
+        middle = np.sqrt(grid[:-1] * grid[1:])[coarse]
+        grid = np.concatenate([grid, middle])
+        values = np.concatenate([values, response(middle)])
+        order = np.argsort(grid)
+        grid, values = grid[order], values[order]
+    return np.asarray(grid)
+
+
+def margins_of(response: Response, grid: FloatArray) -> Margins:
+    """Return every crossover of ``response`` on ``grid`` (rad/s), each refined to 1e-12.
+
+    A phase crossover below a gain of 1e-9 is none: there the response is rounding.
+    """
+    values = response(grid)
+    size = _log(np.abs(values))
+    here = (size[:-1] * size[1:] <= 0) & ((size[:-1] != 0.0) | (size[1:] != 0.0))
+    at = _roots(lambda w: _log(np.abs(response(w))), grid[:-1][here], grid[1:][here])
+    angle = np.degrees(np.angle(-response(at))) if len(at) else at
+    gains = [
+        GainCrossover(omega_rad_s=float(w), phase_margin_deg=float(p))
+        for w, p in zip(at, angle, strict=True)
+    ]
+    here = (values.imag[:-1] * values.imag[1:] <= 0) & (values.real[:-1] + values.real[1:] < 0)
+    at = _roots(lambda w: response(w).imag, grid[:-1][here], grid[1:][here])
+    there = response(at) if len(at) else np.empty(0, dtype=np.complex128)
+    phases = [
+        PhaseCrossover(omega_rad_s=float(w), gain_factor=float(1.0 / abs(v)))
+        for w, v in zip(at, there, strict=True)
+        if v.real < -_SILENT
+    ]
+    return Margins(
+        gain_crossovers=tuple(gains),
+        phase_crossovers=tuple(phases),
+        modulus_margin=float(np.abs(1.0 + values).min()),
+    )
+
+
+def _log(size: FloatArray) -> FloatArray:
+    """Return the logarithm of (n,) magnitudes; of what is silent that of the least told."""
+    return np.asarray(np.log(np.maximum(size, _SILENT)))
+
+
+def _roots(
+    function: Callable[[FloatArray], FloatArray], low: FloatArray, high: FloatArray
+) -> FloatArray:
+    """Return a root of ``function`` between each pair of (n,) ``low`` and ``high``, by bisection.
+
+    All pairs are halved together: a loop with dead time and a high gain has tens of thousands of
+    crossings, which would take minutes one by one. A pair without a change of sign has its root at
+    one end, or so close to it that rounding hides it: ``low`` where the function is 0 there, else
+    ``high``.
+    """
+    if not len(low):
+        return low
+    first, last = function(low), function(high)
+    bracketed = first * last < 0
+    a, b = low[bracketed], high[bracketed]
+    falling = first[bracketed] > 0
+    for _ in range(_HALVINGS if len(a) else 0):
+        middle = 0.5 * (a + b)
+        above = (function(middle) > 0) == falling
+        a, b = np.where(above, middle, a), np.where(above, b, middle)
+    found = np.where(first == 0.0, low, high)
+    found[bracketed] = 0.5 * (a + b)
+    return found
+
+
+def loop_grid(loop: Loop, model: Model = "sampled") -> FloatArray:
+    """Return (n,) frequencies in rad/s on which a loop is analysed.
+
+    They begin a thousand times below the slowest pole of the plant that is not 0 (or below
+    10 rad/s). They end at the Nyquist frequency of the controller (sampled), or where the gain has
+    fallen below one in a thousand (continuous).
+    """
+    response = loop.responder(model)
+    poles = np.abs(loop.plant.poles())
+    moving = poles[poles > 1e-6 * max(poles.max(), 1.0)]
+    slowest = float(moving.min()) if len(moving) else 1.0
+    low = 1e-3 * min(slowest, 10.0)
+    if model == "sampled":
+        high = np.pi / loop.period_s * (1 - 1e-9)
+    else:
+        high = max(10.0 * float(poles.max()), 100.0)
+        while abs(response(np.array([high]))[0]) > _NEGLIGIBLE and high < 1e7:
+            high *= 2.0
+    resonances = [float(abs(p.imag)) for p in loop.plant.poles() if p.imag > 0]
+    return refined_grid(response, low, high, resonances)
+
+
+def loop_margins(loop: Loop, model: Model = "sampled") -> Margins:
+    """Return the margins of a loop."""
+    return margins_of(loop.responder(model), loop_grid(loop, model))
+
+
+def bandwidth_rad_s(closed: Response, grid: FloatArray) -> float | None:
+    """Return the lowest frequency at which ``closed`` falls 3 dB below its value at ``grid[0]``.
+
+    None when it never does.
+    """
+    values = np.abs(closed(grid))
+    level = values[0] / np.sqrt(2.0)
+    below = np.nonzero(values < level)[0]
+    if not len(below):
+        return None
+    k = int(below[0])
+    ends = grid[k - 1 : k + 1]
+    return float(_roots(lambda w: np.abs(closed(w)) - level, ends[:1], ends[1:])[0])
+
+
+_FARTHEST = 0.25
+
+
+def unstable_count(loop: Loop) -> int:
+    """Return the number of closed-loop poles with positive real part, continuous, delay exact.
+
+    Raises
+    ------
+    ValueError
+        If the count is not near a whole number, because a pole lies on the imaginary axis.
+    """
+    poles = open_loop_poles(loop)
+    # A zero of the filter at 0 (it acts on speed alone) cancels a pole of the plant at 0.
+    numerator = loop.filters[loop.index].continuous_numerator
+    hidden = len(numerator) - len(np.trim_zeros(numerator, "b"))
+    poles = np.delete(poles, np.flatnonzero(poles == 0.0)[:hidden])
+    grid = loop_grid(loop, "continuous")
+    return unstable_from(loop.responder("continuous")(grid), grid, poles)
+
+
+def unstable_from(response: ComplexArray, omega_rad_s: FloatArray, poles: ComplexArray) -> int:
+    """Return the count from (k,) values of L on a fine grid and the open loop's (n,) poles.
+
+    Raises
+    ------
+    ValueError
+        If the count is not near a whole number.
+    """
+    # Each factor turns from its angle at the first frequency to straight up at infinity.
+    turned = float(np.angle(1j / (1j * omega_rad_s[0] - poles)).sum())
+    around = np.concatenate([1.0 + response, [1.0]])
+    turned += float(np.angle(around[1:] / around[:-1]).sum())
+    count = (len(poles) - turned * 2.0 / np.pi) / 2.0
+    if abs(count - round(count)) > _FARTHEST:
+        raise ValueError(f"the response turns by {turned:.4f} rad: a pole lies on the axis")
+    return round(count)
+
+
+def open_loop_poles(loop: Loop) -> ComplexArray:
+    """Return the (n,) poles of the plant and of this axis' controller, rad/s; poles near 0 as 0."""
+    own = np.roots(loop.filters[loop.index].continuous_denominator)
+    found = np.concatenate([loop.plant.poles(), own]).astype(np.complex128)
+    size = max(1.0, float(np.abs(found).max()))
+    found[np.abs(found) < 1e-6 * size] = 0.0
+    return found

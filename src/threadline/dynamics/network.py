@@ -1,0 +1,453 @@
+"""Connected pieces of a machine: parts that act on, read or drive the same bodies.
+
+With coordinates q of the bodies, ``M q'' + C q' + K q = forces``: M is diagonal; a link with
+stretch ``s = w . q`` adds ``k w w^T`` to K and ``c w w^T`` to C; a motor acts with
+``Kt i`` along its own ``w`` and turns with ``w . q'``. What is not linear is an ``Element``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics import elements as el
+from threadline.dynamics.eccentric import Band, eccentric_play, pieces_needed
+from threadline.dynamics.values import Values
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.parts import Eccentric
+from threadline.machine.quantity import Quantity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Group:
+    """The parts of one connected piece of the network, each in the order of the machine file."""
+
+    bodies: tuple[str, ...]
+    links: tuple[str, ...]
+    drives: tuple[str, ...]
+    sensors: tuple[str, ...]
+    controllers: tuple[str, ...]
+    axes: tuple[str, ...]
+    inputs: tuple[str, ...]
+    sources: tuple[str, ...] = ()
+
+
+def connected_groups(machine: Machine) -> tuple[Group, ...]:
+    """Return the connected pieces of the network, whose motions do not affect each other.
+
+    Bodies are connected by links, drives and sensors; drives and sensors by controllers; and a
+    switch connects its axis with the drive that it cuts.
+
+    Raises
+    ------
+    MachineError
+        If two axes share a controller, or two controllers a drive.
+    """
+    _check_shared(machine)
+    parent: dict[str, str] = {f"b.{b}": f"b.{b}" for b in machine.bodies}
+
+    def root(key: str) -> str:
+        parent.setdefault(key, key)
+        while parent[key] != key:
+            parent[key] = parent[parent[key]]
+            key = parent[key]
+        return key
+
+    def join(key: str, others: Iterable[str]) -> None:
+        for other in others:
+            parent[root(other)] = root(key)
+
+    for name, link in machine.links.items():
+        join(f"l.{name}", (f"b.{b}" for b in link.stretch))
+    for name, drive in machine.motors.items():
+        join(f"d.{name}", (f"b.{b}" for b in drive.acts_on))
+    for name, source in machine.position_sources.items():
+        join(f"d.{name}", (f"b.{source.body}",))
+    for name, sensor in machine.sensors.items():
+        join(f"s.{name}", (f"b.{b}" for b in sensor.reads))
+    for name, controller in machine.controllers.items():
+        join(f"c.{name}", (f"s.{controller.sensor}", f"d.{controller.drive}"))
+    for name, axis in machine.axes.items():
+        join(f"a.{name}", (f"d.{axis.drive}" if axis.drive else f"c.{axis.controller}",))
+        join(f"a.{name}", (f"b.{b}" for b in (*(axis.load or {}), *(axis.frame or {}))))
+    for name, switch in machine.inputs.items():
+        join(f"i.{name}", (f"a.{switch.axis}", f"d.{switch.cuts}"))
+
+    groups = []
+    for top in dict.fromkeys(root(f"b.{b}") for b in machine.bodies):
+
+        def mine(letter: str, names: Iterable[str], top: str = top) -> tuple[str, ...]:
+            return tuple(n for n in names if root(f"{letter}.{n}") == top)
+
+        groups.append(
+            Group(
+                bodies=mine("b", machine.bodies),
+                links=mine("l", machine.links),
+                drives=mine("d", machine.motors),
+                sensors=mine("s", machine.sensors),
+                controllers=mine("c", machine.controllers),
+                axes=mine("a", machine.axes),
+                inputs=mine("i", machine.inputs),
+                sources=mine("d", machine.position_sources),
+            )
+        )
+    return tuple(groups)
+
+
+def _check_shared(machine: Machine) -> None:
+    for what, users, owner in (
+        ("controller", {n: a.controller for n, a in machine.axes.items() if a.controller}, "axes"),
+        ("drive", {n: a.drive for n, a in machine.axes.items() if a.drive}, "axes"),
+        ("body", {n: s.body for n, s in machine.position_sources.items()}, "drives"),
+        ("drive", {n: c.drive for n, c in machine.controllers.items()}, "controllers"),
+    ):
+        seen: dict[str, str] = {}
+        for name, part in users.items():
+            if part in seen:
+                raise MachineError(
+                    f"{owner} {seen[part]!r} and {name!r} share the {what} {part!r}",
+                    place=machine.place,
+                    remedy=f"Give each its own {what}.",
+                )
+            seen[part] = name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PiecewiseLinear:
+    """One connected piece: ``x' = base . z + sum of elements``, ``z = [x, inputs, 1]``.
+
+    Parameters
+    ----------
+    group
+        Parts of the piece. Its inputs are the drives, in order: in volts behind a voltage
+        amplifier, in amperes behind a current amplifier, gain and fixed limits already applied.
+    states
+        (n,) names: ``"x"`` is a coordinate, ``"x'"`` its rate, ``"x.i"`` a motor's current.
+    base
+        (variants, n, N) linear part of the rates.
+    elements
+        Parts that are not linear; each drive is one of them, called ``"drives.NAME"``.
+    sensor_rows
+        (variants, sensors, N) rows that give the readings in counts, from the start position.
+    load_rows, frame_rows
+        (variants, axes, N) rows that give load and frame in m or rad, from the start position.
+    has_frame
+        (axes,) whether the axis has a frame.
+    input_gain, input_limit
+        (variants, drives) gain from the controller's voltage to the input, and the fixed limit of
+        the input.
+    """
+
+    group: Group
+    states: tuple[str, ...]
+    base: FloatArray
+    elements: tuple[el.Element, ...]
+    sensor_rows: FloatArray
+    load_rows: FloatArray
+    frame_rows: FloatArray
+    has_frame: tuple[bool, ...]
+    input_gain: FloatArray
+    input_limit: FloatArray
+
+    @property
+    def variants(self) -> int:
+        """Number of variants."""
+        return len(self.base)
+
+
+def piecewise_linear(
+    machine: Machine, values: Values | None = None, start_si: FloatArray | None = None
+) -> tuple[PiecewiseLinear, ...]:
+    """Return the equations of every connected piece of ``machine``.
+
+    Parameters
+    ----------
+    values
+        Replaced numbers; the machine's own when None.
+    start_si
+        (axes,) position of each axis at the start, m or rad, from which the distances to limit
+        switches follow. Zero when None.
+
+    Raises
+    ------
+    MachineError
+        If a combination of parts has no equations here.
+    """
+    used = Values.of(machine) if values is None else values
+    start = np.zeros(len(machine.axes)) if start_si is None else start_si
+    return tuple(
+        _Builder(machine, used, group, start).build() for group in connected_groups(machine)
+    )
+
+
+class _Builder:
+    """Fills the arrays of one group."""
+
+    def __init__(self, machine: Machine, values: Values, group: Group, start: FloatArray) -> None:
+        self.machine, self.values, self.group = machine, values, group
+        self.start = dict(zip(machine.axes, start, strict=True))
+        self.count = values.count
+        bodies = len(group.bodies)
+        self.position = {b: i for i, b in enumerate(group.bodies)}
+        self.velocity = {b: bodies + i for i, b in enumerate(group.bodies)}
+        with_coil = [
+            d
+            for d in group.drives
+            if machine.motors[d].inductance is not None
+            and machine.motors[d].amplifier.mode == "voltage"
+        ]
+        self.coil = {d: 2 * bodies + i for i, d in enumerate(with_coil)}
+        self.n = 2 * bodies + len(with_coil)
+        self.size = self.n + len(group.drives) + 1
+        self.input = {d: self.n + i for i, d in enumerate(group.drives)}
+        self.states = (
+            *group.bodies,
+            *(f"{b}'" for b in group.bodies),
+            *(f"{d}.i" for d in with_coil),
+        )
+        self.inertia = {
+            b: self._value(f"bodies.{b}.inertia", machine.bodies[b].inertia) for b in group.bodies
+        }
+        self.base = np.zeros((self.count, self.n, self.size))
+        self.elements: list[el.Element] = []
+
+    def build(self) -> PiecewiseLinear:
+        for body in self.group.bodies:
+            self._add_body(body)
+        for link in self.group.links:
+            self._add_link(link)
+        gains, limits = [], []
+        for drive in self.group.drives:
+            gain, limit = self._add_drive(drive)
+            gains.append(gain)
+            limits.append(limit)
+        for body in self.group.bodies:
+            self._add_friction(body)
+        axes = [self.machine.axes[a] for a in self.group.axes]
+        return PiecewiseLinear(
+            group=self.group,
+            states=self.states,
+            base=self.base,
+            elements=tuple(self.elements),
+            sensor_rows=self._stack([self._sensor_row(s) for s in self.group.sensors]),
+            load_rows=self._stack([self._load_row(a) for a in self.group.axes]),
+            frame_rows=self._stack([self._weights(a.frame or {}, self.position) for a in axes]),
+            has_frame=tuple(a.frame is not None for a in axes),
+            input_gain=np.stack(gains, axis=1) if gains else np.zeros((self.count, 0)),
+            input_limit=np.stack(limits, axis=1) if limits else np.zeros((self.count, 0)),
+        )
+
+    def _value(self, path: str, quantity: Quantity | None) -> FloatArray:
+        # A machine has a hundred numbers, and ``np.broadcast_to`` takes as long as ten of these.
+        found = np.empty(self.count)
+        found[:] = self.values.at(path, quantity)
+        return found
+
+    def _stack(self, rows: list[FloatArray]) -> FloatArray:
+        return np.stack(rows, axis=1) if rows else np.zeros((self.count, 0, self.size))
+
+    def _weights(
+        self, parts: Mapping[str, Quantity], where: dict[str, int], path: str = ""
+    ) -> FloatArray:
+        row = np.zeros((self.count, self.size))
+        for body, quantity in parts.items():
+            row[:, where[body]] = self._value(f"{path}.{body}", quantity)
+        return row
+
+    def _direction(
+        self, parts: Mapping[str, Quantity], path: str, factor: FloatArray | float = 1.0
+    ) -> FloatArray:
+        direction = np.zeros((self.count, self.n))
+        for body, quantity in parts.items():
+            weight = self._value(f"{path}.{body}", quantity)
+            direction[:, self.velocity[body]] = factor * weight / self.inertia[body]
+        return direction
+
+    def _apply(self, direction: FloatArray, law: FloatArray) -> None:
+        self.base += direction[:, :, None] * law[:, None, :]
+
+    def _refuse(self, message: str, remedy: str) -> MachineError:
+        return MachineError(message, place=self.machine.place, remedy=remedy)
+
+    def _add_body(self, name: str) -> None:
+        body = self.machine.bodies[name]
+        at = self.velocity[name]
+        self.base[:, self.position[name], at] = 1.0
+        damping = self._value(f"bodies.{name}.damping", body.damping)
+        self.base[:, at, at] -= damping / self.inertia[name]
+
+    def _add_friction(self, name: str) -> None:
+        body = self.machine.bodies[name]
+        if body.friction is None:
+            return
+        sliding = self._value(f"bodies.{name}.friction", body.friction)
+        breakaway = self._value(f"bodies.{name}.stiction", body.stiction or body.friction)
+        if body.stiction is None:
+            breakaway = sliding
+        if (breakaway < sliding).any():
+            raise self._refuse(
+                f"bodies.{name}: a stiction below the friction", "Raise stiction or lower friction."
+            )
+        direction = np.zeros((self.count, self.n))
+        direction[:, self.velocity[name]] = 1.0 / self.inertia[name]
+        self.elements.append(
+            el.friction(
+                f"bodies.{name}.friction",
+                direction,
+                self.velocity[name],
+                self.inertia[name],
+                sliding,
+                breakaway,
+                self.size,
+            )
+        )
+
+    def _add_link(self, name: str) -> None:
+        link, path = self.machine.links[name], f"links.{name}"
+        stiffness = self._value(f"{path}.stiffness", link.stiffness)
+        damping = self._value(f"{path}.damping", link.damping)
+        weights = dict(link.stretch)
+        stretch = self._weights(weights, self.position, f"{path}.stretch")
+        rate = self._weights(weights, self.velocity, f"{path}.stretch")
+        spring = stiffness[:, None] * stretch + damping[:, None] * rate
+        direction = self._direction(weights, f"{path}.stretch", -1.0)
+        if link.preload is not None and link.play is not None:
+            raise self._refuse(
+                f"{path} has both a preload and a play",
+                "Make two links of it with a body between them.",
+            )
+        if link.preload is not None:
+            preload = self._value(f"{path}.preload", link.preload)
+            first = self._value(f"{path}.first_run", link.first_run)
+            if link.first_run is None:
+                first = np.full(self.count, 0.5)
+            self.elements.append(el.belt(path, direction, spring, preload, first))
+        elif link.play is not None:
+            width = self._value(f"{path}.play", link.play)
+            band = None if link.eccentric is None else self._band(name, link.eccentric)
+            if band is None:
+                damped = bool((damping > 0).any())
+                made = el.play(path, direction, stretch, spring, stiffness, width, damped)
+            else:
+                made = eccentric_play(
+                    path, direction, stretch, spring, stiffness, damping, width, band
+                )
+            self.elements.append(made)
+        else:
+            self._apply(direction, spring)
+
+    def _band(self, link: str, eccentric: Eccentric) -> Band:
+        path = f"links.{link}.eccentric"
+        phase = self._value(f"{path}.phase", eccentric.phase)
+        angle = dict(eccentric.angle)
+        first, last = pieces_needed(self.machine, link, eccentric, self.start, phase)
+        return Band(
+            angle=self._weights(angle, self.position, f"{path}.angle"),
+            angle_rate=self._weights(angle, self.velocity, f"{path}.angle"),
+            width=self._value(f"{path}.width", eccentric.width),
+            phase=phase,
+            first=first,
+            last=last,
+        )
+
+    def _add_drive(self, name: str) -> tuple[FloatArray, FloatArray]:
+        drive, path = self.machine.motors[name], f"drives.{name}"
+        amplifier = drive.amplifier
+        torque = self._value(f"{path}.torque_constant", drive.torque_constant)
+        emf = self._value(f"{path}.back_emf", drive.back_emf)
+        resistance = self._value(f"{path}.resistance", drive.resistance)
+        gain = self._value(f"{path}.amplifier.gain", amplifier.gain)
+        volts = self._limit(f"{path}.amplifier.voltage_limit", amplifier.voltage_limit)
+        amps = self._limit(f"{path}.amplifier.current_limit", amplifier.current_limit)
+        turning = self._weights(dict(drive.acts_on), self.velocity, f"{path}.acts_on")
+        held = np.zeros((self.count, self.size))
+        held[:, self.input[name]] = 1.0
+        one = np.zeros((self.count, self.size))
+        one[:, -1] = 1.0
+        no_limit = np.full(self.count, np.inf)
+        voltage_modes: tuple[tuple[FloatArray, float], ...] = ()
+        state, limit_on_current, limit_on_input = self.coil.get(name, -1), amps, no_limit
+        if amplifier.mode == "current":
+            free, limit_on_current = held, None
+            limit_on_input = no_limit if amps is None else amps
+            if volts is not None:
+                if drive.inductance is not None:
+                    raise self._refuse(
+                        f"{path}: a current amplifier with both a voltage limit and an inductance",
+                        "Leave one of them out; the loop inside the amplifier is not modelled.",
+                    )
+                supply = [
+                    (sign * volts[:, None] * one - emf[:, None] * turning) / resistance[:, None]
+                    for sign in (1.0, -1.0)
+                ]
+                voltage_modes = ((supply[0], 1.0), (supply[1], -1.0))
+        else:
+            limit_on_input = no_limit if volts is None else volts
+            law = (held - emf[:, None] * turning) / resistance[:, None]
+            if state >= 0:
+                inductance = self._value(f"{path}.inductance", drive.inductance)
+                coil = np.zeros((self.count, self.size))
+                coil[:, state] = 1.0
+                self.base[:, state] = (law - coil) * (resistance / inductance)[:, None]
+                free = coil
+            else:
+                inductance, free = np.ones(self.count), law
+        if amplifier.limits == "output":
+            if state < 0 or amps is None:
+                raise self._refuse(
+                    f'{path}: limits = "output" without an inductance and a current limit',
+                    "Add them, or leave limits out.",
+                )
+            state = -1
+        scale = inductance if state >= 0 else np.ones(self.count)
+        self.elements.append(
+            el.motor(
+                path,
+                self._direction(dict(drive.acts_on), f"{path}.acts_on", torque),
+                free,
+                current_limit=limit_on_current,
+                voltage_modes=voltage_modes,
+                state=state,
+                net_scale=scale,
+                switches=self._switches(name),
+            )
+        )
+        return gain, limit_on_input
+
+    def _limit(self, path: str, quantity: Quantity | None) -> FloatArray | None:
+        return None if quantity is None else self._value(path, quantity)
+
+    def _switches(self, drive: str) -> tuple[el.Guard, ...]:
+        guards = []
+        for index, name in enumerate(self.group.inputs):
+            switch = self.machine.inputs[name]
+            if switch.cuts != drive:
+                continue
+            row = self._load_row(switch.axis)
+            at = self._value(f"inputs.{name}.at", switch.at) - self.start[switch.axis]
+            if switch.beyond == "below":
+                guards.append(el.Guard(row=row, low=at, switch=index))
+            else:
+                guards.append(el.Guard(row=row, high=at, switch=index))
+        return tuple(guards)
+
+    def _sensor_row(self, name: str) -> FloatArray:
+        reads = dict(self.machine.sensors[name].reads)
+        return self._weights(reads, self.position, f"sensors.{name}.reads")
+
+    def _load_row(self, axis_name: str) -> FloatArray:
+        axis = self.machine.axes[axis_name]
+        if axis.load is not None:
+            return self._weights(dict(axis.load), self.position)
+        source = self.machine.source_of(axis_name)
+        if source is not None:
+            row = np.zeros((self.count, self.size))
+            row[:, self.position[source.body]] = source.counts / axis.counts.si
+            return row
+        sensor = self.machine.controller_of(axis_name).sensor
+        counts = self._value(f"axes.{axis_name}.counts", axis.counts)
+        return self._sensor_row(sensor) / counts[:, None]

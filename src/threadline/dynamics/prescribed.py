@@ -1,0 +1,179 @@
+"""Equations of a network whose motors' positions are prescribed: steppers, pulse-controlled servos.
+
+Positions p and velocities p' of the driven bodies are taken out of the state of the network
+``z' = F z``. The other states x obey ``x' = A x + B p + C p'`` exactly. The row of F for a
+prescribed velocity gives the acceleration by which the network would move that body, so the torque
+that keeps it on its course is ``J (p'' - row . z)`` plus its friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.network import PiecewiseLinear, piecewise_linear
+from threadline.dynamics.values import Values
+from threadline.errors import MachineError
+from threadline.machine import Machine
+from threadline.machine.sources import PulseServo, Source
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tight:
+    """A preloaded belt, linear while it is tight.
+
+    Parameters
+    ----------
+    name
+        Path of the link in the machine file.
+    row
+        (n + 2 s,) row that gives its force from ``[x, p, p']``.
+    low, high
+        Forces at which one of its runs falls slack.
+    """
+
+    name: str
+    row: FloatArray
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Prescribed:
+    """One connected piece of a machine whose s drives have prescribed positions p; n states x.
+
+    Parameters
+    ----------
+    axes, drives
+        Names of the axes and of the drives of the piece.
+    states
+        (n,) names.
+    rates
+        (n, n + 2 s) rates of the states from ``[x, p, p']``.
+    loads, frames
+        (axes, n + 2 s) rows that give load and frame in m or rad, from the start position.
+    has_frame
+        (axes,) whether the axis has a frame.
+    pulls
+        (s, n + 2 s) rows that give the force of the network on each drive's body, N m (N).
+    inertia, friction
+        (s,) inertia and friction of the drives' bodies.
+    belts
+        Preloaded belts, whose equations are linear while they are tight.
+    """
+
+    axes: tuple[str, ...]
+    drives: tuple[str, ...]
+    states: tuple[str, ...]
+    rates: FloatArray
+    loads: FloatArray
+    frames: FloatArray
+    has_frame: tuple[bool, ...]
+    pulls: FloatArray
+    inertia: FloatArray
+    friction: FloatArray
+    belts: tuple[Tight, ...]
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(n, n) rates of the states with the motors locked."""
+        return self.rates[:, : len(self.states)]
+
+
+def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescribed, ...]:
+    """Return the equations of every piece of ``machine`` that has a prescribed drive.
+
+    Raises
+    ------
+    MachineError
+        If such a piece also has a motor with a loop, or a part that is not linear: play, or
+        friction of another body than the drive's.
+    """
+    used = Values.of(machine) if values is None else values
+    return tuple(
+        _without(machine, piece, used)
+        for piece in piecewise_linear(machine, used)
+        if piece.group.sources
+    )
+
+
+def piece_of(machine: Machine, axis: str) -> Prescribed:
+    """Return the piece that an axis belongs to."""
+    return next(piece for piece in prescribed(machine) if axis in piece.axes)
+
+
+def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescribed:
+    group, n = piece.group, len(piece.states)
+    sources = {name: machine.position_sources[name] for name in group.sources}
+    if group.drives:
+        raise MachineError(
+            f"drives.{group.sources[0]} is told positions and drives.{group.drives[0]} has a "
+            "loop, and both move one connected piece",
+            place=machine.place,
+            remedy="Move each piece by drives of one sort.",
+        )
+    bodies = [source.body for source in sources.values()]
+    full, tight = piece.base[0][:, :n].copy(), []
+    for element in piece.elements:
+        name = element.name.split(".")
+        if name[0] == "links" and element.modes[0].name == "tight":
+            law = element.modes[0].law[0]
+            guard = element.modes[0].guards[0]
+            full += element.direction[0][:, None] * law[None, :n]
+            tight.append((element.name, law[:n], guard.low, guard.high))
+        elif not (name[0] == "bodies" and name[1] in bodies):
+            raise MachineError(
+                f"{element.name} is not linear, in a piece that drives.{group.sources[0]} moves",
+                place=machine.place,
+                remedy="Leave friction and play out, but for the friction of the drive's own body.",
+            )
+    positions = [piece.states.index(body) for body in bodies]
+    speeds = [piece.states.index(f"{body}'") for body in bodies]
+    left = [k for k in range(n) if k not in {*positions, *speeds}]
+    order = [*left, *positions, *speeds]
+    inertia = np.array(
+        [_number(values, f"bodies.{b}.inertia", machine.bodies[b].inertia.si) for b in bodies]
+    )
+    friction = [machine.bodies[b].friction for b in bodies]
+    return Prescribed(
+        axes=group.axes,
+        drives=group.sources,
+        states=tuple(piece.states[k] for k in left),
+        rates=full[np.ix_(left, order)],
+        loads=piece.load_rows[0][:, order],
+        frames=piece.frame_rows[0][:, order],
+        has_frame=piece.has_frame,
+        pulls=inertia[:, None] * full[np.ix_(speeds, order)],
+        inertia=inertia,
+        friction=np.array(
+            [
+                0.0 if q is None else _number(values, f"bodies.{b}.friction", q.si)
+                for b, q in zip(bodies, friction, strict=True)
+            ]
+        ),
+        belts=tuple(
+            Tight(name=name, row=row[order], low=_first(low), high=_first(high))
+            for name, row, low, high in tight
+        ),
+    )
+
+
+def _number(values: Values, path: str, own: float) -> float:
+    return float(values.replaced[path][0]) if path in values.replaced else own
+
+
+def _first(bound: FloatArray | float) -> float:
+    return float(np.atleast_1d(bound)[0])
+
+
+def resonance_hz(source: Source, inertia: float) -> float | None:
+    """Return the frequency in Hz at which a stepper swings about its step; None for a servo.
+
+    The restoring torque is that of a small deflection: the torque of a stepper varies with the
+    sine of the electrical angle, of which a full step is a quarter turn.
+    """
+    if isinstance(source, PulseServo):
+        return None
+    return float(np.sqrt(source.stiffness / inertia) / (2.0 * np.pi))

@@ -1,0 +1,343 @@
+"""Responses of an axis: steps, impulses, and measured frequency responses."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, Locked, Recent, read_only
+from threadline.base.reading import read_text
+from threadline.dynamics.loop import Loop, axis_loops
+from threadline.dynamics.values import Values
+from threadline.errors import Place, RecordingError
+from threadline.machine import Machine
+
+_STEP_RESPONSES_DECAY = 1e-4
+_STEP_RESPONSES_MOST_TICKS = 200_000
+_BAND = 0.02
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """The response to a step of 1 in the reference, in the unit of the reference.
+
+    Parameters
+    ----------
+    time_s, value
+        (k,) ticks of the controller and response at them; the step is at 0.
+    final
+        Steady state of the response.
+    rise_s
+        Time from 10 to 90 % of the final value.
+    settling_s
+        Time until the response stays within 2 % of the final value.
+    overshoot
+        Excess of the largest value over the final one, as a share of the final one; 0 for none.
+    peak_s
+        Time of the largest value.
+    steady_state_error
+        1 less the final value.
+    """
+
+    time_s: FloatArray
+    value: FloatArray
+    final: float
+    rise_s: float
+    settling_s: float
+    overshoot: float
+    peak_s: float
+    steady_state_error: float
+
+
+def step_response(
+    loop: Loop, output: str = "measured", duration_s: float | None = None
+) -> Step | None:
+    """Return the response of an axis to a unit step of its reference.
+
+    It is None where the loop is unstable, and where the output ends at 0.
+
+    Parameters
+    ----------
+    output
+        ``"measured"``, ``"load"`` or ``"frame"``.
+    duration_s
+        By default until the slowest closed-loop pole has decayed to one in ten thousand.
+    """
+    closed = loop.closed()
+    radius = closed.spectral_radius
+    if radius >= 1.0:
+        return None
+    ticks = (
+        int(np.ceil(np.log(_STEP_RESPONSES_DECAY) / np.log(max(radius, 1e-3)))) + 20
+        if duration_s is None
+        else int(np.ceil(duration_s / closed.period_s)) + 1
+    )
+    reference = np.zeros((min(ticks, _STEP_RESPONSES_MOST_TICKS), len(loop.filters)))
+    reference[:, loop.index] = loop.counts_per_unit
+    row = closed.outputs.index(f"{loop.axis}.{output}")
+    value = np.ascontiguousarray(closed.respond(reference)[:, row])
+    final = float(closed.steady()[row, loop.index]) * loop.counts_per_unit
+    if final == 0.0:
+        return None  # the figures are shares of the final value
+    time_s = np.asarray(np.arange(len(value)) * closed.period_s, dtype=np.float64)
+    return read_step(time_s, value, final)
+
+
+def read_step(time_s: FloatArray, value: FloatArray, final: float) -> Step:
+    """Return the figures of a step response that ends at ``final``.
+
+    Crossings are interpolated linearly between samples.
+    """
+    share = value / final
+    peak = int(np.argmax(share))
+    outside = np.nonzero(np.abs(share - 1.0) > _BAND)[0]
+    if not len(outside):
+        settled = 0.0
+    elif outside[-1] + 1 == len(share):
+        settled = float(time_s[-1])
+    else:
+        k = int(outside[-1])
+        edge = 1.0 + _BAND * np.sign(share[k] - 1.0)
+        settled = _between(time_s, share, k, float(edge))
+    return Step(
+        time_s=time_s,
+        value=value,
+        final=final,
+        rise_s=_first(time_s, share, 0.9) - _first(time_s, share, 0.1),
+        settling_s=settled,
+        overshoot=max(0.0, float(share[peak]) - 1.0),
+        peak_s=float(time_s[peak]),
+        steady_state_error=1.0 - final,
+    )
+
+
+def _first(time_s: FloatArray, share: FloatArray, level: float) -> float:
+    above = np.nonzero(share >= level)[0]
+    if not len(above):
+        return float(time_s[-1])
+    k = int(above[0])
+    return float(time_s[0]) if k == 0 else _between(time_s, share, k - 1, level)
+
+
+def _between(time_s: FloatArray, share: FloatArray, k: int, level: float) -> float:
+    rise = share[k + 1] - share[k]
+    part = 0.0 if rise == 0 else (level - share[k]) / rise
+    return float(time_s[k] + part * (time_s[k + 1] - time_s[k]))
+
+
+_CLOSED_LOOP_DECAY = 1e-5  # share of the slowest pole's motion at which the response is cut off
+_CLOSED_LOOP_MOST_TICKS = 50_000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Answer(Locked):
+    """The response of the load of one axis to its references, as a finite impulse response.
+
+    Parameters
+    ----------
+    axis
+        Name of the axis.
+    period_s
+        Tick of its controller.
+    taps
+        (n,) response of the load, 0 to n - 1 ticks after a unit impulse of the reference; their sum
+        is 1.
+    """
+
+    axis: str
+    period_s: float
+    taps: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "taps", read_only(self.taps, "taps", ndim=1))
+
+    @property
+    def memory_s(self) -> float:
+        """Time for which a reference acts on the load."""
+        return len(self.taps) * self.period_s
+
+    @cached_property
+    def moments(self) -> tuple[float, float]:
+        """First and half of the second moment of the taps, s and s^2.
+
+        A load whose reference r changes slowly is at ``r - first r' + second r''``; ``first`` is
+        the lag.
+        """
+        time_s = np.arange(len(self.taps)) * self.period_s
+        return float(self.taps @ time_s), 0.5 * float(self.taps @ time_s**2)
+
+    def load(self, reference: FloatArray) -> FloatArray:
+        """Return the (k,) positions of the load at the ticks of (k,) references.
+
+        Parameters
+        ----------
+        reference
+            (k,) m or rad, one at each tick of the controller; before them the load rests at the
+            first.
+        """
+        start = reference[0]
+        return np.asarray(start + _filtered(reference - start, self.taps))
+
+
+def _filtered(values: FloatArray, taps: FloatArray) -> FloatArray:
+    """Return (k,) values behind a filter of (n,) taps, by overlapped parts and their transforms.
+
+    scipy.signal has the same (``oaconvolve``) and takes a second to import: a fifth of a short job.
+    """
+    size = 1 << (4 * len(taps) - 1).bit_length()
+    step = size - len(taps) + 1
+    parts = np.zeros((-(-len(values) // step), step))
+    parts.ravel()[: len(values)] = values
+    answers = np.fft.irfft(np.fft.rfft(parts, size) * np.fft.rfft(taps, size), size)
+    found = np.ascontiguousarray(answers[:, :step])
+    found[1:, : size - step] += answers[:-1, step:]  # what a part leaves to the next one
+    return found.ravel()[: len(values)]
+
+
+_RECENT: Recent[Machine, dict[str, Answer]] = Recent(8, lambda a, b: a is b or a == b)
+
+
+def answers_of(machine: Machine, values: Values | None = None) -> dict[str, Answer]:
+    """Return the response of every axis of ``machine`` that has a loop, by name.
+
+    Where axes share bodies, the references of the other axes are 0.
+
+    Parameters
+    ----------
+    values
+        Replaced numbers, of which the first variant is used.
+    """
+    if values is not None:
+        return _answers(machine, values)
+    # Each start of a run and each plan of a search asks for those of the same machine.
+    return dict(_RECENT.of(machine, lambda: _answers(machine, None)))
+
+
+def _answers(machine: Machine, values: Values | None) -> dict[str, Answer]:
+    return {axis: _answer(loop) for axis, loop in axis_loops(machine, values).items()}
+
+
+def _answer(loop: Loop) -> Answer:
+    closed = loop.closed()
+    slowest = min(max(closed.spectral_radius, 1e-3), 1.0 - 1e-9)
+    ticks = min(
+        int(np.ceil(np.log(_CLOSED_LOOP_DECAY) / np.log(slowest))) + 20, _CLOSED_LOOP_MOST_TICKS
+    )
+    reference = np.zeros((ticks, len(loop.filters)))
+    reference[0, loop.index] = loop.counts_per_unit
+    taps = closed.respond(reference)[:, closed.outputs.index(f"{loop.axis}.load")]
+    # The load comes to its reference: what was cut off is made up for by the scale.
+    return Answer(axis=loop.axis, period_s=closed.period_s, taps=taps / taps.sum())
+
+
+_COLUMNS = ("frequency_hz", "magnitude_db", "phase_deg")
+_MAX_BYTES = 20_000_000
+_MAX_POINTS = 200_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeasuredResponse:
+    """Motor speed per volt as a frequency response analyser measures it.
+
+    Parameters
+    ----------
+    frequency_hz, magnitude_db, phase_deg
+        (k,), rising in frequency; the magnitude may have any reference.
+    """
+
+    frequency_hz: FloatArray
+    magnitude_db: FloatArray
+    phase_deg: FloatArray
+
+    def against(self, loop: Loop) -> tuple[float, float]:
+        """Return the root mean square distances from the model in dB and in degrees.
+
+        Magnitudes are compared after both were normalised to the first point.
+        """
+        magnitude, phase = speed_response(loop, 2 * np.pi * self.frequency_hz)
+        level = magnitude - magnitude[0] + self.magnitude_db[0]
+        turn = (phase - self.phase_deg + 180.0) % 360.0 - 180.0
+        return (
+            float(np.sqrt(np.mean((level - self.magnitude_db) ** 2))),
+            float(np.sqrt(np.mean(turn**2))),
+        )
+
+
+def speed_response(loop: Loop, omega_rad_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return magnitude, in (k,) dB relative to zero frequency, and (k,) phase of speed per volt.
+
+    It is the continuous response of amplifier and plant, without the sampling of the controller.
+    """
+    own = loop.own()
+
+    def speed(omega: FloatArray) -> FloatArray:
+        return np.asarray(1j * omega * own.response(omega)[:, 0, 0])
+
+    still = abs(speed(omega_rad_s[:1] * 1e-3)[0])
+    response = speed(omega_rad_s)
+    return (
+        np.asarray(20.0 * np.log10(np.abs(response) / still)),
+        np.asarray(np.degrees(np.unwrap(np.angle(response)))),
+    )
+
+
+def read_response(path: Path) -> MeasuredResponse:
+    """Read a CSV file with the columns ``frequency_hz``, ``magnitude_db`` and ``phase_deg``.
+
+    Raises
+    ------
+    RecordingError
+        If a column is missing, or a line doesn't hold three finite numbers, rising in frequency.
+    """
+    name = str(path)
+    text = read_text(path, _MAX_BYTES, RecordingError, "measured response", "utf-8-sig")
+    rows = csv.reader(text.splitlines())
+    header = [cell.strip() for cell in next(rows, [])]
+    for column in _COLUMNS:
+        if column not in header:
+            raise RecordingError(
+                f"column {column!r} is missing",
+                place=Place(name, 1),
+                remedy=f"The first line must name {', '.join(_COLUMNS)}.",
+            )
+    places = [header.index(column) for column in _COLUMNS]
+    points: list[list[float]] = []
+    for number, row in enumerate(rows, start=2):
+        if not row:
+            continue
+        points.append(_numbers(row, places, Place(name, number)))
+        if len(points) > 1 and points[-1][0] <= points[-2][0]:
+            raise RecordingError(
+                f"frequency {points[-1][0]:g} Hz does not rise",
+                place=Place(name, number),
+                remedy="Sort the lines by frequency.",
+            )
+        if len(points) > _MAX_POINTS:
+            raise RecordingError(
+                f"more than {_MAX_POINTS} points", place=Place(name, number), remedy="Thin them."
+            )
+    if not points:
+        raise RecordingError("the file holds no points", place=Place(name))
+    table = np.array(points)
+    return MeasuredResponse(
+        frequency_hz=table[:, 0], magnitude_db=table[:, 1], phase_deg=table[:, 2]
+    )
+
+
+def _numbers(row: list[str], places: list[int], place: Place) -> list[float]:
+    try:
+        values = [float(row[k]) for k in places]
+    except (IndexError, ValueError) as error:
+        raise RecordingError(
+            f"{','.join(row)[:60]!r} does not hold three numbers", place=place
+        ) from error
+    if not all(math.isfinite(v) for v in values) or values[0] <= 0:
+        raise RecordingError(
+            f"{','.join(row)[:60]!r} must hold finite numbers and a frequency above 0", place=place
+        )
+    return values

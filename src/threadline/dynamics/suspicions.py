@@ -1,0 +1,242 @@
+"""Warnings about numbers of a machine that contradict each other or are improbable."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.dynamics.eccentric import (
+    current_needed,
+    drive_limits,
+    drive_needs,
+    drive_rate,
+    drive_unit,
+    rigid_force,
+    rigid_motion,
+)
+from threadline.dynamics.sampled import difference_equation
+from threadline.dynamics.values import Values
+from threadline.machine import Machine
+from threadline.machine.parts import Axis
+
+_VISCOUS_SHARE = 0.5
+_CONSTANTS_APART = 0.05
+_SCALES_APART = 0.01
+_DEAD_COUNTS = 5.0
+_SPARE = 1.0 + 1e-9
+_BEYOND = 1.05  # an axis limit may be so much above its drive: data sheets are rounded
+
+
+def suspicions(machine: Machine) -> list[str]:
+    """Return one sentence for every suspicious number; empty when there is none.
+
+    Suspicious are
+
+    - torque and back-emf constants that differ by more than 5 % (in SI they are one number),
+    - counts of an axis that differ from those of its sensor over belt and gear by more than 1 % and
+      the tolerances,
+    - friction that takes half of a motor's current or more at the axis' working speed,
+    - a velocity or acceleration limit of an axis that is more than 5 % above the most that its
+      motor and amplifier reach,
+    - a working speed and an allowed acceleration that together need more current, or more torque of
+      a stepper or pulse servo, than the drive has,
+    - a controller that rounds an error of several counts at rest to no DAC level.
+    """
+    if machine.without_dynamics:
+        return []
+    found = [text for name in machine.motors for text in _constants(machine, name)]
+    for name in machine.axes:
+        if machine.source_of(name) is not None:
+            found += _beyond_torque(machine, name)
+            continue
+        found += _scale(machine, name)
+        found += _viscous(machine, name)
+        found += _beyond_drive(machine, name)
+        found += _beyond_current(machine, name)
+        found += _dead_band(machine, name)
+    return found
+
+
+def _constants(machine: Machine, name: str) -> list[str]:
+    drive = machine.motors[name]
+    torque, emf = drive.torque_constant, drive.back_emf
+    if emf.si <= 0 and drive.amplifier.mode == "current":
+        return []  # such an amplifier makes the current whatever the motor gives back
+    apart = emf.si / torque.si - 1.0
+    if abs(apart) <= _CONSTANTS_APART:
+        return []
+    return [
+        f"drives.{name}: torque_constant {torque.si:.4g} N m/A and back_emf {emf.si:.4g} V s/rad "
+        f"should be the same number; they disagree by {abs(apart) * 100:.0f} %"
+    ]
+
+
+def _scale(machine: Machine, name: str) -> list[str]:
+    """Return a warning where the counts of an axis are not those of its sensor over belt and gear.
+
+    Forgotten quadrature (four counts a line) and a slipped decimal point are found by it.
+    """
+    axis = machine.axes[name]
+    if axis.load is None:  # the load is then what the encoder reads
+        return []
+    sensor_name = machine.controllers[axis.controller].sensor
+    rates = rigid_motion(machine, name)
+    reads = machine.sensors[sensor_name].reads
+    given = sum(q.si * rates[b] for b, q in reads.items())
+    links = [q for link in machine.links.values() for q in link.stretch.values()]
+    numbers = [axis.counts, *reads.values(), *axis.load.values(), *links]
+    allowed = _SCALES_APART + sum(q.tolerance_si / abs(q.si) for q in numbers if q.si)
+    if abs(given / axis.counts.si - 1.0) <= allowed:
+        return []
+    goes = (
+        f"would go {axis.counts.si / given:.4g} times as far as it is told"
+        if given
+        else "is not moved at all"
+    )
+    return [
+        f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but over belt and gear "
+        f"sensors.{sensor_name} gives {given:.6g}: the load {goes}"
+    ]
+
+
+def _viscous(machine: Machine, name: str) -> list[str]:
+    axis = machine.axes[name]
+    drive_name = machine.controllers[axis.controller].drive
+    drive = machine.motors[drive_name]
+    limit = drive.amplifier.current_limit
+    if limit is None or axis.working_velocity is None:
+        return []
+    speed = axis.working_velocity.si
+    rates = rigid_motion(machine, name)
+    turning = drive_rate(machine, name, rates)
+    driven = [b for b in drive.acts_on if machine.bodies[b].damping is not None]
+    own = 0.0
+    for body in driven:
+        damping = machine.bodies[body].damping
+        assert damping is not None
+        own += rates[body] ** 2 * damping.si * speed / (turning * drive.torque_constant.si)
+    whole = current_needed(machine, name, speed, 0.0)
+    if whole < _VISCOUS_SHARE * limit.si:
+        return []
+    said = ", ".join(f"{machine.bodies[b].damping.si:.3g}" for b in driven)  # type: ignore[union-attr]
+    return [
+        f"axes.{name}: at its working speed of {_speed(axis, speed)} the motor's damping of {said} "
+        f"N m s/rad takes {own:.1f} A of the {limit.si:g} A of drives.{drive_name}, all friction "
+        f"{whole:.1f} A; is it that large?"
+    ]
+
+
+def _beyond_current(machine: Machine, name: str) -> list[str]:
+    axis = machine.axes[name]
+    drive_name = machine.controllers[axis.controller].drive
+    limit = machine.motors[drive_name].amplifier.current_limit
+    if limit is None or axis.working_velocity is None:
+        return []
+    speed, acceleration = axis.working_velocity.si, axis.acceleration.si
+    needed = current_needed(machine, name, speed, acceleration)
+    if needed <= limit.si * _SPARE:
+        return []
+    unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
+    spare = limit.si - current_needed(machine, name, speed, 0.0)
+    per_acceleration = current_needed(machine, name, 0.0, 1.0)
+    left = f"{max(spare, 0.0) / per_acceleration:.3g} {unit}"
+    return [
+        f"axes.{name}: a reference that reaches {_speed(axis, speed)} at the allowed "
+        f"{acceleration:.4g} {unit} needs {needed:.1f} A, more than the {limit.si:g} A of "
+        f"drives.{drive_name}; at that speed {left} are left"
+    ]
+
+
+def _beyond_drive(machine: Machine, name: str) -> list[str]:
+    """Return a warning for each limit of an axis that is far above what its drive can do.
+
+    Its speed is the one that it reaches in the end with nothing left to accelerate, its
+    acceleration the one that it has from rest; sliding friction is taken from both.
+    """
+    axis = machine.axes[name]
+    drive = machine.controllers[axis.controller].drive
+    needs = drive_limits(machine, name, *drive_needs(machine, name))
+    found = []
+    for said, limit, column, unit in (
+        ("velocity", axis.velocity.si, 1, "/s"),
+        ("acceleration", axis.acceleration.si, 2, "/s^2"),
+    ):
+        reached, why = min(
+            (
+                (max(most - need[0], 0.0) / need[column], called.format(most))
+                for most, need, called in needs
+                if need[column] > 0.0 and np.isfinite(most)
+            ),
+            default=(np.inf, ""),
+        )
+        if limit > _BEYOND * reached:
+            found.append(
+                f"axes.{name}: {said} is {_shown(axis, limit)}{unit} by the machine file, and "
+                f"drives.{drive} reaches {_shown(axis, reached)}{unit} at most, with the {why}: "
+                f"the machine falls behind a plan that asks for more; lower axes.{name}.{said}"
+            )
+    return found
+
+
+def _shown(axis: Axis, value_si: float) -> str:
+    """Return a length in m, or an angle in degrees, without the end of its unit."""
+    return f"{value_si:.4g} m" if axis.kind == "linear" else f"{np.degrees(value_si):.4g} deg"
+
+
+def _beyond_torque(machine: Machine, name: str) -> list[str]:
+    """Return warnings about an axis that asks its stepper or pulse servo for too much torque.
+
+    Its counts are checked, too.
+    """
+    axis, source = machine.axes[name], machine.source_of(name)
+    assert source is not None
+    drive = axis.drive
+    rates = rigid_motion(machine, name)
+    given = rates[source.body] * source.counts / axis.counts.si
+    found = []
+    allowed = _SCALES_APART + sum(
+        q.tolerance_si / abs(q.si)
+        for q in [axis.counts, *(q for p in machine.links.values() for q in p.stretch.values())]
+        if q.si
+    )
+    if axis.load is not None and abs(given - 1.0) > allowed:
+        found.append(
+            f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but drives.{drive} gives "
+            f"{source.counts * rates[source.body]:.6g} over belt and gear"
+        )
+    speed = axis.velocity.si
+    force = rigid_force(machine, name, speed, axis.acceleration.si)
+    turns = abs(drive_rate(machine, name, rates))
+    needed = force / turns
+    there = float(source.most_torque(np.array([speed * turns]))[0])
+    if needed > there * _SPARE:
+        unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
+        asked = f"{needed:.4g} {drive_unit(machine, name)}"
+        found.append(
+            f"axes.{name}: at {_speed(axis, speed)} and {axis.acceleration.si:.4g} {unit}, which "
+            f"it allows, drives.{drive} is asked for {asked} and has {there:.4g}"
+        )
+    return found
+
+
+def _dead_band(machine: Machine, name: str) -> list[str]:
+    """Return a warning when a standing error of several counts rounds to no DAC level at all."""
+    controller = machine.axes[name].controller
+    b, a = difference_equation(machine, controller, Values.of(machine))
+    rest = 1.0 + float(a[0].sum())
+    if abs(rest) < _SPARE - 1.0:
+        return []
+    still = float(b[0].sum()) / rest
+    if still <= 0 or 0.5 / still < _DEAD_COUNTS:
+        return []
+    band = 0.5 / still
+    axis = machine.axes[name]
+    size = band / axis.counts.si
+    said = f"{size * 1e3:.3g} mm" if axis.kind == "linear" else f"{np.degrees(size):.3g} deg"
+    return [
+        f"controllers.{controller}: at rest it gives {still:.3g} DAC levels per count, so an error "
+        f"of up to {band:.0f} counts ({said}) on axis {name} is rounded away"
+    ]
+
+
+def _speed(axis: Axis, speed_si: float) -> str:
+    return f"{speed_si:.4g} m/s" if axis.kind == "linear" else f"{speed_si:.4g} rad/s"

@@ -1,0 +1,113 @@
+"""Numbers of a machine by their paths, some of them replaced in each of several variants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray, Locked, read_only
+from threadline.base.wording import nearest
+from threadline.errors import OptionError
+from threadline.machine import Machine
+from threadline.machine.numbers import with_numbers
+from threadline.machine.quantity import Quantity
+
+_TABLES = (
+    "bodies", "links", "drives", "sensors", "controllers", "inputs", "cylinders", "contacts",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Values(Locked):
+    """The numbers of ``machine``, with some of them replaced in each of ``count`` variants.
+
+    Parameters
+    ----------
+    machine
+        Machine with the structure and every number that is not replaced.
+    replaced
+        Path of a number, such as ``"bodies.x.inertia"``, to its (count,) SI values.
+    count
+        Number of variants; 1 when nothing is replaced.
+
+    Raises
+    ------
+    OptionError
+        If a path names no number of this machine, or the lengths differ.
+    """
+
+    machine: Machine
+    replaced: Mapping[str, FloatArray]
+    count: int
+
+    @classmethod
+    def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
+        """Return ``machine`` with numbers ``replaced``; their paths and lengths are checked."""
+        given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
+        known = tuple(_paths(machine)) if given else ()
+        for path in given:
+            if path not in known:
+                raise OptionError(
+                    f"machine {machine.name!r} has no number {path!r}",
+                    remedy=nearest(path, known, "It has"),
+                )
+        lengths = {len(v) for v in given.values()} or {1}
+        if len(lengths) > 1:
+            raise OptionError(f"variants have different lengths: {sorted(lengths)}")
+        return cls(machine, given, lengths.pop())
+
+    def at(self, path: str, quantity: Quantity | None) -> FloatArray | float:
+        """Return the (count,) values of ``path``, or the machine's own ``quantity`` (0 if None)."""
+        if path in self.replaced:
+            return self.replaced[path]
+        return 0.0 if quantity is None else quantity.si
+
+    def by_delay(self) -> list[tuple[Values, IntArray]]:
+        """Return the variants grouped by their dead times, each group with its (k,) indices.
+
+        The variants of one simulated batch must have the same dead times, since those decide at
+        which instants a simulation stops. In each group the dead times are numbers of the machine
+        and no longer replaced.
+        """
+        late = [path for path in self.replaced if path.endswith(".delay")]
+        if not late:
+            return [(self, np.arange(self.count))]
+        rows, which = np.unique(
+            np.stack([self.replaced[path] for path in late], axis=1), axis=0, return_inverse=True
+        )
+        kept = {path: v for path, v in self.replaced.items() if path not in late}
+        found = []
+        for index, row in enumerate(rows):
+            places = np.flatnonzero(which.ravel() == index)
+            machine = with_numbers(self.machine, dict(zip(late, row.tolist(), strict=True)))
+            part = {path: values[places] for path, values in kept.items()}
+            found.append((Values(machine, part, len(places)), places))
+        return found
+
+    def slice(self, start: int, stop: int) -> Values:
+        """Return the variants from ``start`` up to ``stop``."""
+        part = {k: v[start:stop] for k, v in self.replaced.items()}
+        return Values(self.machine, part, min(stop, self.count) - start)
+
+
+def _paths(machine: Machine) -> Iterator[str]:
+    for table in _TABLES:
+        for name, part in getattr(machine, table).items():
+            yield from _numbers(part, f"{table}.{name}")
+    # An axis without a load of its own has the one that its sensor counts, so counts move it.
+    yield from (f"axes.{name}.counts" for name, axis in machine.axes.items() if axis.load is None)
+
+
+def _numbers(part: Any, path: str) -> Iterator[str]:
+    for field in fields(part):
+        value = getattr(part, field.name)
+        where = f"{path}.{field.name}"
+        if isinstance(value, Quantity):
+            yield where
+        elif isinstance(value, dict):
+            yield from (f"{where}.{k}" for k, v in value.items() if isinstance(v, Quantity))
+        elif is_dataclass(value):
+            yield from _numbers(value, where)

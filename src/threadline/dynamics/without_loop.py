@@ -1,0 +1,271 @@
+"""The analysis of an axis without a loop: of a cylinder, or of a drive that is given positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.analysis import analyse_axis
+from threadline.dynamics.eccentric import drive_rate, drive_unit, rigid_force, rigid_motion
+from threadline.dynamics.linear_model import Oscillation, locked_modes
+from threadline.dynamics.margins import DOUBLE, size_of, swinging
+from threadline.dynamics.pneumatic import cylinder_equations, flow_mode
+from threadline.dynamics.prescribed import piece_of, resonance_hz
+from threadline.machine import Machine
+from threadline.machine.model import check_dynamics
+
+
+class Analysis(Protocol):
+    """The analysis of an axis, whether it has a loop or not."""
+
+    @property
+    def axis(self) -> str:
+        """Name of the axis or cylinder."""
+
+    @property
+    def stable(self) -> bool:
+        """Whether every motion of it decays."""
+
+    def verdict(self) -> str:
+        """Return one sentence about its stability."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the analysis as JSON content."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CylinderAnalysis:
+    """The analysis of a cylinder, which has no loop but makes its frame ring.
+
+    Parameters
+    ----------
+    axis
+        Name of the cylinder.
+    standing, sliding
+        Modes of the bodies that it is connected with, the slowest first: while the piston stands in
+        its housing, and while it slides on its air.
+    shaped
+        Mode that the valves excite most, for which shapers are designed.
+    speed_m_s
+        Speed of the piston at level 1.
+    growing
+        Number of unstable poles of the sliding cylinder.
+    """
+
+    axis: str
+    standing: tuple[Oscillation, ...]
+    sliding: tuple[Oscillation, ...]
+    shaped: Oscillation
+    speed_m_s: float
+    growing: int
+
+    @property
+    def stable(self) -> bool:
+        """Whether every motion decays."""
+        return self.growing == 0
+
+    def verdict(self) -> str:
+        """Return one sentence: there is no loop, and the frame rings at this frequency."""
+        return (
+            f"axis {self.axis} has no loop: its valves set the speed of the piston; what it stands "
+            f"on rings at {self.shaped.frequency_hz:.4g} Hz, damping ratio "
+            f"{self.shaped.damping:.4g}" + ("" if self.stable else ", and some motion of it GROWS")
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the analysis as JSON content; None stands for what only a loop has."""
+        return {
+            "stable": self.stable,
+            "bandwidth_hz": None,
+            "gain_margin": None,
+            "phase_margin_deg": None,
+            "dc_gain": self.speed_m_s,
+            "verdict": self.verdict(),
+            "modes_hz": [m.frequency_hz for m in self.standing],
+            "modes_damping": [m.damping for m in self.standing],
+            "modes_free_hz": [m.frequency_hz for m in self.sliding],
+            "modes_free_damping": [m.damping for m in self.sliding],
+            "shaped_hz": self.shaped.frequency_hz,
+            "shaped_damping": self.shaped.damping,
+        }
+
+
+def analyse_cylinder(machine: Machine, axis: str) -> CylinderAnalysis:
+    """Return the analysis of one cylinder.
+
+    Raises
+    ------
+    MachineError
+        If nothing under it rings, or its network cannot be analysed.
+    """
+    cylinder, plant = machine.cylinders[axis], cylinder_equations(machine, axis)
+    sliding = plant.sliding()[0]
+    poles = np.linalg.eigvals(sliding)
+    frequency_hz, damping = flow_mode(machine, axis)
+    return CylinderAnalysis(
+        axis=axis,
+        standing=_oscillations(plant.standing()[0]),
+        sliding=_oscillations(sliding),
+        shaped=Oscillation(frequency_hz=frequency_hz, damping=damping),
+        speed_m_s=cylinder.speed.si,
+        growing=int(np.count_nonzero(poles.real > DOUBLE * size_of(sliding))),
+    )
+
+
+def _oscillations(matrix: FloatArray) -> tuple[Oscillation, ...]:
+    poles = sorted(swinging(matrix), key=abs)
+    return tuple(
+        Oscillation(
+            frequency_hz=float(abs(pole)) / (2.0 * np.pi), damping=float(-pole.real / abs(pole))
+        )
+        for pole in poles
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToldAnalysis:
+    """The analysis of an axis whose drive is given positions: it has no loop, but its load rings.
+
+    Parameters
+    ----------
+    axis, drive
+        Names of the axis and of its drive.
+    locked
+        Modes of the load against the motor, which stands still, the slowest first.
+    resonance_hz
+        Frequency at which a stepper without load swings about its step; None for a servo.
+    torque, torque_at_speed
+        Torque or force of the drive at standstill, and at the speed limit of the axis.
+    needed
+        What the axis needs of it at its limits of speed and acceleration, with rigid links.
+    unit
+        Unit of these three: N m, or N of a linear drive.
+    """
+
+    axis: str
+    drive: str
+    locked: tuple[Oscillation, ...]
+    resonance_hz: float | None
+    torque: float
+    torque_at_speed: float
+    needed: float
+    unit: str
+
+    @property
+    def stable(self) -> bool:
+        """True: there is no loop that could be unstable."""
+        return True
+
+    def verdict(self) -> str:
+        """Return one sentence: there is no loop, the load rings, and the torque needed is this."""
+        rings = f"its load rings at {self.locked[0].frequency_hz:.4g} Hz" if self.locked else ""
+        swing = (
+            ""
+            if self.resonance_hz is None
+            else f"; about its step the motor swings at {self.resonance_hz:.4g} Hz"
+        )
+        return (
+            f"axis {self.axis} has no loop: drives.{self.drive} is told positions, and "
+            f"{rings or 'nothing rings behind it'}{swing}; at the axis' limits it is asked for "
+            f"{self.needed:.4g} of {self.torque_at_speed:.4g} {self.unit}"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the analysis as JSON content; None stands for what only a loop has."""
+        return {
+            "stable": True,
+            "bandwidth_hz": None,
+            "gain_margin": None,
+            "phase_margin_deg": None,
+            "dc_gain": None,
+            "verdict": self.verdict(),
+            "modes_hz": [m.frequency_hz for m in self.locked],
+            "modes_damping": [m.damping for m in self.locked],
+            "step_resonance_hz": self.resonance_hz,
+            "torque": self.torque,
+            "torque_at_speed_limit": self.torque_at_speed,
+            "torque_needed": self.needed,
+            "torque_unit": self.unit,
+        }
+
+
+def told_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
+    """Return the modes of an axis' load while its drive, which is given positions, stands still.
+
+    Raises
+    ------
+    MachineError
+        If its piece has a part that is not linear.
+    """
+    return _oscillations(piece_of(machine, axis).matrix)
+
+
+def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
+    """Return the analysis of an axis whose drive is given positions.
+
+    Raises
+    ------
+    MachineError
+        If its piece has a part that is not linear.
+    """
+    piece, part = piece_of(machine, axis), machine.axes[axis]
+    source = machine.position_sources[part.drive]
+    turns = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
+    speeds = np.array([0.0, part.velocity.si * turns])
+    still, fast = source.most_torque(speeds).tolist()
+    return ToldAnalysis(
+        axis=axis,
+        drive=part.drive,
+        locked=told_modes(machine, axis),
+        resonance_hz=resonance_hz(source, float(piece.inertia[piece.drives.index(part.drive)])),
+        torque=still,
+        torque_at_speed=fast,
+        needed=rigid_force(machine, axis, part.velocity.si, part.acceleration.si) / turns,
+        unit=drive_unit(machine, axis),
+    )
+
+
+def modes_held(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
+    """Return the modes of an axis of ``machine`` with its drive held still, the slowest first.
+
+    None are known of a machine without dynamics.
+
+    Raises
+    ------
+    MachineError
+        If its equations are not linear.
+    """
+    if machine.without_dynamics:
+        return ()
+    if machine.axes[axis].drive:
+        return told_modes(machine, axis)
+    return tuple(sorted(locked_modes(machine, axis), key=lambda mode: mode.frequency_hz))
+
+
+ANALYSES: Mapping[str, Callable[[Machine, str], Analysis]] = {
+    "linear": analyse_axis,
+    "rotary": analyse_axis,
+    "stepper": analyse_told,
+    "pulse-servo": analyse_told,
+    "stepped": analyse_told,
+    "cylinder": analyse_cylinder,
+}
+"""Function that analyses each kind of ``Machine.moving``."""
+
+
+def analyse_moving(machine: Machine, name: str) -> Analysis:
+    """Return the analysis of an axis or cylinder by its name.
+
+    Raises
+    ------
+    MachineError
+        If its equations allow no analysis.
+    OptionError
+        If the machine file has no dynamics.
+    """
+    check_dynamics(f"how axis {name} swings and what its drive can do", machine)
+    return ANALYSES[machine.moving[name]](machine, name)

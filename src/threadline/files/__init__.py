@@ -1,0 +1,47 @@
+"""Clocks, commands and recordings as types, and the files that hold them."""
+
+from threadline.files.clock import Clock, Event, EventKind, common_period_s
+from threadline.files.commands import (
+    Commands,
+    SwitchSchedule,
+    TickBlock,
+    TickTable,
+    played,
+    switch_schedule,
+    tick_table,
+)
+from threadline.files.recording import (
+    Channel,
+    ChannelKind,
+    Ended,
+    Outcome,
+    Recording,
+    RecordingBlock,
+)
+from threadline.files.step_play import StepPlay, StepTable, StitchBlock
+from threadline.files.stream import KeptStream, Stream
+
+__all__ = [
+    "Channel",
+    "ChannelKind",
+    "Clock",
+    "Commands",
+    "Ended",
+    "Event",
+    "EventKind",
+    "KeptStream",
+    "Outcome",
+    "Recording",
+    "RecordingBlock",
+    "StepPlay",
+    "StepTable",
+    "StitchBlock",
+    "Stream",
+    "SwitchSchedule",
+    "TickBlock",
+    "TickTable",
+    "common_period_s",
+    "played",
+    "switch_schedule",
+    "tick_table",
+]

@@ -1,0 +1,102 @@
+"""Time as an integer count of an exact period, and events at its ticks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import reduce
+from math import gcd, lcm
+from typing import Literal
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A clock with an exact rational period.
+
+    Instants are whole numbers of periods. Each is converted to seconds by one rounded division, so
+    that the millionth tick is as exact as the first.
+
+    Parameters
+    ----------
+    name
+        Name of the clock in the machine file.
+    period_s
+        Exact period in seconds, greater than zero.
+    """
+
+    name: str
+    period_s: Fraction
+
+    def __post_init__(self) -> None:
+        if self.period_s <= 0:
+            raise ValueError(
+                f"clock {self.name!r}: period must be greater than 0 s, got {self.period_s}"
+            )
+
+    def time_s(self, tick: int) -> float:
+        """Return the instant of ``tick`` in seconds, correctly rounded."""
+        # The quotient of two whole numbers is correctly rounded, and no fraction is shortened.
+        return self.period_s.numerator * int(tick) / self.period_s.denominator
+
+    def times_s(self, first_tick: int, count: int, stride: int = 1) -> FloatArray:
+        """Return (count,) instants from ``first_tick`` on, one every ``stride`` ticks."""
+        ticks = np.arange(first_tick, first_tick + stride * count, stride, dtype=np.float64)
+        # One product (exact below 2**53) and one division: no error accumulates.
+        return ticks * float(self.period_s.numerator) / float(self.period_s.denominator)
+
+    def ticks_at(self, time_s: float | Fraction) -> int:
+        """Return the last tick at or before ``time_s``."""
+        return int(Fraction(time_s) // self.period_s)
+
+
+def common_period_s(periods_s: list[Fraction]) -> Fraction:
+    """Return the longest period of which all of ``periods_s`` are whole multiples.
+
+    >>> common_period_s([Fraction(136, 10**6), Fraction(1, 1000)])
+    Fraction(1, 125000)
+    """
+    if not periods_s:
+        raise ValueError("no periods given")
+    denominator = reduce(lcm, (p.denominator for p in periods_s))
+    numerators = [p.numerator * (denominator // p.denominator) for p in periods_s]
+    return Fraction(reduce(gcd, numerators), denominator)
+
+
+EventKind = Literal[
+    "output", "wait", "stop", "dwell", "tool", "end",
+    "hold", "resume", "late", "completed", "stopped", "fault", "plan",
+]  # fmt: skip
+"""Commands ask for the kinds of the first line; recordings report all of them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something other than motion that happens at a tick of the commands' clock.
+
+    Parameters
+    ----------
+    tick
+        Tick of the event, counted from the start of the commands.
+    kind
+        ``output`` sets ``name`` to ``value``; ``wait`` waits for input ``name`` to be ``value``;
+        ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
+        ``end`` is the end of the job. In recordings ``hold`` and ``resume`` stop and continue the
+        rows, ``late`` means that rows were missing for ``value`` ticks, and ``completed``,
+        ``stopped`` or ``fault`` is how the run ended, with the reason in ``name``. ``plan`` says
+        that what was done at this tick was due at ``value`` s of the plan: behind it the plan goes
+        on with the clock, or stands where the ``plan`` before it has the same time.
+    operation
+        Index of the operation of the job that the event belongs to; -1 for none.
+    name, value
+        Arguments of the event, as its kind says.
+    """
+
+    tick: int
+    kind: EventKind
+    operation: int
+    name: str = ""
+    value: float = 0.0

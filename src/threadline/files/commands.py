@@ -1,0 +1,239 @@
+"""What the machine's controller is given: integer tables, never floats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
+from threadline.errors import OptionError
+from threadline.files.clock import Clock, Event
+from threadline.files.step_play import SWITCHES, TICKS, RowsHash, StepPlay
+from threadline.files.stream import Stream
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TickBlock(Locked):
+    """A run of consecutive rows of a tick table.
+
+    Parameters
+    ----------
+    first_tick
+        Tick of the first row.
+    counts
+        (n, axes) int: encoder counts to travel during each tick.
+    operation
+        (n,) int: index of the operation that each row belongs to.
+    events
+        Events whose tick lies in this block, in order.
+    """
+
+    first_tick: int
+    counts: IntArray
+    operation: IntArray
+    events: tuple[Event, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "counts", read_only_int(self.counts, "counts", ndim=2))
+        object.__setattr__(self, "operation", read_only_int(self.operation, "operation", ndim=1))
+        if len(self.counts) != len(self.operation):
+            raise ValueError(
+                f"counts has {len(self.counts)} rows, operation has {len(self.operation)}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TickTable(Locked):
+    """Counts per tick and axis: the commands of a machine whose controller closes the loops.
+
+    Parameters
+    ----------
+    clock
+        The clock at which rows are consumed.
+    axes
+        Names, in the order of the columns.
+    counts_per_unit
+        (axes,) counts per metre or per radian.
+    start_counts
+        (axes,) commanded position before the first row.
+    blocks
+        Re-iterable blocks of rows, consecutive from tick 0.
+    job_sha256, machine_sha256
+        Hashes of the job and of the machine that the table was made for.
+    """
+
+    clock: Clock
+    axes: tuple[str, ...]
+    counts_per_unit: FloatArray
+    start_counts: IntArray
+    blocks: Stream[TickBlock]
+    job_sha256: str
+    machine_sha256: str
+
+    def __post_init__(self) -> None:
+        scale = read_only(self.counts_per_unit, "counts_per_unit", ndim=1)
+        start = read_only_int(self.start_counts, "start_counts", ndim=1)
+        object.__setattr__(self, "counts_per_unit", scale)
+        object.__setattr__(self, "start_counts", start)
+        if not len(self.axes) == len(scale) == len(start):
+            raise ValueError(
+                f"{len(self.axes)} axes, {len(scale)} scales and {len(start)} start positions"
+            )
+
+    def __iter__(self) -> Iterator[TickBlock]:
+        return iter(self.blocks)
+
+    def tick_count(self) -> int:
+        """Return the number of rows; reads the whole table."""
+        return sum(len(block) for block in self)
+
+    def rows_hash(self) -> RowsHash:
+        """Return a hash without rows yet, to which a reader of this table adds them in order."""
+        return RowsHash(
+            TICKS, self.clock.period_s, self.axes, self.counts_per_unit, self.start_counts
+        )
+
+    def rows_sha256(self) -> str:
+        """Return the hash of what the controller is told; reads the whole table.
+
+        It covers the clock's period, the axes, their counts per unit and start, every row and every
+        event, and does not depend on the division into blocks. ``docs/files.md`` defines it byte by
+        byte.
+        """
+        digest = self.rows_hash()
+        for block in self:
+            digest.add((block.counts, block.operation), block.events)
+        return digest.hexdigest()
+
+    def end_counts(self) -> IntArray:
+        """Return the (axes,) commanded position after the last row; reads the whole table."""
+        total = self.start_counts.copy()
+        for block in self:
+            total += block.counts.sum(axis=0)
+        return total
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SwitchSchedule(Locked):
+    """Outputs over time: the commands of an on/off machine.
+
+    Parameters
+    ----------
+    clock
+        Scan of the controller that switches.
+    outputs
+        Names of the outputs, in the order of the columns.
+    ticks
+        (n,) int, increasing: scans at which the row's levels take effect.
+    levels
+        (n, outputs) int: the state of every output from that scan on.
+    operation
+        (n,) int: index of the operation that each row belongs to.
+    duration_ticks
+        Length of the whole schedule.
+    job_sha256, machine_sha256
+        Hashes of the job and of the machine that the schedule was made for.
+    events
+        Waits and stops, in order of their ticks.
+    """
+
+    clock: Clock
+    outputs: tuple[str, ...]
+    ticks: IntArray
+    levels: IntArray
+    operation: IntArray
+    duration_ticks: int
+    job_sha256: str
+    machine_sha256: str
+    events: tuple[Event, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        for name, ndim in (("ticks", 1), ("levels", 2), ("operation", 1)):
+            object.__setattr__(self, name, read_only_int(getattr(self, name), name, ndim=ndim))
+        if self.levels.shape != (len(self.ticks), len(self.outputs)):
+            raise ValueError(
+                f"levels has shape {self.levels.shape}, "
+                f"expected {(len(self.ticks), len(self.outputs))}"
+            )
+        if len(self.operation) != len(self.ticks):
+            raise ValueError(
+                f"ticks has {len(self.ticks)} rows, operation has {len(self.operation)}"
+            )
+        if len(self.ticks) and (np.diff(self.ticks) <= 0).any():
+            raise ValueError("ticks must be strictly increasing")
+        if len(self.ticks) and self.duration_ticks < self.ticks[-1]:
+            raise ValueError(
+                f"duration_ticks {self.duration_ticks} lies before the last row {self.ticks[-1]}"
+            )
+
+    def rows_sha256(self) -> str:
+        """Return the hash of what the controller is told.
+
+        It covers the clock's period, the outputs, the duration, every row and every event.
+        ``docs/files.md`` defines it byte by byte.
+        """
+        digest = RowsHash(
+            SWITCHES, self.clock.period_s, self.outputs, np.array([self.duration_ticks])
+        )
+        digest.add((self.ticks, self.levels, self.operation), self.events)
+        return digest.hexdigest()
+
+    def tick_count(self) -> int | None:
+        """Return None: a schedule has instants, and no row for every tick."""
+        return None
+
+
+Commands = TickTable | SwitchSchedule | StepPlay
+
+
+def tick_table(commands: Commands) -> TickTable:
+    """Return ``commands``, which must be a table of ticks.
+
+    Raises
+    ------
+    OptionError
+        If they are of another kind.
+    """
+    if not isinstance(commands, TickTable):
+        raise OptionError(
+            "a table of counts is needed, which an on/off machine does not have",
+            remedy="Take a machine with axes.",
+        )
+    return commands
+
+
+def switch_schedule(commands: Commands) -> SwitchSchedule:
+    """Return ``commands``, which must be a schedule of switchings.
+
+    Raises
+    ------
+    OptionError
+        If they are of another kind.
+    """
+    if not isinstance(commands, SwitchSchedule):
+        raise OptionError(
+            "a schedule of switchings is needed, which a machine with axes does not have",
+            remedy="Take a machine with cylinders.",
+        )
+    return commands
+
+
+def played(commands: Commands) -> StepPlay:
+    """Return ``commands``, which must be step tables played stitch by stitch.
+
+    Raises
+    ------
+    OptionError
+        If they are of another kind.
+    """
+    if not isinstance(commands, StepPlay):
+        raise OptionError(
+            "step tables by stitches are needed, which only a machine with a main shaft plays",
+            remedy="Take an embroidery machine.",
+        )
+    return commands

@@ -1,0 +1,235 @@
+"""NumPy's ``.npz``, written and read piece by piece, so that no column has to be in memory.
+
+``numpy.load`` reads these files, too. It is not used here, since it reads whole arrays and
+allocates what a header claims without checking it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.lib import format as npy
+from numpy.typing import NDArray
+
+from threadline.errors import Place, RecordingError
+from threadline.files.formats.common import MAX_META_BYTES, parse_json
+
+META = "meta.json"
+MAX_MEMBERS = 512
+MAX_TOTAL_BYTES = 1 << 40
+_MAX_RATIO = 1100  # deflate packs at most 1032 : 1; a header that claims more is false
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # one date for all files: equal content gives equal files
+_COPY_BYTES = 1 << 20
+_MAX_HEADER = 1000
+_HEADER = re.compile(
+    r"\{'descr': (?P<descr>[^{}]{1,200}), 'fortran_order': (?P<order>True|False), "
+    r"'shape': \((?P<shape>(?:[0-9]{1,18}, ?)*(?:[0-9]{1,18})?)\), \} *\n"
+)
+
+
+class ColumnSpool:
+    """Collects columns of unknown length in temporary files, then packs them into one archive.
+
+    Parameters
+    ----------
+    folder
+        Folder of the temporary files.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._stack = ExitStack()
+        self._columns: dict[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]] = {}
+        self._rows: dict[str, int] = {}
+
+    def __enter__(self) -> ColumnSpool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def column(self, name: str, dtype: str, width: tuple[int, ...] = ()) -> None:
+        """Add an empty column with rows of shape ``width``."""
+        file = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115  the stack closes it
+        self._stack.enter_context(file)
+        self._columns[name] = (file, np.dtype(dtype), width)
+        self._rows[name] = 0
+
+    def append(self, name: str, values: NDArray[Any]) -> None:
+        """Add rows to a column."""
+        file, dtype, width = self._columns[name]
+        rows = np.ascontiguousarray(values, dtype=dtype).reshape(-1, *width)
+        file.write(rows.data)
+        self._rows[name] += len(rows)
+
+    def pack(self, file: IO[bytes], meta: dict[str, Any]) -> None:
+        """Write the archive: the description first, then every column."""
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            text = json.dumps(meta, ensure_ascii=False, indent=1).encode()
+            if len(text) > MAX_META_BYTES:
+                raise RecordingError(
+                    f"the description needs {len(text)} bytes, limit {MAX_META_BYTES}",
+                    remedy="Use fewer names of events.",
+                )
+            archive.writestr(_info(META), text, zipfile.ZIP_DEFLATED, 1)
+            for name, (spool, dtype, width) in self._columns.items():
+                header = {
+                    "descr": npy.dtype_to_descr(dtype),
+                    "fortran_order": False,
+                    "shape": (self._rows[name], *width),
+                }
+                spool.seek(0)
+                with archive.open(_info(f"{name}.npy"), "w", force_zip64=True) as member:
+                    npy.write_array_header_2_0(member, header)
+                    while part := spool.read(_COPY_BYTES):
+                        member.write(part)
+
+
+def _info(name: str) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name, _EPOCH)
+    info.compress_type = zipfile.ZIP_DEFLATED
+    info.external_attr = 0o644 << 16
+    return info
+
+
+class ColumnArchive:
+    """Reads the columns of an archive, a run of rows at a time.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no archive, or its headers claim more than it can hold.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._stack = ExitStack()
+        self._archive = self._stack.enter_context(zipfile.ZipFile(path))
+        try:
+            self._check()
+        except BaseException:
+            self._stack.close()
+            raise
+
+    def __enter__(self) -> ColumnArchive:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def _refuse(self, message: str) -> RecordingError:
+        return RecordingError(
+            message, place=Place(str(self._path)), remedy="Write or fetch the file again."
+        )
+
+    def _check(self) -> None:
+        infos = self._archive.infolist()
+        names = [info.filename for info in infos]
+        if len(set(names)) < len(names) or len(names) > MAX_MEMBERS:
+            raise self._refuse("the archive has repeated names or too many of them")
+        for info in infos:
+            if info.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
+                raise self._refuse(f"{info.filename[:60]!r} is packed in an unusual way")
+            if info.flag_bits & 1:
+                raise self._refuse(f"{info.filename[:60]!r} is encrypted")
+            if info.file_size > _MAX_RATIO * (info.compress_size + 64):
+                raise self._refuse(f"{info.filename[:60]!r} promises more than it can hold")
+        size = self._path.stat().st_size
+        total = sum(info.file_size for info in infos)
+        if sum(info.compress_size for info in infos) > size or total > MAX_TOTAL_BYTES:
+            raise self._refuse("the archive promises more than it can hold")
+
+    def verify(self) -> None:
+        """Read everything once against its check sum, before anything is computed from it.
+
+        Raises
+        ------
+        RecordingError
+            If a check sum is wrong.
+        """
+        wrong = self._archive.testzip()
+        if wrong is not None:
+            raise self._refuse(f"the file is damaged: the check sum of {wrong[:60]!r} is wrong")
+
+    def meta(self) -> Any:
+        """Return the description."""
+        try:
+            info = self._archive.getinfo(META)
+        except KeyError as error:
+            raise RecordingError(
+                f"the archive has no {META}",
+                place=Place(str(self._path)),
+                remedy="It was not written by Threadline; give a CSV file with units instead.",
+            ) from error
+        if info.file_size > MAX_META_BYTES:
+            raise self._refuse(f"{META} has {info.file_size} bytes, limit {MAX_META_BYTES}")
+        return parse_json(self._archive.read(info).decode(), Place(str(self._path)))
+
+    def column(self, name: str, dtype: str, width: tuple[int, ...] = ()) -> ColumnReader:
+        """Open a column, which must have this type and rows of this shape."""
+        try:
+            info = self._archive.getinfo(f"{name}.npy")
+        except KeyError as error:
+            raise self._refuse(f"the archive has no column {name!r}") from error
+        member = self._stack.enter_context(self._archive.open(info))
+        found, fortran, shape = self._header(member, name)
+        expected = repr(npy.dtype_to_descr(np.dtype(dtype)))
+        if found != expected:
+            raise self._refuse(f"column {name!r} holds {found}, expected {expected}")
+        if fortran or len(shape) != 1 + len(width) or shape[1:] != width:
+            raise self._refuse(f"column {name!r} has shape {shape}, expected (n, {width})")
+        row_bytes = np.dtype(dtype).itemsize * int(np.prod(width, dtype=np.int64))
+        rows = shape[0]
+        if member.tell() + rows * row_bytes != info.file_size:
+            raise self._refuse(f"column {name!r} promises {rows} rows and holds another number")
+        return ColumnReader(member, np.dtype(dtype), width, rows)
+
+    def _header(self, member: IO[bytes], name: str) -> tuple[str, bool, tuple[int, ...]]:
+        """Return type, order and shape; numpy's own reader would run a Python parser on them."""
+        magic = member.read(8)
+        size_bytes = {b"\x93NUMPY\x01\x00": 2, b"\x93NUMPY\x02\x00": 4}.get(magic)
+        if size_bytes is None:
+            raise self._refuse(f"column {name!r} is no array of a known version")
+        size = int.from_bytes(member.read(size_bytes), "little")
+        text = member.read(min(size, _MAX_HEADER)).decode("latin-1")
+        match = _HEADER.fullmatch(text)
+        if match is None or len(text) != size:
+            raise self._refuse(f"column {name!r} has a header that cannot be read")
+        shape = tuple(int(part) for part in match["shape"].split(",") if part.strip())
+        return match["descr"], match["order"] == "True", shape
+
+
+class ColumnReader:
+    """One open column: rows come in order."""
+
+    def __init__(
+        self, member: IO[bytes], dtype: np.dtype[Any], width: tuple[int, ...], rows: int
+    ) -> None:
+        self._member = member
+        self._dtype = dtype
+        self._width = width
+        self.rows = rows
+        self._left = rows
+
+    def take(self, count: int) -> NDArray[Any]:
+        """Return the next ``count`` rows, or as many as are left."""
+        count = min(count, self._left)
+        size = count * self._dtype.itemsize * int(np.prod(self._width, dtype=np.int64))
+        data = self._member.read(size)
+        if len(data) != size:
+            raise EOFError("a column ends early")
+        self._left -= count
+        return np.frombuffer(data, self._dtype).reshape(count, *self._width)
+
+    def runs(self, count: int) -> Iterator[NDArray[Any]]:
+        """Yield all rows that are left, ``count`` at a time."""
+        while self._left:
+            yield self.take(count)

@@ -1,0 +1,81 @@
+"""Rows of counts cut into runs that one line of a trajectory array each can give.
+
+How a line of ``n`` ticks spreads its remainder is told in ``array.py``. Apart from it because few
+processes write arrays, and all that read a recording would load numba for it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from threadline.base.arrays import IntArray
+from threadline.base.compiled import njit
+
+
+@njit()
+def _phase(counts: IntArray, begin: int, n: int, axis: int) -> int:
+    """Return a phase for which one line gives ``counts[begin:begin + n, axis]``, or -1."""
+    total = 0
+    for k in range(n):
+        total += counts[begin + k, axis]
+    remainder = total % n
+    speed = (total - remainder) // n
+    lowest, highest = 0, n - 1
+    travelled = 0
+    for k in range(1, n):
+        # floor((h + k r) / n) must be what was travelled above k times the speed.
+        travelled += counts[begin + k - 1, axis] - speed
+        low = n * travelled - k * remainder
+        lowest = max(lowest, low)
+        highest = min(highest, low + n - 1)
+        if lowest > highest:
+            return -1
+    return lowest
+
+
+@njit()
+def _fits(counts: IntArray, begin: int, n: int, phases: IntArray) -> bool:
+    for axis in range(counts.shape[1]):
+        phase = _phase(counts, begin, n, axis)
+        if phase < 0:
+            return False
+        phases[axis] = phase
+    return True
+
+
+@njit()
+def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Cut rows into runs that one line each can give; none reaches over a mark.
+
+    A run is the whole way to the next mark where that fits; else it doubles while it fits and
+    then takes the longest of ever smaller additions.
+    """
+    rows, axes = counts.shape
+    begins = np.empty(rows, np.int64)
+    spans = np.empty(rows, np.int64)
+    phases = np.empty((rows, axes), np.int64)
+    trial = np.empty(axes, np.int64)
+    found = 0
+    for m in range(len(marks) - 1):
+        begin, end = marks[m], marks[m + 1]
+        whole = True
+        while begin < end:
+            span = end - begin
+            if not (whole and _fits(counts, begin, span, trial)):
+                whole = False
+                span = 1
+                step = 1
+                while begin + span + step <= end and _fits(counts, begin, span + step, trial):
+                    span += step
+                    step *= 2
+                while step > 0:
+                    if begin + span + step <= end and _fits(counts, begin, span + step, trial):
+                        span += step
+                    step //= 2
+                _fits(counts, begin, span, trial)
+            begins[found], spans[found] = begin, span
+            for axis in range(axes):  # an assignment of the row takes seconds to compile
+                phases[found, axis] = trial[axis]
+            found += 1
+            begin += span
+    return begins[:found], spans[:found], phases[:found]

@@ -1,0 +1,313 @@
+"""Recordings in ``.csv`` files: complete ones that Threadline writes, and traces from elsewhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import takewhile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.base.reading import KnownFile
+from threadline.errors import Place, RecordingError
+from threadline.files.clock import Clock, Event
+from threadline.files.formats.common import (
+    MAX_COUNTS,
+    TIME,
+    Column,
+    Written,
+    atomic_file,
+    check_on_grid,
+    clear_errors,
+    find_grid,
+    in_si,
+    meta_lines,
+    parse_column,
+    parse_meta_lines,
+    reading,
+    text_lines,
+    written,
+)
+from threadline.files.formats.recording_meta import (
+    OPERATION_REMEDY,
+    TITLE,
+    events_cell,
+    operation_fault,
+    parse_events_cell,
+    recording_from,
+    recording_meta,
+)
+from threadline.files.formats.tick_table import READ_ROWS
+from threadline.files.recording import Channel, ChannelKind, Recording, RecordingBlock
+from threadline.files.stream import Stream
+
+END = "# end after samples: "
+_EVENTS = "events"
+_TIME_COLUMN = f"{TIME} [s]"
+
+
+def write_recording_csv(recording: Recording, path: Path) -> Written:
+    """Write ``recording`` as text: one line per instant, after comment lines with the rest.
+
+    Raises
+    ------
+    RecordingError
+        If its channels are not all on one clock and stride, or samples are missing in between.
+    """
+    channels = recording.channels
+    grids = {(c.clock, c.stride) for c in channels}
+    if len(grids) != 1:
+        raise RecordingError(
+            f"the channels of the recording lie on {len(grids)} clocks or strides; "
+            "a table has one time for all",
+            remedy="Write it as .npz.",
+        )
+    for channel in channels:
+        if set(channel.name + channel.unit) & set(',"\r\n[]'):
+            raise RecordingError(
+                f"channel {channel.name!r} cannot head a column", remedy="Write it as .npz."
+            )
+    clock, stride = next(iter(grids))
+    with atomic_file(path) as file:
+        for line in meta_lines(TITLE, recording_meta(recording)):
+            file.write(f"{line}\n".encode())
+        heads = [_TIME_COLUMN, *map(_head, channels), _EVENTS]
+        file.write((",".join(heads) + "\n").encode())
+        rows = 0
+        expected: int | None = None
+        for block in recording:
+            tick = block.first_tick[clock.name]
+            parts = [block.samples[c.name] for c in channels]
+            if len({len(part) for part in parts}) != 1 or expected not in {None, tick}:
+                raise RecordingError(
+                    f"the recording has a gap at tick {expected if expected is not None else tick}",
+                    remedy="Write it as .npz.",
+                )
+            times = clock.times_s(tick, len(parts[0]), stride).tolist()
+            columns = [part.tolist() for part in parts]
+            cell = events_cell(block.events, ticks=True)
+            if cell and not times:
+                raise RecordingError("a block without samples has events; write it as .npz")
+            for row in zip(times, *columns, strict=True):
+                file.write((",".join(map(repr, row)) + f",{cell}\n").encode())
+                cell = ""
+            rows += len(times)
+            expected = tick + stride * len(times)
+        file.write(f"{END}{rows}\n".encode())
+    return written(path)
+
+
+def _head(channel: Channel) -> str:
+    return f"{channel.name} [{channel.unit}]" if channel.unit else channel.name
+
+
+def read_recording_csv(path: Path) -> Recording:
+    """Read a recording from text.
+
+    A file that Threadline wrote gives back everything. Any other begins, after comment lines
+    with ``#``, with a line that names its columns and their units, ``time [s],X [mm],A [deg]``,
+    separated by commas, semicolons or tabs; its instants must lie on an even grid, within
+    ``files.grid.JITTER`` of a period. The whole file is checked before the first sample is
+    given out.
+
+    Raises
+    ------
+    RecordingError
+        With the line, if the file is neither a recording nor such a trace.
+    """
+    with clear_errors(path):
+        own = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
+        recording = _own(path) if own else _foreign(path)
+        for _ in recording:
+            pass  # every line is read once, so that no wrong one turns up half-way
+    return recording
+
+
+def _own(path: Path) -> Recording:
+    head: list[tuple[int, str]] = []
+
+    def is_comment(numbered: tuple[int, str]) -> bool:
+        if not numbered[1].startswith("#"):
+            head.append(numbered)
+        return not head
+
+    lines = text_lines(path)
+    next(lines)
+    meta = parse_meta_lines(takewhile(is_comment, lines), path)
+    if not head:
+        raise RecordingError("the file ends before its columns", place=Place(str(path)))
+    number, text = head[0]
+    recording = recording_from(meta, path, _own_blocks, number)
+    channels = recording.channels
+    place = Place(str(path), number)
+    if len({(c.clock, c.stride) for c in channels}) != 1:
+        raise RecordingError("the channels are not on one clock and stride", place=place)
+    expected = [_TIME_COLUMN, *map(_head, channels), _EVENTS]
+    if text.split(",") != expected:
+        raise RecordingError(
+            f"the columns are {text[:200]!r}, expected {','.join(expected)!r}", place=place
+        )
+    return in_si(recording, place)
+
+
+def _own_blocks(
+    known: KnownFile, channels: tuple[Channel, ...], head: int
+) -> Iterator[RecordingBlock]:
+    layout = _Layout(
+        separator=",",
+        factors=(1.0, *(1.0 for _ in channels)),
+        order=tuple(range(len(channels) + 1)),
+        own=True,
+    )
+    return _blocks(known, channels, head, layout)
+
+
+def _foreign(path: Path) -> Recording:
+    number, text = next(
+        ((n, line) for n, line in text_lines(path) if line.strip() and not line.startswith("#")),
+        (0, ""),
+    )
+    place = Place(str(path), number)
+    if not number:
+        raise RecordingError("the file is empty", place=place, remedy="Give a recorded trace.")
+    separator = max(",;\t", key=text.count)
+    columns = [parse_column(part, place) for part in text.split(separator)]
+    names = [column.name for column in columns]
+    for name in names:
+        if names.count(name) > 1:
+            raise RecordingError(f"column {name!r} stands twice", place=place)
+    if TIME not in names or len(names) < 2:
+        raise RecordingError(
+            "the trace needs a column of time and one of positions at least",
+            place=place,
+            remedy='Begin with a line like "time [s],X [mm],Y [mm],A [deg]".',
+        )
+    at = names.index(TIME)
+    kept = [k for k in range(len(columns)) if k != at]
+    layout = _Layout(
+        separator=separator,
+        factors=(columns[at].factor, *(columns[k].factor for k in kept)),
+        order=(at, *kept),
+        own=False,
+    )
+    instants = ((n, row[0]) for n, row, _ in _rows(path, number, layout))
+    grid = find_grid(instants, str(path))
+    clock = Clock("recording", grid.period_s)
+    channels = tuple(_channel(columns[k], clock) for k in kept)
+    layout = replace(layout, first=grid.first)
+    return Recording(
+        channels=channels,
+        blocks=Stream(_blocks, KnownFile.of(path), channels, number, layout),
+        job_sha256="",
+        machine_sha256="",
+        simulated=False,
+    )
+
+
+def _channel(column: Column, clock: Clock) -> Channel:
+    kind = column.kind or ChannelKind.MEASURED
+    return Channel(name=column.name, kind=kind, unit=column.unit, clock=clock, axis=column.axis)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Layout:
+    """How the cells of a line are to be read: time first, then the channels."""
+
+    separator: str
+    factors: tuple[float, ...]
+    order: tuple[int, ...]
+    own: bool
+    first: int | None = None  # tick of the first row; None: the first time tells
+
+
+def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[float], list[Event]]]:
+    """Yield line number, time and samples in SI, and events."""
+    width = len(layout.order)
+    rows, ended = 0, not layout.own
+    for number, line in text_lines(path):
+        if number <= head:
+            continue
+        place = Place(str(path), number)
+        if layout.own and line.startswith(END):
+            if line != f"{END}{rows}":
+                raise RecordingError(f"the file has {rows} samples, {line[2:60]!r}", place=place)
+            ended = True
+            continue
+        if not line.strip() and not layout.own:
+            continue
+        if layout.own and ended:
+            raise RecordingError("the table goes on after its end", place=place)
+        cells = line.split(layout.separator, width if layout.own else -1)
+        found = len(cells) - layout.own
+        if found != width:
+            raise RecordingError(
+                f"the line has {found} cells, its columns are {width}",
+                place=place,
+                remedy="The file may have been cut off.",
+            )
+        events = parse_events_cell(cells[-1], None, place) if layout.own else []
+        values = [
+            parse_number(cells[k], place, nan=layout.own and k > 0) * factor
+            for k, factor in zip(layout.order, layout.factors, strict=True)
+        ]
+        rows += 1
+        yield number, values, events
+    if not ended:
+        raise RecordingError(
+            "the table is cut off before its end",
+            place=Place(str(path)),
+            remedy="Write or fetch it again.",
+        )
+
+
+def parse_number(cell: str, place: Place, *, nan: bool = False) -> float:
+    """Return the number in ``cell``; ``nan`` allows one that is not finite, as in our own files."""
+    value: float | None = None
+    if cell.isascii() and "_" not in cell:
+        with suppress(ValueError):
+            value = float(cell)
+    if value is None or not (nan or math.isfinite(value)):
+        raise RecordingError(
+            f"{cell.strip()[:40]!r} is not a finite number",
+            place=place,
+            remedy="Write numbers with a point, and leave no gaps.",
+        )
+    return value
+
+
+def _blocks(
+    known: KnownFile, channels: tuple[Channel, ...], head: int, layout: _Layout
+) -> Iterator[RecordingBlock]:
+    path, clock, stride = known.path, channels[0].clock, channels[0].stride
+    values: list[list[float]] = []
+    events: list[Event] = []
+    first = layout.first
+    operations = [k + 1 for k, c in enumerate(channels) if c.kind is ChannelKind.OPERATION]
+
+    def block(tick: int) -> RecordingBlock:
+        columns: Any = np.array(values).T[1:]
+        samples = {c.name: columns[k] for k, c in enumerate(channels)}
+        return RecordingBlock(first_tick={clock.name: tick}, samples=samples, events=tuple(events))
+
+    with reading(known):
+        for number, row, here in _rows(path, head, layout):
+            place = Place(str(path), number)
+            if first is None:
+                first = min(max(0, round(row[0] / float(clock.period_s))), MAX_COUNTS)
+            if len(values) == READ_ROWS:
+                yield block(first)
+                first += stride * len(values)
+                values, events = [], []
+            check_on_grid(row[0], first + stride * len(values), clock.period_s, stride, place)
+            for k in operations:
+                if (fault := operation_fault(row[k])) is not None:
+                    raise RecordingError(fault, place=place, remedy=OPERATION_REMEDY)
+            values.append(row)
+            events += here
+        if values:
+            assert first is not None
+            yield block(first)

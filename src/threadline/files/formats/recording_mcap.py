@@ -1,0 +1,403 @@
+"""Recordings in MCAP files, written block by block and readable after a crash of the writer.
+
+MCAP (mcap.dev) is a container of messages. The schema holds the channels, their clocks and the
+hashes of job and machine. Each block is one message in a chunk of its own, which is complete in the
+file, with its checksum, as soon as it has been written. The end of the file has a checksum of all
+chunks together, and one of the index behind them. A file is refused where a checksum fails, and
+where it has none, since damage to it could not be told.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import lz4.frame
+import numpy as np
+import zstandard
+from mcap import records
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Chunk, Message, Schema
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import CompressionType, IndexType, Writer
+
+from threadline.base.reading import KnownFile
+from threadline.errors import Place, RecordingError
+from threadline.files.clock import Event
+from threadline.files.formats.common import (
+    Written,
+    atomic_file,
+    clear_errors,
+    in_si,
+    parse_json,
+    reading,
+    written,
+)
+from threadline.files.formats.recording_meta import (
+    OPERATION_REMEDY,
+    TITLE,
+    event_from,
+    event_item,
+    operation_fault,
+    recording_from,
+    recording_meta,
+)
+from threadline.files.recording import Channel, ChannelKind, Recording, RecordingBlock
+
+ENCODING = "threadline-block-1"
+BROKEN_OFF = "the trace breaks off: the program that wrote it ended before the run did"
+_MOST_RECORD_BYTES = 1 << 28
+_MOST_BLOCK_BYTES = _MOST_RECORD_BYTES - (2 << 20)  # with the description in the same chunk
+_LENGTH = struct.Struct("<I")
+_RECORD = struct.Struct("<BQ")  # kind and length
+_CRC = struct.Struct("<I")
+_CHUNK_HEAD = struct.Struct("<QQQII")  # times, size, checksum, length of the compression's name
+_SIZE = struct.Struct("<Q")
+_FOOTER = _RECORD.pack(Opcode.FOOTER, 8 + 8 + _CRC.size)
+_MAGIC = b"\x89MCAP0\r\n"
+_PROFILE = "threadline"
+_UNREAD: dict[int, Any] = {
+    Opcode.HEADER: records.Header,
+    Opcode.CHANNEL: records.Channel,
+    Opcode.MESSAGE_INDEX: records.MessageIndex,
+    Opcode.ATTACHMENT: records.Attachment,
+    Opcode.METADATA: records.Metadata,
+}
+"""Kinds of records that may stand among the data, and of which nothing is used."""
+_ENDING = len(_FOOTER) + 8 + 8 + _CRC.size + len(_MAGIC)  # bytes of a footer and what is behind it
+
+
+class TraceWriter:
+    """Writes a recording while it is being made; each block is flushed to the file at once.
+
+    Parameters
+    ----------
+    file
+        A file opened for writing; the caller closes it.
+    recording
+        Description of the recording: its channels and origin are written, its blocks are not read.
+    """
+
+    def __init__(self, file: IO[bytes], recording: Recording) -> None:
+        self._file, self._channels = file, recording.channels
+        self._writer = Writer(
+            file,
+            chunk_size=0,  # every block ends a chunk
+            compression=CompressionType.NONE,
+            index_types=IndexType.CHUNK,
+            enable_crcs=True,
+            enable_data_crcs=True,
+        )
+        self._writer.start(profile=_PROFILE, library="threadline")
+        meta = {"format": TITLE, **recording_meta(recording)}
+        text = json.dumps(meta, ensure_ascii=False, sort_keys=True, allow_nan=False)
+        schema = self._writer.register_schema("threadline.recording", ENCODING, text.encode())
+        self._topic = self._writer.register_channel("recording", ENCODING, schema)
+        self._clock = recording.channels[0].clock
+        self._count = 0
+
+    def write(self, block: RecordingBlock) -> None:
+        """Write a block."""
+        parts = [np.ascontiguousarray(block.samples[c.name], "<f8") for c in self._channels]
+        head = {
+            "first": dict(block.first_tick),
+            "lengths": [len(part) for part in parts],
+            "events": [event_item(event) for event in block.events],
+        }
+        text = json.dumps(head, ensure_ascii=False, allow_nan=False).encode()
+        data = _LENGTH.pack(len(text)) + text + b"".join(part.tobytes() for part in parts)
+        if len(data) > _MOST_BLOCK_BYTES:
+            raise RecordingError(
+                f"a block has {len(data)} bytes, limit {_MOST_BLOCK_BYTES}",
+                remedy="Record in smaller blocks.",
+            )
+        tick = block.first_tick[self._clock.name]
+        at_ns = max(round(self._clock.period_s * tick * 10**9), 0)
+        self._writer.add_message(self._topic, at_ns, data, at_ns, self._count)
+        self._file.flush()
+        self._count += 1
+
+    def finish(self) -> None:
+        """Write the end of the file; a file without it is read as one that breaks off."""
+        self._writer.finish()  # type: ignore[no-untyped-call]  # the library leaves out "-> None"
+        self._file.flush()
+
+
+def write_recording_mcap(recording: Recording, path: Path) -> Written:
+    """Write ``recording`` as an MCAP file, block by block."""
+    with atomic_file(path) as file:
+        writer = TraceWriter(file, recording)
+        for block in recording:
+            writer.write(block)
+        writer.finish()
+    return written(path)
+
+
+def read_recording_mcap(path: Path) -> Recording:
+    """Read what ``TraceWriter`` wrote; a file that breaks off gets a final event of kind ``fault``.
+
+    Raises
+    ------
+    RecordingError
+        If it is damaged before its end, has no checksums, or is something else.
+    """
+    with clear_errors(path), path.open("rb") as file:
+        schema = next((r for r, _ in _records(file, path) if isinstance(r, Schema)), None)
+        if schema is None and _is_of_a_run(file):
+            raise RecordingError(
+                "the trace ends before its first sample: there is nothing to judge",
+                place=Place(str(path)),
+                remedy="Run the job again.",
+            )
+        if schema is None or schema.encoding != ENCODING:
+            raise RecordingError(
+                "the MCAP file holds no recording of Threadline",
+                place=Place(str(path)),
+                remedy="Write its channels as CSV.",
+            )
+        meta = parse_json(schema.data.decode(), Place(str(path)))
+        if not isinstance(meta, dict) or meta.pop("format", None) != TITLE:
+            raise RecordingError(
+                "the file does not hold a recording of a known version", place=Place(str(path))
+            )
+        recording = recording_from(meta, path, _blocks)
+        for _ in recording:  # damage is found now, and not in the middle of a judgement
+            pass
+    return in_si(recording, Place(str(path)))
+
+
+def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
+    """Yield schemas and messages of the data section, then None and True at its regular end.
+
+    A record that is not complete is the last: the program that wrote the file ended there. What a
+    checksum does not confirm is refused, at the latest with the last record.
+    """
+    magic = file.read(len(_MAGIC))
+    if not _MAGIC.startswith(magic):
+        raise RecordingError("the file is no MCAP file", place=Place(str(path)))
+    crc, bare = zlib.crc32(_MAGIC), False
+    while len(head := file.read(_RECORD.size)) == _RECORD.size:
+        kind, length = _RECORD.unpack(head)
+        _check_length(length, path)
+        content = file.read(length)
+        if len(content) < length:
+            _check_cut(kind, length, content, path)
+            break
+        if kind == Opcode.DATA_END:
+            _check_end(content, crc, path, bare=bare)
+            _check_summary(file.read(_MOST_RECORD_BYTES), path)
+            yield None, True
+            return
+        if kind == Opcode.FOOTER:
+            raise _damaged("its records do not have the end that its last bytes promise", path)
+        crc = zlib.crc32(content, zlib.crc32(head, crc))
+        found, checked = _records_of(kind, content, path)
+        bare = bare or (bool(found) and not checked)
+        for record in found:
+            yield record, False
+    _check_broken_off(file, path, bare=bare)
+
+
+def _is_of_a_run(file: IO[bytes]) -> bool:
+    """Say whether a file begins as one of ``TraceWriter``, or nothing was written to it yet."""
+    file.seek(0)
+    head = file.read(len(_MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
+    return _MAGIC.startswith(head) or head.endswith(_PROFILE.encode())
+
+
+def _damaged(why: str, path: Path) -> RecordingError:
+    return RecordingError(
+        f"the file is damaged: {why}", place=Place(str(path)), remedy="Write or fetch it again."
+    )
+
+
+def _unconfirmed(path: Path) -> RecordingError:
+    return RecordingError(
+        "the MCAP file carries no checksums, so that damage to it could not be told",
+        place=Place(str(path)),
+        remedy="Record it again; or trust it as it is, and pack it anew with checksums: "
+        f"mcap recover {path.name} -o checked.mcap",
+    )
+
+
+def _check_length(length: int, path: Path) -> None:
+    if length > _MOST_RECORD_BYTES:
+        raise RecordingError(
+            f"a record promises {length} bytes, limit {_MOST_RECORD_BYTES}",
+            place=Place(str(path)),
+            remedy="The file is damaged.",
+        )
+
+
+def _check_crc(told: int, found: int, what: str, path: Path) -> None:
+    """Refuse bytes that do not have their checksum; 0 is a checksum that was not written."""
+    if told not in {0, found}:
+        raise _damaged(f"{what} has the checksum {found:08x}, written with it is {told:08x}", path)
+
+
+def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
+    """Check the bytes of the whole data section by the checksum that its last record has."""
+    if len(content) != _CRC.size:
+        raise _damaged("the end of its data has no checksum", path)
+    (told,) = _CRC.unpack(content)
+    _check_crc(told, crc, "its data", path)
+    if bare and not told:
+        raise _unconfirmed(path)
+
+
+def _check_summary(rest: bytes, path: Path) -> None:
+    """Check what stands behind the data: an index, which a writer that was ended leaves unfinished.
+
+    No figure depends on it.
+    """
+    ending = rest[-_ENDING:]
+    whole = ending.startswith(_FOOTER), rest.endswith(_MAGIC)
+    if not any(whole):
+        return
+    if not all(whole):
+        raise _damaged("its last record or its last bytes are not those of an MCAP file", path)
+    body = rest[: -len(_MAGIC) - _CRC.size]
+    (told,) = _CRC.unpack_from(rest, len(body))
+    _check_crc(told, zlib.crc32(body), "its index", path)
+
+
+def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
+    """Refuse a last record whose length is not the one that the chunk in it says: it is damaged."""
+    if kind != Opcode.CHUNK or len(content) < _CHUNK_HEAD.size:
+        return
+    at = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1]
+    if len(content) >= at + _SIZE.size and length != (
+        at + _SIZE.size + _SIZE.unpack_from(content, at)[0]
+    ):
+        raise _damaged(
+            f"a record promises {length} bytes, and the chunk in it another number", path
+        )
+
+
+def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
+    """Refuse a file that has its last bytes, though its records ended before them."""
+    file.seek(max(file.seek(0, 2) - len(_MAGIC), 0))
+    if file.read() == _MAGIC and file.tell() > len(_MAGIC):
+        raise _damaged("its records do not lead to its end", path)
+    if bare:
+        raise _unconfirmed(path)
+
+
+def _records_of(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]:
+    """Return a record that is a schema or a message, or those that a chunk holds.
+
+    The second is whether a checksum of their own confirms them.
+    """
+    stream = ReadDataStream(BytesIO(content))
+    found: list[Any] = []
+    checked = True
+    try:
+        if kind == Opcode.SCHEMA:
+            found, checked = [Schema.read(stream)], False
+        elif kind == Opcode.MESSAGE:
+            found, checked = [Message.read(stream, len(content))], False
+        elif kind == Opcode.CHUNK:
+            chunk = Chunk.read(stream)
+            _check_length(chunk.uncompressed_size, path)
+            data = _unpacked(chunk)
+            _check_crc(chunk.uncompressed_crc, zlib.crc32(data), "a chunk", path)
+            found = breakup_chunk(replace(chunk, compression="", data=data))
+            checked = chunk.uncompressed_crc != 0
+        elif kind in _UNREAD:  # what is in it is not used, and yet it has to be one
+            _UNREAD[kind].read(stream)
+        else:
+            raise _damaged(f"a record of kind {kind} stands among its data", path)
+        if stream.count != len(content):
+            raise McapError(f"it has {len(content)} bytes, and says what fits into {stream.count}")
+    except (struct.error, McapError, zstandard.ZstdError) as error:
+        raise RecordingError(
+            f"a record is damaged: {str(error)[:200] or type(error).__name__}",
+            place=Place(str(path)),
+            remedy="Write or fetch it again.",
+        ) from error
+    if kind == Opcode.ATTACHMENT:
+        (told,) = _CRC.unpack(content[-_CRC.size :])
+        _check_crc(told, zlib.crc32(content[: -_CRC.size]), "an attachment", path)
+    return found, checked
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return the decompressed bytes of a chunk, at most as many as its header gives."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
+        data = reader.read(size + 1)
+    elif chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
+    elif chunk.compression:
+        raise McapError(f"a chunk is packed by {chunk.compression[:40]!r}")
+    else:
+        data = chunk.data
+    if len(data) != size:
+        raise McapError(f"a chunk says that it holds {size} bytes, and holds another number")
+    return bytes(data)
+
+
+def _blocks(known: KnownFile, channels: tuple[Channel, ...]) -> Iterator[RecordingBlock]:
+    place = Place(str(known.path))
+    last: Mapping[str, int] = {channel.clock.name: 0 for channel in channels}
+    number = 0
+    with reading(known), known.path.open("rb") as file:
+        for record, ended in _records(file, known.path):
+            if isinstance(record, Message):
+                if record.sequence != number % (1 << 32):
+                    raise _damaged(f"block {number} is missing between two others", known.path)
+                number += 1
+                block = _block(bytes(record.data), channels, place)
+                last = block.first_tick
+                yield block
+            if ended:
+                return
+    nothing = {channel.name: np.empty(0) for channel in channels}
+    tick = max(last.values())
+    fault = Event(tick=tick, kind="fault", operation=-1, name=BROKEN_OFF)
+    yield RecordingBlock(first_tick=dict(last), samples=nothing, events=(fault,))
+
+
+def _block(data: bytes, channels: tuple[Channel, ...], place: Place) -> RecordingBlock:
+    def damaged(why: str) -> RecordingError:
+        return RecordingError(f"a block is damaged: {why}", place=place, remedy="Fetch it again.")
+
+    if len(data) < _LENGTH.size:
+        raise damaged("it has no head")
+    (size,) = _LENGTH.unpack_from(data)
+    head = parse_json(data[_LENGTH.size : _LENGTH.size + size].decode(errors="replace"), place)
+    try:
+        first = {str(name): int(tick) for name, tick in head["first"].items()}
+        lengths = [int(n) for n in head["lengths"]]
+        items = list(head["events"])
+    except (TypeError, KeyError, AttributeError, ValueError) as error:
+        raise damaged("its head is none") from error
+    clocks = {channel.clock.name for channel in channels}
+    rest = len(data) - _LENGTH.size - size
+    if set(first) != clocks or min(lengths, default=0) < 0 or len(lengths) != len(channels):
+        raise damaged("it has other clocks or channels than the file")
+    if rest != 8 * sum(lengths) or min(first.values()) < 0:
+        raise damaged(f"it has {rest} bytes of samples, promised are {8 * sum(lengths)}")
+    samples = {}
+    at = _LENGTH.size + size
+    for channel, n in zip(channels, lengths, strict=True):
+        values = np.frombuffer(data, "<f8", n, at).astype(np.float64)
+        at += 8 * n
+        if not np.isfinite(values).all():
+            raise damaged(f"channel {channel.name!r} has samples that are no numbers")
+        if channel.kind is ChannelKind.OPERATION:
+            for value in np.unique(values).tolist():
+                if (fault := operation_fault(value)) is not None:
+                    raise RecordingError(fault, place=place, remedy=OPERATION_REMEDY)
+        samples[channel.name] = values
+    events = tuple(event_from(item, place) for item in items)
+    return RecordingBlock(first_tick=first, samples=samples, events=events)

@@ -1,0 +1,253 @@
+"""Reading of tick tables in CSV, and of the lines that all text formats of them share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import takewhile
+from os import SEEK_END
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from threadline.base.reading import KnownFile
+from threadline.base.wording import nearest
+from threadline.errors import Place, RecordingError
+from threadline.files.clock import Event
+from threadline.files.commands import TickBlock, TickTable
+from threadline.files.formats.common import (
+    MAX_COUNTS,
+    clear_errors,
+    parse_meta_lines,
+    reading,
+    text_lines,
+)
+from threadline.files.formats.recording_meta import parse_events_cell
+from threadline.files.formats.tick_table import (
+    END,
+    NEEDLE_COLUMNS,
+    READ_ROWS,
+    TITLE,
+    checked_counts,
+    checked_rows,
+    csv_columns,
+    empty_block,
+    table_from,
+)
+
+_LAST = 200  # bytes at the end of a file that hold its last line
+
+
+def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
+    """Return description, line number and text of the line that names the columns.
+
+    Raises
+    ------
+    RecordingError
+        If the first line is not ``title``.
+    """
+    lines = text_lines(path)
+    _, first = next(lines, (1, ""))
+    if first != f"# threadline {title}":
+        raise RecordingError(
+            f"the file begins with {first[:60]!r}, expected '# threadline {title}'",
+            place=Place(str(path), 1),
+            remedy="Give a table that Threadline wrote.",
+        )
+    columns: list[tuple[int, str]] = []
+
+    def is_comment(numbered: tuple[int, str]) -> bool:
+        if numbered[1].startswith("#"):
+            return True
+        columns.append(numbered)
+        return False
+
+    meta = parse_meta_lines(takewhile(is_comment, lines), path)
+    if not columns:
+        raise RecordingError("the file ends before its columns", place=Place(str(path)))
+    return meta, *columns[0]
+
+
+def check_columns(found: str, expected: list[str], place: Place) -> None:
+    """Refuse a line of column names that is not as expected, naming the first unknown column."""
+    names = found.split(",")
+    for name in names:
+        if name not in expected:
+            raise RecordingError(
+                f"unknown column {name[:60]!r}", place=place, remedy=nearest(name, expected)
+            )
+    if names != expected:
+        raise RecordingError(
+            f"the columns are {found[:200]!r}, expected {','.join(expected)!r}", place=place
+        )
+
+
+def read_table_csv(path: Path) -> TickTable:
+    """Read what ``write_table_csv`` wrote; the rows stay in the file until they are wanted.
+
+    Raises
+    ------
+    RecordingError
+        If it is something else, a row is wrong, or the rows are not those that were written. A
+        table of an older version has no hash of its rows: a wrong row of it is found only while it
+        is read.
+    """
+    return read_text_table(path, TITLE, csv_columns, _blocks)
+
+
+def read_text_table(
+    path: Path,
+    title: str,
+    columns_of: Callable[[Sequence[str], bool], list[str]],
+    blocks: Callable[..., Iterator[TickBlock]],
+) -> TickTable:
+    """Read a tick table from lines of text; the rows stay in the file until they are wanted.
+
+    Parameters
+    ----------
+    title
+        Name and version of the format, on the first line.
+    columns_of
+        Returns the columns that a table of these axes has, with those of the needle or without.
+    blocks
+        Called for each reading with the file and its hash, the number of axes, the number of the
+        line that names the columns, and how many columns the needle has; it yields the blocks.
+
+    Raises
+    ------
+    RecordingError
+        As ``read_table_csv`` and ``read_array`` raise it.
+    """
+    with clear_errors(path):
+        meta, number, columns = read_head(path, title)
+        needle = NEEDLE_COLUMNS[0] in columns.split(",")
+        table = table_from(meta, path, blocks, number, len(NEEDLE_COLUMNS) if needle else 0)
+        check_columns(columns, columns_of(table.axes, needle), Place(str(path), number))
+        return checked_rows(table, meta, path)
+
+
+def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
+    """Yield the blocks; of the ``beside`` columns of the needle only their number is read."""
+    path = known.path
+    with reading(known):
+        rows: list[list[int]] = []
+        events: list[Event] = []
+        tail: list[Event] = []
+        first = 0
+        for number, line in body_lines(path, head):
+            place = Place(str(path), number)
+            if line.startswith(END):
+                check_end(line, first + len(rows), place)
+                continue
+            cells = line.split(",", axes + beside + 2)
+            if len(cells) != axes + beside + 3:
+                raise RecordingError(
+                    f"the line has {len(cells)} cells, expected {axes + beside + 3}",
+                    place=place,
+                    remedy="The file may have been cut off.",
+                )
+            del cells[axes + 2 : -1]
+            tick = whole_number(cells[0], place)
+            if not any(cells[1:-1]):
+                if tick < first + len(rows):
+                    raise RecordingError(f"tick {tick} stands twice", place=place)
+                here = parse_events_cell(cells[-1], tick, place)
+                if not here:
+                    raise RecordingError("the line has no counts and no events", place=place)
+                tail += here
+                continue
+            if tail:
+                raise RecordingError("a row follows the events after the end", place=place)
+            if tick != first + len(rows):
+                raise RecordingError(
+                    f"tick {tick} follows tick {first + len(rows) - 1}",
+                    place=place,
+                    remedy="A line is missing or doubled.",
+                )
+            if len(rows) == READ_ROWS:
+                yield _block(first, rows, events, path)
+                first, rows, events = tick, [], []
+            rows.append([whole_number(cell, place) for cell in cells[1:-1]])
+            events += parse_events_cell(cells[-1], tick, place)
+        if rows:
+            yield _block(first, rows, events + tail, path)
+        elif tail:
+            yield empty_block(axes, tuple(tail))
+
+
+def body_lines(path: Path, head: int) -> Iterator[tuple[int, str]]:
+    """Yield the lines after line ``head``, up to the line that ends the table.
+
+    Raises
+    ------
+    RecordingError
+        If lines follow the end of the table, or the file has no such end.
+    """
+    ended, number = False, head
+    for number, line in text_lines(path):
+        if number <= head:
+            continue
+        if ended:
+            raise RecordingError("the table goes on after its end", place=Place(str(path), number))
+        ended = line.startswith(END)
+        yield number, line
+    if not ended:
+        raise _cut_off(Place(str(path), number))
+
+
+def _cut_off(place: Place) -> RecordingError:
+    return RecordingError(
+        f"the table is cut off: no line {END.strip()!r} at the end",
+        place=place,
+        remedy="Write or fetch it again.",
+    )
+
+
+def told_end(path: Path) -> int:
+    """Return the number of ticks that the last line of a table gives, without reading the others.
+
+    Raises
+    ------
+    RecordingError
+        If the last line is not the one that ends a table.
+    """
+    place = Place(str(path))
+    with path.open("rb") as file:
+        file.seek(max(file.seek(0, SEEK_END) - _LAST, 0))
+        _, found, told = file.read().decode("utf-8", "replace").rpartition(END)
+    if not found:
+        raise _cut_off(place)
+    return whole_number(told.strip(), place)
+
+
+def check_end(line: str, ticks: int, place: Place) -> None:
+    """Refuse an end line that counts another number of ticks than there were."""
+    if whole_number(line.removeprefix(END), place) != ticks:
+        raise RecordingError(
+            f"the table has {ticks} ticks, its end says {line.removeprefix(END)[:20]}",
+            place=place,
+            remedy="Lines are missing or doubled.",
+        )
+
+
+def _block(first: int, rows: list[list[int]], events: list[Event], path: Path) -> TickBlock:
+    values = np.array(rows, dtype=np.int64)
+    counts = checked_counts(values[:, :-1], path)
+    return TickBlock(first_tick=first, counts=counts, operation=values[:, -1], events=tuple(events))
+
+
+def whole_number(cell: str, place: Place) -> int:
+    """Return the whole number in ``cell``.
+
+    Raises
+    ------
+    RecordingError
+        If it is none, or beyond what is exact.
+    """
+    digits = cell[1:] if cell[:1] == "-" else cell
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):
+        raise RecordingError(f"{cell[:40]!r} is not a whole number", place=place)
+    value = int(cell)
+    if abs(value) > MAX_COUNTS:
+        raise RecordingError(f"{cell} is beyond {MAX_COUNTS}", place=place)
+    return value

@@ -1,0 +1,186 @@
+"""The trajectory array of the 1994 controller: travel ticks, and counts per tick of every axis.
+
+Each line holds a constant speed for some ticks. Speeds are whole counts per tick plus a
+remainder, which is spread evenly: with ``n`` ticks, remainder ``r`` and phase ``h``, tick k
+travels ``v + floor((h + (k + 1) r) / n) - floor((h + k r) / n)``. That gives back every row of
+the table from which the array was made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.arrays import IntArray
+from threadline.base.reading import KnownFile
+from threadline.errors import Place, RecordingError
+from threadline.files.clock import Event
+from threadline.files.commands import TickBlock, TickTable
+from threadline.files.formats.common import Written, reading
+from threadline.files.formats.recording_meta import events_cell, parse_events_cell
+from threadline.files.formats.table_text import (
+    body_lines,
+    check_end,
+    read_text_table,
+    told_end,
+    whole_number,
+)
+from threadline.files.formats.tick_table import (
+    END,
+    NEEDLE_COLUMNS,
+    READ_ROWS,
+    Beside,
+    checked_counts,
+    empty_block,
+    write_text,
+)
+
+TITLE = "trajectory-array 1"
+MAX_TICKS = 1 << 31  # of one line: products with a remainder stay exact in 64 bits
+
+
+def _columns(axes: Sequence[str], needle: bool) -> list[str]:
+    of_axis = [f"{axis} {what}" for axis in axes for what in ("[count/tick]", "remainder", "phase")]
+    return ["ticks", *of_axis, "operation", *(NEEDLE_COLUMNS if needle else ()), "events"]
+
+
+def write_array(table: TickTable, path: Path, needle: Beside | None = None) -> Written:
+    """Write ``table`` as a trajectory array.
+
+    Parameters
+    ----------
+    needle
+        Columns of the needle, for a seam; a line ends where the needle has to come up, or the
+        trimming begins or ends.
+    """
+    columns = _columns(table.axes, needle is not None)
+    period_s = float(table.clock.period_s)
+    return write_text(table, path, TITLE, columns, partial(_text, needle, period_s))
+
+
+def _text(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> str:
+    return "".join(_lines(needle, period_s, block, axes))
+
+
+def _lines(needle: Beside | None, period_s: float, block: TickBlock, axes: int) -> Iterator[str]:
+    from threadline.files.formats.array_runs import runs  # slow to import: it loads numba
+
+    pending = list(block.events)
+    told = None if needle is None else needle.rows(block)
+    operation = block.operation
+    cuts = {0, len(block), *(np.flatnonzero(np.diff(operation)) + 1).tolist()}
+    cuts |= {e.tick - block.first_tick for e in pending if e.tick < block.first_tick + len(block)}
+    if told is not None:
+        cuts |= set(told.changes().tolist())
+    marks = np.array(sorted(cuts), dtype=np.int64)
+    begins, spans, phases = runs(np.ascontiguousarray(block.counts), marks)
+    for begin, span, phase in zip(begins.tolist(), spans.tolist(), phases.tolist(), strict=True):
+        total = block.counts[begin : begin + span].sum(axis=0).tolist()
+        cells = [f"{t // span},{t % span},{h}" for t, h in zip(total, phase, strict=True)]
+        tick = block.first_tick + begin
+        here = [e for e in pending if e.tick == tick]
+        if here:
+            pending = [e for e in pending if e.tick != tick]
+        beside = "" if told is None else f"{told.cells(begin, begin + span, period_s)},"
+        yield f"{span},{','.join(cells)},{operation[begin]},{beside}{events_cell(here)}\n"
+    if pending:  # at the end of the last row
+        end = block.first_tick + len(block)
+        if any(e.tick != end for e in pending):
+            raise ValueError(f"an event lies outside its block: {pending[0]}")
+        empty = 3 * axes + 2 + (0 if told is None else len(NEEDLE_COLUMNS))
+        yield f"0{',' * empty}{events_cell(pending)}\n"
+
+
+def read_array(path: Path) -> TickTable:
+    """Read what ``write_array`` wrote; the lines stay in the file until they are wanted.
+
+    Raises
+    ------
+    RecordingError
+        If it is something else, a line is wrong, or the rows are not those that were written. A
+        table of an older version has no hash of its rows: a wrong row of it is found only while it
+        is read.
+    """
+    return read_text_table(path, TITLE, _columns, _blocks)
+
+
+def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
+    """Yield the blocks; of the ``beside`` columns of the needle only their number is read."""
+    path = known.path
+    first, ready = 0, 0  # tick of the next block, rows in hand
+    counts: list[IntArray] = []
+    operation: list[IntArray] = []
+    events: list[Event] = []
+
+    def block() -> TickBlock:
+        return TickBlock(
+            first_tick=first,
+            counts=np.concatenate(counts),
+            operation=np.concatenate(operation),
+            events=tuple(events),
+        )
+
+    with reading(known):
+        for number, line in body_lines(path, head):
+            place = Place(str(path), number)
+            if line.startswith(END):
+                check_end(line, first + ready, place)
+                continue
+            wanted = 3 * axes + 3 + beside
+            cells = line.split(",", wanted - 1)
+            if len(cells) != wanted:
+                raise RecordingError(
+                    f"the line has {len(cells)} cells, expected {wanted}", place=place
+                )
+            span = whole_number(cells[0], place)
+            here = parse_events_cell(cells[-1], first + ready, place)
+            if span == 0:
+                events += here
+                continue
+            of = whole_number(cells[1 + 3 * axes], place)
+            if not 0 < span <= MAX_TICKS:
+                raise RecordingError(f"{span} ticks, limit {MAX_TICKS}", place=place)
+            if span > READ_ROWS:
+                _check_within(first + ready + span, path, place)
+            for part in _rows(cells[1 : 1 + 3 * axes], span, path, place):
+                if ready >= READ_ROWS:
+                    yield block()
+                    first, ready = first + ready, 0
+                    counts, operation, events = [], [], []
+                events += here
+                here = []
+                counts.append(part)
+                operation.append(np.full(len(part), of))
+                ready += len(part)
+        if ready:
+            yield block()
+        elif events:
+            yield empty_block(axes, tuple(events))
+
+
+def _check_within(end: int, path: Path, place: Place) -> None:
+    """Refuse a long line beyond the end that the table tells, before its rows are made."""
+    told = told_end(path)
+    if end > told:
+        raise RecordingError(
+            f"the line goes on until tick {end}, and the table ends after {told}",
+            place=place,
+            remedy="Write or fetch it again.",
+        )
+
+
+def _rows(cells: list[str], span: int, path: Path, place: Place) -> Iterator[IntArray]:
+    """Yield the rows of one line, in parts of bounded length."""
+    numbers = np.array([whole_number(cell, place) for cell in cells], dtype=np.int64)
+    speed, remainder, phase = numbers[0::3], numbers[1::3], numbers[2::3]
+    if ((remainder < 0) | (remainder >= span) | (phase < 0) | (phase >= span)).any():
+        raise RecordingError(
+            f"remainders and phases must lie between 0 and {span - 1}", place=place
+        )
+    for begin in range(0, span, READ_ROWS):
+        k = np.arange(begin, min(begin + READ_ROWS, span) + 1, dtype=np.int64)[:, None]
+        extra = np.diff((phase + k * remainder) // span, axis=0)
+        yield checked_counts(speed + extra, path)

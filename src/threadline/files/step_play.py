@@ -1,0 +1,366 @@
+"""Commands of an embroidery frame: tables of steps by stitch and axis, and the hash of rows.
+
+It is defined in ``docs/files.md`` ("The hash of the rows"), so that another program can compute it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from fractions import Fraction
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray, Locked, read_only, read_only_int
+from threadline.files.clock import Clock, Event
+from threadline.files.stream import Stream
+
+TICKS = "threadline tick table 1"
+SWITCHES = "threadline switch schedule 1"
+STEPS = "threadline step play 1"
+
+
+class RowsHash:
+    """Hashes rows and events as they are added; the division into blocks makes no difference.
+
+    Parameters
+    ----------
+    title
+        ``TICKS``, ``SWITCHES`` or ``STEPS``.
+    period_s
+        Period of the clock.
+    names
+        Names of the axes or outputs.
+    numbers
+        All other numbers besides the rows, in the order of the definition.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        period_s: Fraction,
+        names: tuple[str, ...],
+        *numbers: FloatArray | IntArray,
+    ) -> None:
+        self._head = b"".join(
+            [
+                _text(title),
+                _text(f"{period_s.numerator}/{period_s.denominator}"),
+                struct.pack("<Q", len(names)),
+                *(_text(name) for name in names),
+                *(_eight_bytes(column) for column in numbers),
+            ]
+        )
+        self._rows, self._events = hashlib.sha256(), hashlib.sha256()
+        self._row_count = self._event_count = 0
+
+    def add(self, columns: Iterable[IntArray], events: Iterable[Event]) -> None:
+        """Add n rows, given as (n,) or (n, k) columns, and events in their order."""
+        rows = np.column_stack([*columns])
+        self._rows.update(_eight_bytes(rows))
+        self._row_count += len(rows)
+        for event in events:
+            self._events.update(
+                struct.pack("<qqd", event.tick, event.operation, event.value)
+                + _text(event.kind)
+                + _text(event.name)
+            )
+            self._event_count += 1
+
+    def hexdigest(self) -> str:
+        """Return the hash of all that was added."""
+        whole = hashlib.sha256(self._head)
+        for count, part in ((self._row_count, self._rows), (self._event_count, self._events)):
+            whole.update(struct.pack("<Q", count) + part.digest())
+        return whole.hexdigest()
+
+
+def _text(text: str) -> bytes:
+    content = text.encode()
+    return struct.pack("<Q", len(content)) + content
+
+
+def _eight_bytes(numbers: FloatArray | IntArray) -> bytes:
+    """Return numbers as eight bytes each, least significant first, row by row."""
+    return np.ascontiguousarray(numbers, dtype=numbers.dtype.newbyteorder("<")).tobytes()
+
+
+CountedBy = Literal["time", "angle"]
+"""What the intervals of tables are counts of: periods of a timer, or parts of a shaft's turn."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StepTable(Locked):
+    """The intervals of one move: a table of k intervals moves by k steps.
+
+    Parameters
+    ----------
+    units
+        Length of the move in units of the design.
+    intervals
+        (k,) whole counts from the start of the window to the first step and from step to step,
+        1 at least.
+    """
+
+    units: int
+    intervals: IntArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "intervals", read_only_int(self.intervals, "intervals", ndim=1))
+        if not len(self.intervals) or self.intervals.min() < 1:
+            raise ValueError(
+                f"table of {self.units} units: a table has intervals, of 1 count at least"
+            )
+
+    def __len__(self) -> int:
+        return len(self.intervals)
+
+    @property
+    def times(self) -> IntArray:
+        """(k,) counts from the start of the window to each step."""
+        return np.cumsum(self.intervals)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StitchBlock(Locked):
+    """Consecutive turns of the main shaft in a ``StepPlay``; n turns, A axes.
+
+    Parameters
+    ----------
+    first_stitch
+        Number of the first turn, counted from 0.
+    begin
+        (n,) int: tick of the clock at which the tables begin.
+    window
+        (n,) int: ticks that the shaft, at an even speed, takes through the window of the move.
+    table
+        (n, A) int: which table of the library each axis plays, -1 where it stands.
+    sign
+        (n, A) int: 1 or -1, the sense of its steps; 0 where it stands.
+    start
+        (n,) int: angle of the shaft in its turn at which the tables begin.
+    needle
+        (n,) int: 1 where the needle enters the cloth in this turn, 0 where it is held up.
+    operation
+        (n,) int: operation of the job that each turn belongs to.
+    events
+        Events of these turns; their ticks are numbers of turns.
+    """
+
+    first_stitch: int
+    begin: IntArray
+    window: IntArray
+    table: IntArray
+    sign: IntArray
+    start: IntArray
+    needle: IntArray
+    operation: IntArray
+    events: tuple[Event, ...] = ()
+
+    def __post_init__(self) -> None:
+        columns = ("begin", "window", "start", "needle", "operation")
+        for name in (*columns, "table", "sign"):
+            ndim = 1 if name in columns else 2
+            object.__setattr__(self, name, read_only_int(getattr(self, name), name, ndim=ndim))
+        n = len(self.table)
+        lengths = {name: len(getattr(self, name)) for name in (*columns, "sign")}
+        if self.table.shape != self.sign.shape or set(lengths.values()) != {n}:
+            told = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            raise ValueError(
+                f"table has shape {self.table.shape}, sign {self.sign.shape}; stitches: {told}"
+            )
+        wrong = np.flatnonzero(
+            ((np.abs(self.sign) > 1) | ((self.sign == 0) != (self.table == -1))).any(axis=1)
+        )
+        if len(wrong):
+            raise ValueError(
+                f"stitch {self.first_stitch + int(wrong[0])}: a sign is 1 or -1, and 0 exactly "
+                "where the table is -1"
+            )
+        wrong = np.flatnonzero(self.begin[1:] < self.begin[:-1] + self.window[:-1])
+        if len(wrong):
+            raise ValueError(
+                f"stitch {self.first_stitch + int(wrong[0]) + 1} begins before the window of the "
+                "one before it has ended"
+            )
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StepPlay(Locked):
+    """Commands of an embroidery frame: a table of step intervals for each stitch and axis.
+
+    Each turn of the shaft has a window in which the frame moves. A table whose intervals are times
+    fits one speed of the shaft; a table whose intervals are angles fits every speed.
+
+    Parameters
+    ----------
+    clock
+        The timer of the controller.
+    counted_by
+        What intervals are counts of: ticks of the clock, or parts of the shaft's turn.
+    steps_per_turn
+        Number of equal parts into which a turn of the shaft is divided.
+    window_angle
+        Number of those parts in the window of the move.
+    axes
+        Names, in the order of the columns.
+    steps_per_unit
+        (A,) steps of the motor per metre or per radian.
+    start_steps
+        (A,) position of each axis before the first stitch, in steps.
+    library
+        The tables.
+    blocks
+        Re-iterable blocks of turns, consecutive from 0.
+    duration_ticks
+        Length of all turns together, in ticks of the clock.
+    job_sha256, machine_sha256
+        Hashes of the job and of the machine that it was made for.
+    """
+
+    clock: Clock
+    counted_by: CountedBy
+    steps_per_turn: int
+    window_angle: int
+    axes: tuple[str, ...]
+    steps_per_unit: FloatArray
+    start_steps: IntArray
+    library: tuple[StepTable, ...]
+    blocks: Stream[StitchBlock]
+    duration_ticks: int
+    job_sha256: str
+    machine_sha256: str
+
+    def __post_init__(self) -> None:
+        scale = read_only(self.steps_per_unit, "steps_per_unit", ndim=1)
+        start = read_only_int(self.start_steps, "start_steps", ndim=1)
+        if not len(self.axes) == len(scale) == len(start):
+            raise ValueError(
+                f"{len(self.axes)} axes, {len(scale)} scales and {len(start)} start positions"
+            )
+        if not 0 < self.window_angle < self.steps_per_turn:
+            raise ValueError(
+                f"the window has {self.window_angle} of the {self.steps_per_turn} angles of a turn"
+            )
+        object.__setattr__(self, "steps_per_unit", scale)
+        object.__setattr__(self, "start_steps", start)
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+        # What is read again is checked again.
+        return _step_play, tuple(getattr(self, field.name) for field in fields(self))
+
+    def __iter__(self) -> Iterator[StitchBlock]:
+        """Yield the blocks, each checked against library, axes and shaft.
+
+        Raises
+        ------
+        ValueError
+            If a stitch names a table that does not exist, begins outside its turn, has a table
+            longer than its window, ends after the whole, or does not follow the stitch before it.
+        """
+        expected, free = 0, 0
+        spans = _spans(self.library)
+        for block in self.blocks:
+            if block.first_stitch != expected or block.table.shape[1] != len(self.axes):
+                raise ValueError(
+                    f"stitch {expected} comes as {block.first_stitch}, of {block.table.shape[1]} "
+                    f"axes; wanted are {len(self.axes)}"
+                )
+            for name, values, low, high in (
+                ("table", block.table, -1, len(self.library)),
+                ("start", block.start[:, None], 0, self.steps_per_turn),
+                ("begin", block.begin[:1, None], free, 2**62),
+                ("needle", block.needle[:, None], 0, 2),
+            ):
+                wrong = np.flatnonzero(((values < low) | (values >= high)).any(axis=1))
+                if len(wrong):
+                    at = int(wrong[0])
+                    raise ValueError(
+                        f"stitch {expected + at}: {name} {values[at].tolist()} is not from {low} "
+                        f"to {high - 1}"
+                    )
+            room = block.window if self.counted_by == "time" else np.array([self.window_angle])
+            late = np.flatnonzero((spans[block.table] > room[:, None]).any(axis=1))
+            if len(late):
+                raise ValueError(
+                    f"stitch {expected + int(late[0])}: its table is longer than its window"
+                )
+            ends = block.begin + block.window
+            over = np.flatnonzero(ends > self.duration_ticks)
+            if len(over):
+                raise ValueError(
+                    f"stitch {expected + int(over[0])}: its window ends at {ends[over[0]]}, the "
+                    f"whole at {self.duration_ticks}"
+                )
+            if len(block):
+                free = int(block.begin[-1] + block.window[-1])
+            expected += len(block)
+            yield block
+
+    def stitch_count(self) -> int:
+        """Return the number of turns; reads every block."""
+        return sum(len(block) for block in self)
+
+    def tick_count(self) -> int | None:
+        """Return None: tables have steps, and no row for every tick."""
+        return None
+
+    def rows_sha256(self) -> str:
+        """Return the hash of what the controller is told: tables, turns and events.
+
+        ``docs/files.md`` defines it byte by byte.
+        """
+        lengths = np.array([len(table) for table in self.library], dtype=np.int64)
+        units = np.array([table.units for table in self.library], dtype=np.int64)
+        by = 0 if self.counted_by == "time" else 1
+        digest = RowsHash(
+            STEPS, self.clock.period_s, self.axes, self.steps_per_unit, self.start_steps,
+            np.array([by, self.steps_per_turn, self.window_angle, self.duration_ticks]),
+            np.array([len(lengths)]), units, lengths, *(t.intervals for t in self.library),
+        )  # fmt: skip
+        for block in self:
+            columns = (block.begin, block.window, block.start, block.needle)
+            digest.add((*columns, block.table, block.sign, block.operation), block.events)
+        return digest.hexdigest()
+
+    def end_steps(self) -> IntArray:
+        """Return the (A,) position after the last stitch, in steps; reads every block."""
+        # A stitch that stands takes the last entry, 0 steps.
+        lengths = np.array([*(len(table) for table in self.library), 0], dtype=np.int64)
+        total = self.start_steps.copy()
+        for block in self:
+            total += (block.sign * lengths[block.table]).sum(axis=0)
+        return total
+
+
+def _step_play(*values: Any) -> StepPlay:
+    names = [field.name for field in fields(StepPlay)]
+    return StepPlay(**dict(zip(names, values, strict=True)))
+
+
+def one_behind_the_other(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntArray]:
+    """Return the intervals of tables, one table behind the other, and where each begins.
+
+    ``reduceat`` takes both: a library has hundreds of tables, and each call its time.
+    """
+    ends = np.cumsum([len(table) for table in tables], dtype=np.int64)
+    begins = np.concatenate((np.zeros(1, dtype=np.int64), ends[:-1]))
+    return np.concatenate([table.intervals for table in tables]), begins
+
+
+@lru_cache(maxsize=1)
+def _spans(tables: tuple[StepTable, ...]) -> IntArray:
+    """Return the (k + 1,) counts that each table lasts, and 0 for none: the same in every run."""
+    spans = np.zeros(len(tables) + 1, dtype=np.int64)
+    if tables:
+        intervals, begins = one_behind_the_other(tables)
+        spans[:-1] = np.add.reduceat(intervals, begins)
+    spans.setflags(write=False)
+    return spans

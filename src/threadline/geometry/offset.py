@@ -1,0 +1,433 @@
+"""Mitres, which replace complete rounds at the corners of an offset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.errors import JobError, Place
+from threadline.geometry.contours import Contour
+from threadline.geometry.curves import chords
+from threadline.geometry.self_crossing import crossings, flatten
+
+_SAME_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mitre:
+    """A round at a corner and the point that may take its place.
+
+    Parameters
+    ----------
+    first, last
+        First and last chord of the round in the raw chain.
+    begin, apex, end
+        (2,) beginning of the round, point of the mitre, and end of the round.
+    """
+
+    first: int
+    last: int
+    begin: FloatArray
+    apex: FloatArray
+    end: FloatArray
+
+
+def sharpen(
+    points: FloatArray, labels: IntArray, closed: bool, mitres: Sequence[Mitre]
+) -> tuple[FloatArray, IntArray]:
+    """Return the chain with every complete round replaced by its mitre.
+
+    Parts of an offset are valid by their distance from the contour, which is constant on a round
+    but not on a mitre. Mitres therefore replace rounds afterwards, except those that would cross
+    another part of the chain.
+
+    Parameters
+    ----------
+    points, labels
+        (n + 1, 2) points of the offset, and (n,) chord of the raw chain that each of its chords is
+        part of.
+    """
+    whole = _whole(points, labels, mitres)
+    while True:
+        sharp, names, owner = _replace(points, labels, whole)
+        first, second, *_ = crossings(sharp[:-1], sharp[1:], closed)
+        guilty = set(owner[np.concatenate([first, second])].tolist()) - {-1}
+        if not guilty:
+            return sharp, names
+        whole = [found for k, found in enumerate(whole) if k not in guilty]
+
+
+def _whole(
+    points: FloatArray, labels: IntArray, mitres: Sequence[Mitre]
+) -> list[tuple[int, int, Mitre]]:
+    """Return first and last chord of every round that is complete."""
+    at = {int(label): k for k, label in enumerate(labels)}
+    found = []
+    for mitre in mitres:
+        i, j = at.get(mitre.first), at.get(mitre.last)
+        if i is None or j is None or j - i != mitre.last - mitre.first:
+            continue
+        ends = np.hypot(*(points[i] - mitre.begin)), np.hypot(*(points[j + 1] - mitre.end))
+        if max(ends) < _SAME_M:
+            found.append((i, j, mitre))
+    return sorted(found, key=lambda item: item[0])
+
+
+def _replace(
+    points: FloatArray, labels: IntArray, whole: list[tuple[int, int, Mitre]]
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return points, labels, and for each chord the mitre that it belongs to or -1."""
+    parts, names, owner = [], [], []
+    last = 0
+    for k, (i, j, mitre) in enumerate(whole):
+        parts += [points[last : i + 1], mitre.apex[None]]
+        names += [labels[last:i], labels[[i, j]]]
+        owner += [np.full(i - last, -1), np.full(2, k)]
+        last = j + 1
+    parts.append(points[last:])
+    names.append(labels[last:])
+    owner.append(np.full(len(labels) - last, -1))
+    return (
+        np.concatenate(parts),
+        np.concatenate(names),
+        np.concatenate(owner).astype(np.int64),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Part:
+    """A part of a chain between two crossings.
+
+    ``begin`` and ``end`` are the indices of these crossings; -1 is the start and -2 the end of an
+    open chain. ``probe`` is a point well inside the part.
+    """
+
+    points: FloatArray
+    labels: IntArray
+    begin: int
+    end: int
+
+    @property
+    def probe(self) -> FloatArray:
+        """(2,) the middle of the longest chord."""
+        step = np.diff(self.points, axis=0)
+        k = int(np.argmax(np.hypot(*step.T)))
+        middle: FloatArray = self.points[k] + step[k] / 2.0
+        return middle
+
+
+def stitch_parts(
+    chain: FloatArray,
+    labels: IntArray,
+    closed: bool,
+    cuts: tuple[IntArray, IntArray, FloatArray, FloatArray],
+) -> list[Part]:
+    """Return the parts of ``chain`` between its crossings, in order.
+
+    Parameters
+    ----------
+    chain, labels
+        (n + 1, 2) points, and (n,) a number for each chord.
+    closed
+        Whether the chain ends where it begins.
+    cuts
+        First and second chord of each crossing, and the places on both, from 0 to 1.
+    """
+    first, second, at_first, at_second = cuts
+    chord = np.concatenate([first, second]).astype(np.int64)
+    at = np.concatenate([at_first, at_second])
+    name = np.tile(np.arange(len(first)), 2)
+    order = np.lexsort((at, chord))
+    chord, at, name = chord[order], at[order], name[order]
+    if not len(chord):
+        ends = (0, 0) if closed else (-1, -2)
+        return [Part(points=chain, labels=labels, begin=ends[0], end=ends[1])]
+    places = chain[chord] + at[:, None] * (chain[chord + 1] - chain[chord])
+    parts = []
+    for k in range(len(chord) - 1):
+        inner = slice(chord[k] + 1, chord[k + 1] + 1)
+        points = np.concatenate([places[k : k + 1], chain[inner], places[k + 1 : k + 2]])
+        names = labels[chord[k] : chord[k + 1] + 1]
+        parts.append(Part(points=points, labels=names, begin=int(name[k]), end=int(name[k + 1])))
+    head = np.concatenate([chain[: chord[0] + 1], places[:1]])
+    tail = np.concatenate([places[-1:], chain[chord[-1] + 1 :]])
+    head_labels, tail_labels = labels[: chord[0] + 1], labels[chord[-1] :]
+    if closed:
+        parts.append(
+            Part(
+                points=np.concatenate([tail, head[1:]]),
+                labels=np.concatenate([tail_labels, head_labels]),
+                begin=int(name[-1]),
+                end=int(name[0]),
+            )
+        )
+        return parts
+    return [
+        Part(points=head, labels=head_labels, begin=-1, end=int(name[0])),
+        *parts,
+        Part(points=tail, labels=tail_labels, begin=int(name[-1]), end=-2),
+    ]
+
+
+def clear_of(
+    probes: FloatArray, begin: FloatArray, end: FloatArray, distance_m: float
+) -> NDArray[np.bool_]:
+    """Return (n,) whether each probe is at least ``distance_m`` from every chord."""
+    result: NDArray[np.bool_] = _clear_of(probes, begin, end, distance_m)
+    return result
+
+
+@njit()
+def _clear_of(probes, begin, end, distance_m):  # type: ignore[no-untyped-def]
+    limit = distance_m * distance_m
+    clear = np.ones(len(probes), dtype=np.bool_)
+    for i in range(len(probes)):
+        px, py = probes[i, 0], probes[i, 1]
+        for j in range(len(begin)):
+            dx, dy = end[j, 0] - begin[j, 0], end[j, 1] - begin[j, 1]
+            qx, qy = px - begin[j, 0], py - begin[j, 1]
+            along = (qx * dx + qy * dy) / (dx * dx + dy * dy)
+            along = min(1.0, max(0.0, along))
+            ex, ey = qx - along * dx, qy - along * dy
+            if ex * ex + ey * ey < limit:
+                clear[i] = False
+                break
+    return clear
+
+
+TOLERANCE_M = 1e-7  # of the chords of curves; the offset is exact to 1 um
+_ROUND_M = 5e-7
+_MAX_CHORDS = 300_000
+_SLIGHT_RAD = math.radians(5.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Allowance:
+    """Distance and form of an offset.
+
+    Parameters
+    ----------
+    distance_m
+        Distance from the contour.
+    side
+        ``inside`` or ``outside`` a closed contour, ``left`` or ``right`` of an open one.
+    join
+        Form of corners, ``mitre`` or ``round``.
+    mitre_limit
+        A mitre longer than this multiple of the distance is rounded.
+    """
+
+    distance_m: float
+    side: str = "inside"
+    join: str = "mitre"
+    mitre_limit: float = 4.0
+
+
+def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Contour]:
+    """Return the contours at ``allowance`` from ``contour``; itself for a distance of 0.
+
+    An inside offset may consist of several contours, and narrow parts have none.
+
+    Raises
+    ------
+    JobError
+        If an open contour has no such side, the contour crosses itself, or nothing is left.
+
+    Notes
+    -----
+    Every chord is moved sideways; outer corners are rounded, inner corners overlap. The chain is
+    cut wherever it crosses itself, and parts that are nearer to the contour than the distance are
+    removed. Last, rounds are replaced by mitres where these are wanted and fit.
+    """
+    distance_m = allowance.distance_m
+    if distance_m == 0.0:
+        return [contour]
+    place = Place(file, int(contour.pieces.line[0]))
+    begin, end, piece = flatten(contour.pieces, TOLERANCE_M)
+    if len(begin) > _MAX_CHORDS:
+        raise JobError(
+            f"an allowance on a contour of {len(begin)} chords, limit {_MAX_CHORDS}", place=place
+        )
+    points, lines = _chain(begin, end, contour.pieces.line[piece], contour.closed)
+    if len(crossings(points[:-1], points[1:], contour.closed)[0]):
+        raise JobError(
+            "a contour that crosses itself has no inside for the allowance",
+            place=place,
+            remedy="Mend the drawing, or set allowance to 0 mm.",
+        )
+    signed_m = _side(points, contour.closed, allowance, place) * distance_m
+    first, last = contour.pieces.end_directions()
+    tangents = None if contour.closed else (first[0], last[-1])
+    raw, chord, mitres = _raw_offset(points, tangents, signed_m, allowance)
+    parts = [
+        (*sharpen(line, labels, closed, mitres), closed)
+        for line, labels, closed in _valid_parts(raw, points, contour.closed, distance_m)
+    ]
+    if not parts:
+        raise JobError(
+            f"an allowance of {distance_m * 1e3:g} mm leaves nothing of the contour",
+            place=place,
+            remedy="Lower the allowance.",
+        )
+    return [
+        Contour(
+            pieces=chords(line, lines[chord[labels]]),
+            closed=closed,
+            layer=contour.layer,
+            colour=contour.colour,
+        )
+        for line, labels, closed in parts
+    ]
+
+
+def _chain(
+    begin: FloatArray, end: FloatArray, lines: IntArray, closed: bool
+) -> tuple[FloatArray, IntArray]:
+    """Return (n + 1, 2) points without doubled ones; a closed chain ends in its first point."""
+    last = begin[:1] if closed else end[-1:]
+    points = np.concatenate([begin, last])
+    keep = np.hypot(*np.diff(points, axis=0).T) > 1e-10
+    return np.concatenate([points[:-1][keep], last]), lines[keep]
+
+
+def _side(points: FloatArray, closed: bool, allowance: Allowance, place: Place) -> float:
+    """Return 1 when the offset lies to the left of the contour's direction, -1 to the right."""
+    if allowance.side in ("left", "right"):
+        return 1.0 if allowance.side == "left" else -1.0
+    if not closed:
+        raise JobError(
+            f"an open contour has no {allowance.side}",
+            place=place,
+            remedy="Close it in the drawing, or set side to left or right.",
+        )
+    x, y = points.T
+    area = float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
+    return 1.0 if (area > 0.0) == (allowance.side == "inside") else -1.0
+
+
+def _raw_offset(
+    points: FloatArray,
+    tangents: tuple[FloatArray, FloatArray] | None,
+    signed_m: float,
+    allowance: Allowance,
+) -> tuple[FloatArray, IntArray, list[Mitre]]:
+    """Return the chain of moved chords, joined but not cut.
+
+    ``tangents`` are those of the curve at the ends of an open chain, None for a closed one. The
+    second result is the chord of the contour that each chord of the chain belongs to; the third are
+    the rounds that may be replaced by mitres.
+    """
+    closed = tangents is None
+    direction = np.diff(points, axis=0)
+    direction /= np.hypot(*direction.T)[:, None]
+    shift = signed_m * np.column_stack([-direction[:, 1], direction[:, 0]])
+    count = len(direction)
+    chain: list[FloatArray] = []
+    owner: list[int] = []
+    mitres: list[Mitre] = []
+
+    def add(point: FloatArray, chord: int) -> None:
+        chain.append(point)
+        owner.append(chord)
+
+    def end(point: FloatArray, tangent: FloatArray, chord: FloatArray) -> FloatArray:
+        # On the moved chord, square to the curve: chords lean a little at their ends.
+        normal = signed_m * np.array([-tangent[1], tangent[0]])
+        return np.asarray(point + normal * signed_m**2 / float(normal @ chord))
+
+    if tangents is not None:
+        add(end(points[0], tangents[0], shift[0]), 0)
+    for k in range(0 if closed else 1, count):
+        before, corner = (k - 1) % count, points[k]
+        d1, d2 = direction[before], direction[k]
+        turn = math.atan2(d1[0] * d2[1] - d1[1] * d2[0], float(d1 @ d2))
+        found = _corner(corner, shift[before], shift[k], turn, signed_m)
+        sharp = allowance.join == "mitre" and allowance.mitre_limit * math.cos(turn / 2.0) >= 1.0
+        if len(found) > 1 and turn * signed_m < 0.0 and sharp:
+            first = len(chain)
+            mitres.append(
+                Mitre(
+                    first=first,
+                    last=first + len(found) - 2,
+                    begin=found[0],
+                    apex=corner + (shift[before] + shift[k]) / 2.0 / math.cos(turn / 2.0) ** 2,
+                    end=found[-1],
+                )
+            )
+        for point in found:
+            add(point, k)
+    if tangents is None:
+        add(chain[0], 0)
+    else:
+        add(end(points[-1], tangents[1], shift[-1]), count - 1)
+    return np.array(chain), np.array(owner[:-1]), mitres
+
+
+def _corner(
+    corner: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    turn: float,
+    signed_m: float,
+) -> list[FloatArray]:
+    """Return the points of the chain at a vertex; ``before`` and ``after`` are the two shifts."""
+    inner = turn * signed_m > 0.0
+    mitre = 1.0 / max(math.cos(turn / 2.0), 1e-9)
+    if inner and abs(turn) > _SLIGHT_RAD:
+        # Through the vertex itself, so that the overlap is certainly too near and is removed.
+        return [corner + before, corner, corner + after]
+    if inner or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
+        return [corner + (before + after) / 2.0 * mitre**2]
+    radius = abs(signed_m)
+    step = 2.0 * math.acos(radius / (radius + _ROUND_M))
+    parts = math.ceil(abs(turn) / step)
+    angles = turn * (np.arange(parts) + 0.5) / parts  # a polygon around the arc, never nearer
+    grow = 1.0 / math.cos(turn / parts / 2.0)
+    cosine, sine = np.cos(angles) * grow, np.sin(angles) * grow
+    x = corner[0] + before[0] * cosine - before[1] * sine
+    y = corner[1] + before[0] * sine + before[1] * cosine
+    return [corner + before, *np.column_stack([x, y]), corner + after]
+
+
+def _valid_parts(
+    raw: FloatArray, points: FloatArray, closed: bool, distance_m: float
+) -> list[tuple[FloatArray, IntArray, bool]]:
+    """Return the parts of the raw chain that keep the distance, joined to chains.
+
+    Each chain is given by its points, the chord of the raw chain that each of its chords is part
+    of, and whether it is closed.
+    """
+    first, second, at_first, at_second, _ = crossings(raw[:-1], raw[1:], closed)
+    parts = stitch_parts(raw, np.arange(len(raw) - 1), closed, (first, second, at_first, at_second))
+    probes = np.array([part.probe for part in parts])
+    good = clear_of(probes, points[:-1], points[1:], distance_m - 1e-9)
+    kept = [part for part, ok in zip(parts, good, strict=True) if ok]
+    found = []
+    unused = dict(enumerate(kept))
+    starts: dict[int, list[int]] = {}
+    for k, part in unused.items():
+        starts.setdefault(part.begin, []).append(k)
+    order = sorted(unused, key=lambda k: kept[k].begin >= 0)  # the start of an open chain first
+    for k in order:
+        if k not in unused:
+            continue
+        chain = [unused.pop(k)]
+        while True:
+            following = [j for j in starts.get(chain[-1].end, []) if j in unused]
+            if chain[-1].end < 0 or not following:
+                break
+            chain.append(unused.pop(following[0]))
+        joined = np.concatenate([chain[0].points, *(part.points[1:] for part in chain[1:])])
+        labels = np.concatenate([part.labels for part in chain])
+        step = np.hypot(*np.diff(joined, axis=0).T) > 1e-10
+        joined = np.concatenate([joined[:1], joined[1:][step]])
+        loops = bool(np.hypot(*(joined[-1] - joined[0])) < 1e-9) and len(joined) > 3
+        if len(joined) > 1 and (loops or not closed):
+            found.append((joined, labels[step], loops))
+    return found

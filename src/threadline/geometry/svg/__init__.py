@@ -1,0 +1,5 @@
+"""SVG drawings, read strictly: a construct that is not understood is refused and not ignored."""
+
+from threadline.geometry.svg.read_svg import read_svg
+
+__all__ = ["read_svg"]

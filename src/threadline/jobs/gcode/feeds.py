@@ -1,0 +1,353 @@
+"""F words: their meaning, the feeds that they stand for, and the unit of length in force.
+
+In G94, F is a speed in mm/min (G20: inch/min). Which speed that is when axes of different kinds
+move together differs from controller to controller. ``RULES`` has their rules by name:
+
+``fastest-axis`` (the default: the printed winder's)
+    of the fastest axis, where a rotary axis counts with the length of its arc at its radius. A
+    move by the differences d_i takes max_i(r_i |d_i|) / F, r_i = 1 for a linear axis. No axis moves
+    faster than F, and F of a move of one linear axis is its speed.
+``base-axes``
+    of the base axes alone, as CADFIL has it: mode 1 has the base A, mode 2 A and X. The move
+    takes |(r_i d_i), i in the base| / F, and the other axes follow. A move that leaves the base
+    at rest takes the length of all axes instead.
+``path``
+    along the path of the linear axes; a move of rotary axes alone takes their length at their
+    radii.
+``cadfil``, ``grbl``, ``fluidnc``, ``fanuc``
+    along the path of all axes together, a degree counted as a millimetre: the times in the
+    reports of CADFIL; grbl's and FluidNC's planner, which takes the length of a block over every
+    axis that it has; Fanuc's G01 of linear and rotary axes (B-63174EN, section 4.2: the tangential
+    speed in the Cartesian system of the axes).
+``linuxcnc``, ``rs274``, ``marlin``
+    along the path of X Y Z; where these rest of U V W; where they rest, too, of A B C in
+    degrees a minute: RS274/NGC version 3 section 2.1.2.5 (which has no U V W), LinuxCNC's canon
+    and Marlin 2.1's ``get_move_distance`` with rotational axes.
+
+The last three rules depend on the letters of the axes alone, as in the firmwares: a mandrel that is
+axis Y of a Marlin counts with the linear axes, a degree as a millimetre. For a move of A B C alone
+F is in degrees, so that G20 does not scale it.
+
+In G93, F is the inverse of the time of the move in minutes, and every G1 block has its own. G0
+moves as fast as the limits of the machine allow.
+
+The reader reports F as it is written. The operator's normal feed (counts per tick of the fastest
+axis), where a machine file has one, caps it when the path is planned, unless another feed is given:
+the 1994 controller ran the printed program, whose F 12000 would be 200 mm/s, at 10 counts per tick.
+The reader warns where that will happen.
+
+A subroutine without G20 or G21 has the unit of its caller; one with them leaves its own unit in
+force when it returns. Modes, feeds and calls are therefore noted in order while the file is
+scanned. When all programs are known, the calls are followed from the main program on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from threadline.errors import OptionError
+from threadline.jobs.gcode.words import ONE
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.machine import Machine
+
+_AT_RADIUS = "a rotary axis at its radius"
+_DEGREE = "a degree as a millimetre"
+_ALL = (FeedMode.ALL_AXES, f"of all axes together, {_DEGREE}")
+_IN_TURN = (FeedMode.IN_TURN, "of X Y Z, else of U V W, else of A B C in degrees")
+RULES: Mapping[str, tuple[FeedMode, str]] = {
+    "fastest-axis": (FeedMode.FASTEST_AXIS, f"of the fastest axis, {_AT_RADIUS}"),
+    "base-axes": (FeedMode.BASE_AXES, f"of the base axes, {_AT_RADIUS}"),
+    "path": (FeedMode.PATH, "of the linear axes"),
+    "cadfil": _ALL,
+    "grbl": _ALL,
+    "fluidnc": _ALL,
+    "fanuc": _ALL,
+    "linuxcnc": _IN_TURN,
+    "rs274": _IN_TURN,
+    "marlin": _IN_TURN,
+}
+"""The mode of each rule, and the text of which speed F is."""
+F_MODES = tuple(dict.fromkeys(mode for mode, _ in RULES.values()))
+_WITHOUT_UVW = "rs274"
+
+
+@dataclass(frozen=True, slots=True)
+class FRule:
+    """What F means in G94: ``mode``, by the rule called ``name``."""
+
+    name: str
+    mode: FeedMode
+    base_axes: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """Name of the rule with its base axes."""
+        base = f":{','.join(self.base_axes)}" if self.base_axes else ""
+        return f"{self.name}{base}"
+
+
+def parse_feed_mode(text: str) -> dict[str, Any]:
+    """Return the reader's options ``feed_mode`` and ``base_axes`` of a text.
+
+    The text is like ``"path"`` or ``"base-axes:A,X"``. The reader refuses unknown rules and axes.
+    """
+    mode, _, axes = text.partition(":")
+    base = tuple(name.strip().upper() for name in axes.split(",")) if axes.strip() else ()
+    return {"feed_mode": mode.strip(), "base_axes": base}
+
+
+def f_rule(
+    machine: Machine,
+    feed_mode: str | None,
+    base_axes: tuple[str, ...] = (),
+    of_dialect: str = "fastest-axis",
+) -> FRule:
+    """Return the rule for F on ``machine``; with None that of its file, else that of the dialect.
+
+    Raises
+    ------
+    OptionError
+        If there is no such rule, a base axis is missing or not of the machine, or the machine has
+        axes that the rule does not know.
+    """
+    if feed_mode is None:
+        feed_mode = machine.programs.feed_mode or of_dialect
+        base_axes = machine.programs.base_axes
+    if feed_mode not in RULES:
+        raise OptionError(
+            f"F cannot be read as {str(feed_mode)!r}", remedy=f"Choose {', '.join(RULES)}."
+        )
+    for name in base_axes:
+        if name not in machine.axis_names:
+            raise OptionError(
+                f"the base axis {name!r} is not one of {machine.name!r}",
+                remedy=f"It has {', '.join(machine.axis_names)}.",
+            )
+    mode, _ = RULES[feed_mode]
+    if (mode is FeedMode.BASE_AXES) != bool(base_axes):
+        raise OptionError(
+            "base axes go with the feed mode base-axes, and only with it",
+            remedy="CADFIL's mode 1 has the base A, mode 2 the base A, X.",
+        )
+    beyond = [axis for axis in machine.axis_names if axis in "UVW"]
+    if feed_mode == _WITHOUT_UVW and beyond:
+        raise OptionError(
+            f"RS274/NGC does not say what F means to the axis {beyond[0]}",
+            remedy="Choose linuxcnc, which takes U V W behind X Y Z.",
+        )
+    return FRule(feed_mode, mode, tuple(base_axes))
+
+
+def normal_feed_m_s(machine: Machine) -> tuple[float, ...] | None:
+    """Return the (axes,) speed of each axis at the tool at the operator's normal feed."""
+    if machine.operator is None:
+        return None
+    tick_s = float(machine.tick_clock.period_s)
+    per_axis = machine.operator.normal_feed.si / machine.counts_per_unit / tick_s
+    return tuple((per_axis * machine.radius_m).tolist())
+
+
+def as_f_words(value_m_s: float, rule: str) -> Feed:
+    """Return the feed of F words of that value, by ``Job.feed_rule``.
+
+    Raises
+    ------
+    OptionError
+        If the job has no F words that are a speed.
+    """
+    name, _, base = rule.partition(":")
+    if name not in RULES:
+        raise OptionError(
+            f"feed 'F {60_000.0 * value_m_s:.6g}': F of this job is no speed of its moves",
+            remedy='Give the speed of the fastest axis, like "36 mm/s".',
+        )
+    return Feed(RULES[name][0], value_m_s, tuple(base.split(",")) if base else ())
+
+
+def of_which(rule: str) -> str:
+    """Return of which speed F is, in words, by ``Job.feed_rule``.
+
+    >>> of_which("base-axes:A,X"), of_which("x-winder")
+    ('of the base axes, a rotary axis at its radius', 'of the carriage, a second')
+    """
+    name = rule.partition(":")[0]
+    return RULES[name][1] if name in RULES else "of the carriage, a second"
+
+
+_MOST = 1000
+_MM_PER_M = 1000 * ONE
+
+
+class KeptFeeds:
+    """Feeds by their mode and value, so that equal feeds are one object.
+
+    Parameters
+    ----------
+    rule
+        Meaning of F in G94.
+    """
+
+    def __init__(self, rule: FRule) -> None:
+        self._rule = rule
+        self._kept: dict[tuple[FeedMode, float], Feed] = {}
+
+    def feed(self, value: float, *, inverse_time: bool) -> Feed:
+        """Return the feed with ``value`` in m/s, in G93 (``inverse_time``) in 1/s."""
+        rule = self._rule
+        mode = FeedMode.INVERSE_TIME if inverse_time else rule.mode
+        feed = self._kept.get((mode, value))
+        if feed is None:
+            if len(self._kept) >= _MOST:
+                self._kept.clear()
+            feed = Feed(mode, value, rule.base_axes if mode is FeedMode.BASE_AXES else ())
+            self._kept[mode, value] = feed
+        return feed
+
+
+@lru_cache(maxsize=_MOST)
+def travelling(feed: Feed) -> Feed:
+    """Return the feed of a G0 that goes at ``feed``."""
+    return feed if feed.travels else replace(feed, travel=True)
+
+
+def value_of(word: int, tenth_mm: int, *, inverse_time: bool) -> float:
+    """Return what the word F stands for: m/s, in G93 (``inverse_time``) 1/s.
+
+    Parameters
+    ----------
+    word
+        The word, exactly.
+    tenth_mm
+        Tenths of a millimetre in the unit of length.
+    """
+    if inverse_time:
+        return word / (60 * ONE)
+    return word * tenth_mm / (10 * 60 * _MM_PER_M)
+
+
+MILLIMETRE, INCH = 10, 254  # tenths of a millimetre
+_UNITS = {200: INCH, 210: MILLIMETRE}
+_INVERSE = {930: True, 940: False}
+_MAX_NOTES = 100_000
+
+
+class _Modes(NamedTuple):
+    """Tenths of a millimetre, and whether F is an inverse of a time; None: as at the call."""
+
+    unit: int | None = None
+    inverse: bool | None = None
+
+    def then(self, later: _Modes) -> _Modes:
+        return _Modes(
+            self.unit if later.unit is None else later.unit,
+            self.inverse if later.inverse is None else later.inverse,
+        )
+
+
+class _Feed(NamedTuple):
+    exact: int
+    line: int
+
+
+class _Call(NamedTuple):
+    label: int
+    repeats: bool
+
+
+_Note = _Modes | _Feed | _Call
+
+
+@dataclass(slots=True)
+class _Program:
+    notes: list[_Note] = field(default_factory=list)
+    feeds: set[int] = field(default_factory=set)  # noted since a mode may have changed
+
+
+@dataclass(slots=True)
+class FeedNotes:
+    """The modes, feeds and calls of every program of a file, in order.
+
+    At most a hundred thousand are kept, so that memory is bounded; repetitions are left out.
+    """
+
+    _programs: dict[int | None, _Program] = field(default_factory=dict)
+    _count: int = 0
+
+    def set_mode(self, program: int | None, code: int) -> None:
+        """Note ten times G20, G21, G93 or G94; any other code changes nothing here."""
+        modes = _Modes(_UNITS.get(code), _INVERSE.get(code))
+        if modes != _Modes():
+            self._change(program, modes)
+
+    def feed(self, program: int | None, exact: int, line: int) -> None:
+        """Note an exact F."""
+        kept = self._programs.setdefault(program, _Program())
+        if exact not in kept.feeds and self._count < _MAX_NOTES:
+            self._count += 1
+            kept.feeds.add(exact)
+            kept.notes.append(_Feed(exact, line))
+
+    def call(self, program: int | None, label: int, passes: int) -> None:
+        """Note a call."""
+        self._change(program, _Call(label, passes > 1))
+
+    def _change(self, program: int | None, note: _Modes | _Call) -> None:
+        kept = self._programs.setdefault(program, _Program())
+        if (not kept.notes or kept.notes[-1] != note) and self._count < _MAX_NOTES:
+            self._count += 1
+            kept.feeds.clear()
+            kept.notes.append(note)
+
+    def speeds(self, main: int | None) -> dict[tuple[int, int], int]:
+        """Return the first line of each speed F (in G94) of the programs that are run.
+
+        The keys are exact F and its unit in tenths of a millimetre.
+
+        Parameters
+        ----------
+        main
+            Label of the main program. No program may call itself.
+        """
+        left: dict[int | None, _Modes] = {}
+        found: dict[tuple[int, int], int] = {}
+        waiting = [(main, _Modes(MILLIMETRE, False))]
+        seen = set(waiting)
+        while waiting:
+            program, modes = waiting.pop()
+            for note, now in self._followed(program, modes, left):
+                if isinstance(note, _Feed) and not now.inverse and now.unit is not None:
+                    key = note.exact, now.unit
+                    found[key] = min(note.line, found.get(key, note.line))
+                elif isinstance(note, _Call):
+                    again = now.then(self._left(note.label, left))
+                    for entry in (now, again) if note.repeats else (now,):
+                        if (note.label, entry) not in seen:
+                            seen.add((note.label, entry))
+                            waiting.append((note.label, entry))
+        return dict(sorted(found.items(), key=lambda item: item[1]))
+
+    def _followed(
+        self, program: int | None, modes: _Modes, left: dict[int | None, _Modes]
+    ) -> Iterator[tuple[_Note, _Modes]]:
+        """Yield the notes of a program that begins in ``modes``, each with the modes before it."""
+        for note in self._programs.get(program, _Program()).notes:
+            yield note, modes
+            if isinstance(note, _Modes):
+                modes = modes.then(note)
+            elif isinstance(note, _Call):
+                modes = modes.then(self._left(note.label, left))
+
+    def _left(self, program: int | None, left: dict[int | None, _Modes]) -> _Modes:
+        """Return the modes that a program leaves behind, None for those that it leaves alone."""
+        if program not in left:
+            modes = _Modes()
+            for note in self._programs.get(program, _Program()).notes:
+                if isinstance(note, _Modes):
+                    modes = modes.then(note)
+                elif isinstance(note, _Call):
+                    modes = modes.then(self._left(note.label, left))
+            left[program] = modes
+        return left[program]

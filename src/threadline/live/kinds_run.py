@@ -1,0 +1,204 @@
+"""How each kind of work is run: one row for each, and no question after the kind elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.commands.plan import Plan
+from threadline.files import (
+    Commands,
+    Event,
+    StepPlay,
+    SwitchSchedule,
+    TickTable,
+    played,
+    tick_table,
+)
+from threadline.live.ahead import Ahead, halts_of_rows
+from threadline.live.derived import Rest, rest_of_rows, rest_of_scans, rest_of_turns
+from threadline.live.guards import Guards, ScanGuards, TurnGuards
+from threadline.live.hold_deviation import hold_deviation_m, spoiled_by_holds
+from threadline.live.scans_ahead import ScansAhead, waits_of_schedule
+from threadline.live.turns_ahead import TurnsAhead
+from threadline.live.wire import Message
+from threadline.machine import Machine
+from threadline.proof.kinds import kind_of
+from threadline.verdict import Result, Spec
+
+
+class RunAhead(Protocol):
+    """The part of a run that was sent to the machine, which always ends at rest."""
+
+    keeps_home: bool
+    """Whether positions are known after a stop."""
+    to_rest: bool
+    """Whether a hold waits for the next rest of the program."""
+
+    @property
+    def start(self) -> IntArray:
+        """Position at which it begins, in the units of its commands."""
+
+    @property
+    def settle_ticks(self) -> int:
+        """How long it is recorded after the end."""
+
+    @property
+    def end(self) -> int:
+        """Tick up to which what was sent lasts."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the end has been sent."""
+
+    @property
+    def halt(self) -> Event | None:
+        """Stop or wait at which what was sent ends."""
+
+    @property
+    def rests(self) -> bool:
+        """Whether what was sent ends at the rest that ``to_rest`` asks for."""
+
+    def refuse_elsewhere(self, stands: IntArray) -> None:
+        """Refuse to begin anywhere but at ``start``."""
+
+    def hear(self, head: Mapping[str, Any]) -> str:
+        """Learn from the head of a report; return the fault that it tells of, or nothing."""
+
+    def met(self, now: Mapping[str, float]) -> bool:
+        """Return whether it stands at a wait whose input has the value waited for."""
+
+    def pass_halt(self) -> None:
+        """Go on after the halt."""
+
+    def forget(self, tick: int) -> None:
+        """Delete what lies before a tick."""
+
+    def extend(self, until: int) -> Message:
+        """Return the refill up to a tick, with what brings it to rest behind that."""
+
+    def cut(self, tick: int) -> Message:
+        """Return the refill that stops from a tick on."""
+
+    def undo(self) -> bool:
+        """Undo the last cut, which the machine refused; return whether there was one."""
+
+    def rest_until(self, tick: int) -> None:
+        """Extend a rest to a tick."""
+
+    def start_again(self) -> None:
+        """Start from rest."""
+
+
+class Watch(Protocol):
+    """Guards of one run."""
+
+    def trip(
+        self, tick: int, samples: Mapping[str, FloatArray], late: bool, late_periods: float
+    ) -> str:
+        """Return the text of the fault in a report; empty where there is none."""
+
+
+class MakeAhead(Protocol):
+    """Makes what a run sends ahead."""
+
+    def __call__(
+        self,
+        commands: Commands,
+        machine: Machine,
+        *,
+        pass_stops: bool = False,
+        loads_follow: bool = False,
+    ) -> RunAhead:
+        """Return it for the beginning of a run."""
+
+
+class MakeRest(Protocol):
+    """Makes the commands that do the rest of a job, from an operation on; see ``derived``."""
+
+    def __call__(
+        self, commands: Commands, machine: Machine, operation: int, *, at_rest: bool
+    ) -> Rest:
+        """Return them."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """How one kind of work is run.
+
+    Parameters
+    ----------
+    start
+        Returns the position at which commands begin, in their units.
+    ahead
+        Makes what is sent ahead to the machine.
+    guards
+        Makes the guards of a run.
+    halts
+        Returns the events at which the operator or an input is waited for.
+    hold_deviation_m
+        Returns how far beside its path a hold would stand, in m; infinite where work is held at
+        its rests alone.
+    spoiled_by_holds
+        Returns the criteria that a hold anywhere would bring out of specification.
+    rest
+        Makes the commands that do the rest of a job.
+    loads_follow
+        Whether the commands of a plan tell the motors what the loads need.
+    tells_plan
+        Whether the machine tells the plan's time of what it plays (events ``plan``).
+    by_hand
+        Whether its axes can be moved by hand, one at a time.
+    """
+
+    start: Callable[[Commands], IntArray]
+    ahead: MakeAhead
+    guards: Callable[[Machine], Watch]
+    halts: Callable[[Commands], Iterable[Event]]
+    hold_deviation_m: Callable[[Plan], float]
+    rest: MakeRest
+    spoiled_by_holds: Callable[[Plan, Spec], tuple[Result, ...]] = lambda _, __: ()
+    loads_follow: Callable[[Plan], bool] = lambda _: False
+    by_hand: bool = False
+    tells_plan: bool = False
+
+
+_WAYS: dict[type[Commands], Way] = {
+    TickTable: Way(
+        start=lambda commands: tick_table(commands).start_counts,
+        ahead=Ahead,
+        guards=Guards,
+        halts=halts_of_rows,
+        hold_deviation_m=hold_deviation_m,
+        spoiled_by_holds=spoiled_by_holds,
+        rest=rest_of_rows,
+        loads_follow=lambda plan: plan.motion.of_loads is not None,
+        by_hand=True,
+        tells_plan=True,
+    ),
+    SwitchSchedule: Way(
+        start=lambda _: np.zeros(0, dtype=np.int64),
+        ahead=ScansAhead,
+        guards=ScanGuards,
+        halts=waits_of_schedule,
+        hold_deviation_m=lambda _: float("inf"),
+        rest=rest_of_scans,
+    ),
+    StepPlay: Way(
+        start=lambda commands: played(commands).start_steps,
+        ahead=TurnsAhead,
+        guards=lambda _: TurnGuards(),
+        halts=lambda _: (),
+        hold_deviation_m=lambda _: 0.0,
+        rest=rest_of_turns,
+    ),
+}
+
+
+def way_of(machine: Machine) -> Way:
+    """Return how the work of a machine is run."""
+    return _WAYS[kind_of(machine).commands]

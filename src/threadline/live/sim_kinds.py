@@ -1,0 +1,433 @@
+"""Simulated machines with axes, cylinders and an embroidery frame, behind one link.
+
+It holds a piece of the schedule, a place that it does not pass, and a scan from which on it
+switches everything off. Each refill moves both on.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
+from threadline.files import (
+    Channel,
+    Clock,
+    Ended,
+    Event,
+    RecordingBlock,
+    StepPlay,
+    StepTable,
+    StitchBlock,
+    Stream,
+    TickBlock,
+)
+from threadline.files.step_play import CountedBy
+from threadline.live.pace import Pace
+from threadline.live.sim_machine import SimFault, SimMachine
+from threadline.live.wire import Message, event_of
+from threadline.machine import Machine
+from threadline.twin import session_of
+from threadline.twin.row_session import RowSession
+from threadline.twin.stitching import COLUMNS, StitchingSession, stitching_channels
+from threadline.twin.switching_session import SwitchingSession
+
+
+class SimRows(SimMachine):
+    """A machine that plays a row of counts at each tick; see ``SimMachine``."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        start: IntArray,
+        tell: Callable[[Message], None],
+        fault: SimFault | None = None,
+    ) -> None:
+        super().__init__(machine, start, tell, fault)
+        self._session = self._new_session()
+        self._rows = np.zeros((0, len(machine.axes)), np.int64)  # held, for the ticks from now on
+        self._operations = np.zeros(0, np.int64)  # of these rows
+        self._places = np.zeros(0)  # of the table, behind each of them
+        self._pace = Pace(machine.tick_clock)
+        self._events: deque[Event] = deque()
+        self._wanted_until = 0  # tick from which on what is held is the spare tail
+        self._position = np.zeros(len(machine.axes), dtype=np.int64)
+        self._last = False  # what is held ends with the last row of the run
+
+    def _new_session(self) -> RowSession:
+        """Return what the rows are played on, at rest at the start."""
+        return session_of(self._machine, self._start)
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels that it reports."""
+        return self._session.channels
+
+    @property
+    def tick(self) -> int:
+        """Ticks since the beginning of the run."""
+        return self._session.tick
+
+    @property
+    def held(self) -> int:
+        """Number of rows that it holds."""
+        return len(self._rows)
+
+    @property
+    def position(self) -> IntArray:
+        """(axes,) counts commanded since the beginning of the run."""
+        return self._position
+
+    @property
+    def wanted(self) -> int:
+        """Number of rows that it holds, without the braking tail."""
+        return max(0, self._wanted_until - self.tick)
+
+    def _drop(self) -> None:
+        self._hold_nothing()
+        self._events.clear()
+
+    def _hold_nothing(self) -> None:
+        self._rows, self._operations = self._rows[:0], self._operations[:0]
+        self._places = self._places[:0]
+
+    def _start_anew(self) -> str:
+        if self._session.tick:
+            self._start = self._start + self._position
+            self._position = np.zeros_like(self._position)
+            self._session = self._new_session()
+        self._pace = Pace(self._machine.tick_clock)
+        self._wanted_until, self._last = 0, False
+        return ""
+
+    def _take_refill(self, message: Message) -> str:
+        """Replace the rows from a tick on; refuse rows that do not continue those before them."""
+        first, wanted = int(message.head["first"]), int(message.head["wanted"])
+        counts, operation = message.arrays["counts"], message.arrays["operation"]
+        if why := self._unfit(first, message.arrays["at"]):
+            return why
+        kept = first - self.tick
+        rest = np.zeros((max(kept - len(self._rows), 0), len(self._position)), np.int64)
+        self._rows = np.concatenate([self._rows[:kept], rest, counts.astype(np.int64, copy=False)])
+        self._operations = np.concatenate(
+            [self._operations[:kept], rest[:, 0], operation.astype(np.int64, copy=False)]
+        )
+        places = self._places[:kept]
+        stands = places[-1] if len(places) else self._pace.place
+        # A jog has no places: it is no part of a plan.
+        behind = message.arrays.get("place", stands + np.arange(1.0, len(counts) + 1.0))
+        self._places = np.concatenate([places, np.full(len(rest), stands), behind])
+        self._events = deque(event for event in self._events if event.tick < first)
+        self._events.extend(event_of(told) for told in message.head["events"])
+        self._wanted_until = first + wanted
+        self._last = bool(message.head["last"])
+        return ""
+
+    def _unfit(self, first: int, at: FloatArray | IntArray) -> str:
+        if first < self.tick:
+            return "that tick is past"
+        stands = self._position + self._rows[: first - self.tick].sum(axis=0)
+        if not np.array_equal(stands, at):
+            return "its rows do not go on from where those before them end"
+        return ""
+
+    def _tell_end(self, ended: Ended, text: str) -> None:
+        self._session.resume()
+        self._session.finish(ended, text)
+
+    def _simulate(self, ticks: int) -> list[RecordingBlock]:
+        until = self.tick + ticks
+        parts: list[RecordingBlock] = []
+        while self.tick < until and not self._session.failed:
+            room = until - self.tick
+            parts.append(self._row_block(room) if len(self._rows) else self._stand(room))
+        if self._session.failed:  # nothing is known of it any more
+            self._hold_nothing()
+        return parts
+
+    def _row_block(self, room: int) -> RecordingBlock:
+        """Play at most ``room`` of the rows that are held."""
+        n = min(room, len(self._rows))
+        counts, self._rows = self._rows[:n], self._rows[n:]
+        operation, self._operations = self._operations[:n], self._operations[n:]
+        places, self._places = self._places[:n], self._places[n:]
+        session, first = self._session, self.tick
+        session.resume()
+        due = []
+        while self._events and self._events[0].tick <= self.tick + n:
+            event = self._events.popleft()
+            due.append(replace(event, tick=session.row + event.tick - self.tick))
+        rows = TickBlock(
+            first_tick=session.row,
+            counts=counts,
+            operation=operation,
+            events=tuple(due),
+        )
+        self._position = self._position + counts.sum(axis=0)
+        if self.tick + n > self._wanted_until:
+            self.starved = True
+        block = session.advance(rows)
+        return _telling(block, self._pace.played(first, places[: self.tick - first]))
+
+    def _stand(self, room: int) -> RecordingBlock:
+        session, first = self._session, self.tick
+        stands = session.row > 0 and not self._last and session.ended is None
+        if self._last:
+            session.finish()
+        elif stands and not self.starved:
+            session.hold()
+        block = session.advance(ticks=room)
+        return _telling(block, self._pace.stood(first, self.tick - first) if stands else ())
+
+
+def _telling(block: RecordingBlock, more: tuple[Event, ...]) -> RecordingBlock:
+    """Return a block that tells of more events, in the order of their ticks."""
+    if not more:
+        return block
+    return replace(block, events=tuple(sorted([*block.events, *more], key=lambda e: e.tick)))
+
+
+class SimScans(SimMachine):
+    """A machine that plays a schedule of outputs; see ``SimMachine``."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        start: IntArray,
+        tell: Callable[[Message], None],
+        fault: SimFault | None = None,
+    ) -> None:
+        super().__init__(machine, start, tell, fault)
+        self._session = self._at_home()
+        self._last = False  # it has all of the schedule, or was told to stop
+
+    def _at_home(self) -> SwitchingSession:
+        fault = self._fault
+        broken = fault is not None and fault.kind == "light-grid"
+        scan_s = float(self._machine.command_clock.period_s)
+        return SwitchingSession(
+            self._machine, break_s=fault.tick * scan_s if broken and fault is not None else None
+        )
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels that it reports."""
+        return self._session.channels
+
+    @property
+    def tick(self) -> int:
+        """Scans since the beginning of the run."""
+        return self._session.tick
+
+    @property
+    def held(self) -> int:
+        """1 while the schedule goes on, 0 when everything is off."""
+        return int(self._begun and self._session.switched_off_at is None)
+
+    @property
+    def position(self) -> IntArray:
+        """(0,): a controller of valves knows no positions."""
+        return np.zeros(0, dtype=np.int64)
+
+    def _drop(self) -> None:
+        self._session.switch_off_at(self.tick)
+
+    def _start_anew(self) -> str:
+        if self._session.tick:  # homed since: the cylinders stand at their starts again
+            self._session = self._at_home()
+        self._last = False
+        return ""
+
+    def _take_refill(self, message: Message) -> str:
+        head, arrays = message.head, message.arrays
+        if "after" in head:
+            if int(head["after"]) != self._session.taken:
+                return f"it has {self._session.taken} rows, and is told those after {head['after']}"
+            self._session.take(
+                np.asarray(arrays["ticks"], dtype=np.int64),
+                np.asarray(arrays["levels"], dtype=np.int64),
+                np.asarray(arrays["operation"], dtype=np.int64),
+                [event_of(told) for told in head["events"]],
+                reach=int(head["reach"]),
+                duration=None if head["duration"] is None else int(head["duration"]),
+            )
+        self._last = bool(head["last"])
+        self._session.switch_off_at(int(head["off"]))
+        return ""
+
+    def _tell_end(self, ended: Ended, text: str) -> None:
+        self._session.finish(ended, text)
+
+    def _simulate(self, ticks: int) -> list[RecordingBlock]:
+        block = self._session.advance(ticks)
+        self.starved = self.starved or (self._session.ran_dry and not self._last)
+        return [block]
+
+    def _told_besides(self) -> dict[str, Any]:
+        session = self._session
+        return {
+            "place": session.place,
+            "off": session.switched_off_at,
+            "failure": session.failure,
+        }
+
+
+class SimTurns(SimMachine):
+    """A machine that plays a table of steps for each turn and axis; see ``SimMachine``."""
+
+    def __init__(
+        self,
+        machine: Machine,
+        start: IntArray,
+        tell: Callable[[Message], None],
+        fault: SimFault | None = None,
+    ) -> None:
+        super().__init__(machine, start, tell, fault)
+        self._home_at = start
+        self._session: StitchingSession | None = None  # until it has its tables
+        self._idle = 0  # samples without tables
+        self._last = False
+        self._until = 0  # sample up to which it was told whether turns begin
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """Channels that it reports."""
+        return tuple(stitching_channels(self._machine))
+
+    @property
+    def tick(self) -> int:
+        """Samples since the beginning of the run."""
+        return self._idle if self._session is None else self._session.tick
+
+    @property
+    def held(self) -> int:
+        """Samples until the frame rests."""
+        return 0 if self._session is None else max(self._session.rests_at - self.tick, 0)
+
+    @property
+    def position(self) -> IntArray:
+        """(A,) steps commanded since the beginning of the run."""
+        if self._session is None:
+            return np.zeros(len(self._machine.axes), dtype=np.int64)
+        return np.rint(self._session.steps).astype(np.int64)
+
+    def _drop(self) -> None:
+        if self._session is not None:
+            self._session.drop_from(self.tick)
+
+    def _home(self, message: Message) -> None:
+        if self._enabled and self.standing:  # the frame goes back to where it was switched on
+            self._start, self._session = self._home_at, None
+        super()._home(message)
+
+    def _start_anew(self) -> str:
+        self._start = self._start + self.position
+        self._session, self._idle, self._last, self._until = None, 0, False, 0
+        return ""
+
+    def _take_refill(self, message: Message) -> str:
+        head, arrays = message.head, message.arrays
+        if "drop" in head:
+            if self._session is None or int(head["drop"]) < self.tick:
+                return "that tick is past"
+            self._session.drop_from(int(head["drop"]))
+            self._last, self._until = True, int(head["drop"])
+            return ""
+        if "lengths" in arrays:
+            self._session = StitchingSession(self._machine, self._with_tables(message))
+        session = self._session
+        if session is None or int(head["after"]) != session.taken:
+            return f"it is told the turns after {head['after']}, and has others"
+        columns = {name: np.asarray(arrays[name], dtype=np.int64) for name in COLUMNS}
+        events = tuple(event_of(told) for told in head["events"])
+        turns = StitchBlock(first_stitch=session.taken, events=events, **columns)
+        following = head["following"]
+        try:
+            session.take(turns, None if following is None else (following[0], following[1]))
+        except OptionError as error:
+            return error.message
+        self._last, self._until = bool(head["last"]), int(head["until"])
+        return ""
+
+    def _with_tables(self, message: Message) -> StepPlay:
+        """Return commands without turns that have the tables of a first refill."""
+        head, arrays = message.head, message.arrays
+        ends = np.cumsum(arrays["lengths"])
+        library = tuple(
+            StepTable(units=int(units), intervals=np.asarray(part, dtype=np.int64))
+            for units, part in zip(
+                arrays["units"], np.split(arrays["intervals"], ends[:-1]), strict=True
+            )
+        )
+        return self._without_turns(
+            library,
+            self._machine.clock(str(head["clock"])),
+            head["counted_by"],
+            (int(head["window_angle"]), int(head["steps_per_turn"])),
+            np.asarray(arrays["steps_per_unit"], dtype=np.float64),
+        )
+
+    def _without_turns(
+        self,
+        library: tuple[StepTable, ...],
+        clock: Clock,
+        counted_by: CountedBy,
+        window: tuple[int, int],
+        steps_per_unit: FloatArray,
+    ) -> StepPlay:
+        """Return commands of this machine; ``window`` is a part of so many of a turn."""
+        return StepPlay(
+            clock=clock,
+            counted_by=counted_by,
+            steps_per_turn=window[1],
+            window_angle=window[0],
+            axes=self._machine.axis_names,
+            steps_per_unit=steps_per_unit,
+            start_steps=self._start,
+            library=library,
+            blocks=Stream.of(()),
+            duration_ticks=0,
+            job_sha256="",
+            machine_sha256=self._machine.sha256,
+        )
+
+    def _play_a_moment(self) -> None:
+        """Play one turn of one step on each axis: without tables nothing would be played."""
+        axes, machine = len(self._machine.axes), self._machine
+        table = StepTable(units=1, intervals=np.ones(1, np.int64))
+        play = self._without_turns((table,), machine.tick_clock, "time", (1, 2), np.ones(axes))
+        session = StitchingSession(machine, play)
+        one = np.ones(1, np.int64)
+        turn = StitchBlock(
+            first_stitch=0,
+            begin=0 * one,
+            window=one,
+            table=np.zeros((1, axes), np.int64),
+            sign=np.ones((1, axes), np.int64),
+            start=0 * one,
+            needle=one,
+            operation=0 * one,
+        )
+        session.take(turn, None)
+        session.advance(2)
+
+    def _tell_end(self, ended: Ended, text: str) -> None:
+        if self._session is not None:
+            self._session.finish(ended, text)
+
+    def _simulate(self, ticks: int) -> list[RecordingBlock]:
+        if self._session is None:
+            self._idle += ticks
+            return []
+        block = self._session.advance(ticks)
+        if self.tick > self._until and not self._last:
+            self.starved = True
+        return [block]
+
+    def _told_besides(self) -> dict[str, Any]:
+        return {"rests_at": 0 if self._session is None else self._session.rests_at}

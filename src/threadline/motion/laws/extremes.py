@@ -1,0 +1,108 @@
+"""Peaks of any law and its derivatives, to rounding, and whether it is monotone."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
+
+_DEGREE = 18
+_LOOKS = 33
+_MISSED = 0.02  # share of a stretch's range by which samples may fall short of its extreme
+_FLAT = 1e-9
+"""Share of the peak velocity: a descent below it is rounding, not a way back."""
+_STEP = 1e-7
+"""Share of the peak acceleration: a smaller step between two stretches is rounding."""
+
+
+class Rise(Protocol):
+    """A motion law, as far as its extremes depend on it."""
+
+    @property
+    def name(self) -> str:
+        """Name of the law."""
+
+    @property
+    def edges(self) -> FloatArray:
+        """(n,) ends of the stretches on which the law is smooth, from 0 to 1."""
+
+    def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
+        """Return a derivative at ``t``."""
+
+
+def extremes(law: Rise, derivative: int) -> tuple[float, float, float, float]:
+    """Return the least value of a derivative and its time, and the largest value and its time.
+
+    On each smooth stretch of the law the derivative is interpolated at Chebyshev points. The
+    extremes are sought at the ends of the stretches and at the roots of the interpolants' slopes.
+    """
+    edges, fitted = _fitted(law, derivative)
+    seen = chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)
+    # Between two samples a stretch can rise by a small part of its range.
+    span = _MISSED * np.ptp(seen, axis=1)
+    found = []
+    for sign in (-1.0, 1.0):
+        peaks = (sign * seen).max(axis=1)
+        best = (-np.inf, 0.0)
+        for k in np.flatnonzero(peaks + span >= peaks.max()).tolist():
+            tried = _stationary(fitted[:, k])
+            values = sign * chebyshev.chebval(tried, fitted[:, k])
+            top = int(np.argmax(values))
+            middle, half = 0.5 * (edges[k] + edges[k + 1]), 0.5 * (edges[k + 1] - edges[k])
+            best = max(best, (float(values[top]), float(middle + half * tried[top])))
+        found.append((sign * best[0], best[1]))
+    return *found[0], *found[1]
+
+
+def _fitted(law: Rise, derivative: int) -> tuple[FloatArray, FloatArray]:
+    """Return the edges (n + 1,) and the Chebyshev coefficients (degree + 1, n) between them."""
+    x = chebyshev.chebpts1(_DEGREE + 1)
+    edges = law.edges
+    middle, half = 0.5 * (edges[1:] + edges[:-1]), 0.5 * np.diff(edges)
+    values = law((middle + np.outer(x, half)).ravel(), derivative).reshape(len(x), len(half))
+    return edges, np.asarray(chebyshev.chebfit(x, values, _DEGREE), dtype=np.float64)
+
+
+def _stationary(coefficients: FloatArray) -> FloatArray:
+    """Return the ends of [-1, 1] and the roots of the slope between them."""
+    # High coefficients that are nothing but rounding would add false roots.
+    noise = 1e-13 * max(float(np.abs(coefficients).max()), 1e-300)
+    kept = chebyshev.chebtrim(coefficients, noise)
+    if len(kept) < 3:
+        return np.array([-1.0, 1.0])
+    roots = chebyshev.chebroots(chebyshev.chebder(kept))
+    real = roots[np.abs(roots.imag) < 1e-6].real
+    return np.concatenate(([-1.0, 1.0], real[np.abs(real) < 1.0]))
+
+
+def steps(law: Rise) -> bool:
+    """Return whether the acceleration jumps anywhere, the ends of the motion included."""
+    _, fitted = _fitted(law, 2)
+    ends = chebyshev.chebval(np.array([-1.0, 1.0]), fitted)  # (stretches, 2)
+    # At rest outside.
+    after, before = np.append(ends[:, 0], 0.0), np.append(0.0, ends[:, 1])
+    peak = np.abs(chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)).max()
+    return bool(np.abs(after - before).max() > _STEP * peak)
+
+
+@lru_cache(maxsize=64)
+def refuse_descent(law: Rise) -> None:
+    """Refuse a law whose velocity is negative anywhere: it has no inverse.
+
+    Raises
+    ------
+    OptionError
+        With the least velocity and the time of it.
+    """
+    low, at, high, _ = extremes(law, 1)
+    if low < -_FLAT * high:
+        raise OptionError(
+            f"motion law {law.name!r} goes back: its velocity is {low:.4g} at {at:.4g} of "
+            "its time, so that it has no inverse",
+            remedy="Take a law that is monotone.",
+        )

@@ -1,0 +1,282 @@
+"""Fairing of a measured cam: differences, the rebound of splines, and a smoothing spline.
+
+The first two are those of the paper that the measured cam of the examples is from: Cheng Xiaoxiong,
+"Using numerical approximation method to improvement movement regularity of the cloth frame of
+embroidery machines", Journal of Textile Research 28 (2007) no. 7, pages 101 to 104. The third is
+the default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+
+MOST_PASSES = 50
+_INTERVALS = (16, 48)  # least and most knot intervals of the smoothing spline
+_AT_A_TIME = 256  # columns of the matrix of a pass
+_DEGREE = 3  # of the velocity's spline
+_STIFFEST, _LOOSEST, _STEP = 0.0, -16.0, 0.2
+
+
+def differences(y: FloatArray, noise: float) -> FloatArray:
+    """Return ``y`` (n,) with each value moved onto the least-squares cubic of five rows around it.
+
+    For evenly spaced rows that is a correction by 3/35 of the fourth difference. No value moves by
+    more than twice the noise, and the two values at either end stay.
+    """
+    fourth = y[:-4] - 4.0 * y[1:-3] + 6.0 * y[2:-2] - 4.0 * y[3:-1] + y[4:]
+    out = y.copy()
+    out[2:-2] -= np.clip(3.0 / 35.0 * fourth, -2.0 * noise, 2.0 * noise)
+    return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rebound:
+    """Values faired by the rebound method, and how it ended.
+
+    Parameters
+    ----------
+    values
+        (n,) faired values.
+    passes
+        Number of passes from the rows to the mid-points and back.
+    moved
+        Root mean square of the corrections of all passes together.
+    last
+        Largest correction of the last pass.
+    stopped_by
+        What ended it: ``"noise"``, ``"passes"`` or ``"epsilon"``.
+    """
+
+    values: FloatArray
+    passes: int
+    moved: float
+    last: float
+    stopped_by: str
+
+
+def one_pass(
+    x: FloatArray, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)
+) -> FloatArray:
+    """Return (n,) or (n, columns) ``values`` at (n,) places ``x`` after a pass of ``rebound``."""
+    from scipy.interpolate import CubicSpline
+
+    ends: Any = tuple((1, np.full(values.shape[1:], slope)) for slope in slopes)
+    between = np.concatenate((x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]))
+    there = CubicSpline(x, values, bc_type=ends)(between)
+    return np.asarray(CubicSpline(between, there, bc_type=ends)(x))
+
+
+def pass_matrix(x: FloatArray) -> FloatArray:
+    """Return the (n, n) matrix of ``one_pass`` with slopes of 0 at the ends, which is linear.
+
+    Some columns are worked out at a time: a spline through one has four times its memory.
+    """
+    parts = (
+        one_pass(x, np.eye(len(x), min(_AT_A_TIME, len(x) - first), -first))
+        for first in range(0, len(x), _AT_A_TIME)
+    )
+    return np.concatenate(list(parts), axis=1)
+
+
+def rebound(
+    x: FloatArray,
+    y: FloatArray,
+    noise: float,
+    *,
+    slopes: tuple[float, float] = (0.0, 0.0),
+    epsilon: float | None = None,
+    most_passes: int = MOST_PASSES,
+) -> Rebound:
+    """Return values faired by the paper's rebound method.
+
+    A pass puts a clamped cubic spline through the rows, a second one through the first one's values
+    midway between rows, and returns the second one's values at the rows.
+
+    Parameters
+    ----------
+    x, y
+        (n,) rising places of the rows, and their values.
+    noise
+        Standard deviation of the error of ``y``. The passes end before the root mean square of the
+        corrections exceeds it, since larger corrections would change the shape.
+    slopes
+        Slopes of the splines at the first and the last row.
+    epsilon
+        The paper's rule, used in place of ``noise`` when it is given: the passes end when one
+        changes no value by more than this. By that rule they flatten the cam, since their limit is
+        a single cubic.
+    most_passes
+        Largest number of passes.
+    """
+    # Linear in the values, and there may be thousands of passes: one spline serves them all.
+    matrix, offset = pass_matrix(x), one_pass(x, np.zeros_like(y), slopes)
+    values, last, moved, why = y, 0.0, 0.0, "passes"
+    done = 0
+    while done < most_passes:
+        back = matrix @ values + offset
+        change = float(np.abs(back - values).max())
+        farther = float(np.sqrt(np.mean((back - y) ** 2)))
+        if epsilon is None and farther > noise:
+            why = "noise"
+            break
+        values, last, moved, done = back, change, farther, done + 1
+        if epsilon is not None and change < epsilon:
+            why = "epsilon"
+            break
+    return Rebound(values=values, passes=done, moved=moved, last=last, stopped_by=why)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Smoothed:
+    """A monotone rise fitted to a measured one.
+
+    Parameters
+    ----------
+    knots, coefficients
+        Cubic B-spline of the velocity on [0, 1]; no coefficient is below 0.
+    base, rise
+        Position of the follower before the rise, and the height of the rise.
+    values
+        (n,) fitted positions of the follower at the rows.
+    freedom
+        Effective number of parameters of the fit.
+    missed
+        Root mean square of the residuals over the noise, with n - ``freedom`` degrees of freedom;
+        1 where the noise explains them.
+    scaled
+        (n,) residuals over the noise, scaled up for each row's pull on the fit (its leverage).
+    """
+
+    knots: FloatArray
+    coefficients: FloatArray
+    base: float
+    rise: float
+    values: FloatArray
+    freedom: float
+    missed: float
+    scaled: FloatArray
+
+
+@cache
+def _basis(
+    intervals: int,
+) -> tuple[FloatArray, Callable[[FloatArray], FloatArray], FloatArray, list[FloatArray]]:
+    """Return what all smoothing splines of so many knot intervals share.
+
+    Their knots; the antiderivatives of the ``count`` B-splines of the velocity; the jerks of these,
+    weighted such that the sum of their squares is the integral; and the B-splines and their first
+    two derivatives, from 20 samples an interval. The last two have a column for each B-spline.
+    """
+    from scipy.interpolate import BSpline
+
+    inner = np.linspace(0.0, 1.0, intervals + 1)
+    knots = np.concatenate((np.zeros(_DEGREE), inner, np.ones(_DEGREE)))
+    basis = BSpline(knots, np.eye(intervals + _DEGREE), _DEGREE)
+    # The integral of the squared jerk, exact: the jerk is linear between knots.
+    at = inner[:-1, None] + np.array([0.5 - sqrt(1 / 12), 0.5 + sqrt(1 / 12)]) / intervals
+    jerk = basis.derivative(2)(at.ravel()) / sqrt(2.0 * intervals)
+    looks = np.linspace(0.0, 1.0, 20 * intervals + 1)
+    return knots, basis.antiderivative(), jerk, [basis.derivative(d)(looks) for d in range(3)]
+
+
+class Smoother:
+    """The smoothing spline through rows at times ``t``: monotone, from rest to rest.
+
+    It minimises the sum of the squared residuals over the noise plus a weight times the integral of
+    the squared jerk. Rows before 0 and after 1 belong to the dwells.
+
+    Parameters
+    ----------
+    t
+        (n,) normalised times: 0 at the start of the rise, 1 at its end.
+    noise
+        (n,) standard deviations of the follower's position.
+    gentle
+        Whether the acceleration is 0, like the velocity, at the start and at the end of the rise:
+        so it is beside a dwell.
+    """
+
+    def __init__(
+        self, t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool] = (True, True)
+    ) -> None:
+        inside = int(((t > 0.0) & (t < 1.0)).sum())
+        intervals = int(np.clip(inside, *_INTERVALS))
+        self.t, self.noise = np.clip(t, 0.0, 1.0), noise
+        self.knots, basis, jerk, looks = _basis(intervals)
+        count = intervals + _DEGREE
+        # The first and the last coefficient are the velocities of the ends, the next to them add
+        # the accelerations.
+        self.free = np.arange(1 + gentle[0], count - 1 - gentle[1])
+        risen = basis(self.t)[:, self.free]
+        self.count = count
+        self.rows = np.hstack((np.ones((len(t), 1)), risen)) / noise[:, None]
+        jerk = jerk[:, self.free]
+        # Divided by the noise, so that the weight has no unit.
+        self.penalty = np.hstack((np.zeros((len(jerk), 1)), jerk)) / float(np.median(noise))
+        self.total = (self.knots[_DEGREE + 1 :] - self.knots[:count])[self.free] / (_DEGREE + 1.0)
+        self.looks = [look[:, self.free] for look in looks]
+
+    def solve(self, y: FloatArray, weight: float) -> FloatArray:
+        """Return the base and the free coefficients for (n,) positions and a weight of the jerk."""
+        from scipy.optimize import nnls
+
+        # nnls finds no negative number: the base is counted from below all that was measured.
+        low = float(y.min()) - float(np.ptp(y)) - 1.0
+        matrix = np.vstack((self.rows, sqrt(weight) * self.penalty))
+        target = np.concatenate(((y - low) / self.noise, np.zeros(len(self.penalty))))
+        # Without columns of like size the solver finds nothing but the base.
+        size = np.linalg.norm(matrix, axis=0)
+        found, _ = nnls(matrix / size, target)
+        found = found / size
+        found[0] += low
+        return np.asarray(found)
+
+    def freedom(self, weight: float) -> tuple[float, FloatArray]:
+        """Return the effective number of parameters (bounds ignored) and (n,) shares of rows."""
+        inner = self.rows.T @ self.rows + weight * self.penalty.T @ self.penalty
+        inner += 1e-12 * np.trace(inner) / len(inner) * np.eye(len(inner))
+        pulls = np.einsum("ij,ji->i", self.rows, np.linalg.solve(inner, self.rows.T))
+        return float(pulls.sum()), pulls
+
+    def weight_for(self, y: FloatArray) -> float:
+        """Return the weight of the jerk with the least expected error at the given noise.
+
+        It minimises the sum of the squared residuals over the noise plus twice the effective number
+        of parameters: Mallows, "Some comments on Cp", Technometrics 15 (1973).
+        """
+        best, kept = np.inf, 1.0
+        for exponent in np.arange(_STIFFEST, _LOOSEST, -_STEP).tolist():
+            weight = 10.0**exponent
+            missed = self.rows @ self.solve(y, weight) - y / self.noise
+            squares, freedom = float(missed @ missed), self.freedom(weight)[0]
+            if squares + 2.0 * freedom < best:
+                best, kept = squares + 2.0 * freedom, weight
+        return kept
+
+    def fit(self, y: FloatArray, weight: float) -> Smoothed:
+        """Return the fit to (n,) positions of the follower, at a weight of the jerk."""
+        found = self.solve(y, weight)
+        freedom, pulls = self.freedom(weight)
+        coefficients = np.zeros(self.count)
+        coefficients[self.free] = found[1:]
+        values = (self.rows @ found) * self.noise
+        squares = float((((y - values) / self.noise) ** 2).sum())
+        return Smoothed(
+            knots=self.knots, coefficients=coefficients, base=float(found[0]),
+            rise=float(self.total @ found[1:]), values=values, freedom=freedom,
+            missed=sqrt(squares / max(len(y) - freedom, 1.0)),
+            scaled=(y - values) / self.noise / np.sqrt(np.maximum(1.0 - pulls, 0.05)),
+        )  # fmt: skip
+
+    def peaks(self, found: FloatArray) -> FloatArray:
+        """Return Cv, Ca and Cj of a solution of ``solve``, from 20 samples a knot interval."""
+        rise = float(self.total @ found[1:])
+        return np.array([np.abs(look @ found[1:]).max() / rise for look in self.looks])

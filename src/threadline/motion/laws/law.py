@@ -1,0 +1,458 @@
+"""Closed forms of which motion laws are made, accurate where their rise is small.
+
+A form is a rise that begins at rest. Near its beginning it is computed as a sum of small terms and
+never as the difference of large ones, so that even a tiny rise is right to its last digits. A law
+keeps that accuracy at both ends, since it is evaluated from the nearer one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from math import comb, cos, factorial, pi, sin
+from typing import Protocol
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.motion.laws.extremes import extremes, refuse_descent, steps
+
+_SERIES = tuple(1.0 / ((2 * k + 2) * (2 * k + 3)) for k in range(1, 9))
+
+
+class Form(Protocol):
+    """A rise from rest."""
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Times at which one smooth stretch ends and the next begins, without 0 and the end."""
+        ...
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative (0 to 3) at ``t``, of any shape."""
+        ...
+
+
+def less_sine(x: FloatArray) -> FloatArray:
+    """Return ``x - sin x`` without cancellation near 0."""
+    found = np.asarray(x - np.sin(x))
+    near = x * x < 1.0
+    if near.any():
+        small = x[near]
+        square = small * small
+        series = np.ones_like(square)
+        for factor in reversed(_SERIES):
+            series = 1.0 - factor * square * series
+        found[near] = small * square / 6.0 * series
+    return found
+
+
+def less_cosine(x: FloatArray) -> FloatArray:
+    """Return ``1 - cos x`` without cancellation near 0."""
+    half = np.sin(0.5 * x)
+    return np.asarray(2.0 * half * half)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Phase:
+    """A stretch of the motion with the acceleration ``c0 + c1 t + b sin(w t + p)``.
+
+    ``t`` counts from the start of the phase; ``v0`` and ``s0`` are the velocity and the rise at
+    that start. The phase lasts from ``begin`` to ``end`` of the whole motion, which takes 1.
+    """
+
+    begin: float
+    end: float
+    c0: float = 0.0
+    c1: float = 0.0
+    b: float = 0.0
+    w: float = 1.0
+    p: float = 0.0
+    v0: float = 0.0
+    s0: float = 0.0
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative of the rise at ``t`` from the phase's start."""
+        angle = self.w * t
+        # b sin(wt + p) = rising sin(wt) + standing cos(wt), each integrated without cancellation.
+        rising, standing = self.b * cos(self.p), self.b * sin(self.p)
+        if derivative == 0:
+            power = (self.c0 / 2.0 + self.c1 / 6.0 * t) * t * t
+            swing = (rising * less_sine(angle) + standing * less_cosine(angle)) / self.w**2
+            return np.asarray(self.s0 + (self.v0 * t + (power + swing)))
+        if derivative == 1:
+            power = (self.c0 + self.c1 / 2.0 * t) * t
+            swing = (rising * less_cosine(angle) + standing * np.sin(angle)) / self.w
+            return np.asarray(self.v0 + (power + swing))
+        if derivative == 2:
+            return np.asarray(self.c0 + self.c1 * t + self.b * np.sin(angle + self.p))
+        return np.asarray(self.c1 + self.b * self.w * np.cos(angle + self.p))
+
+
+def chained(phases: list[Phase]) -> tuple[Phase, ...]:
+    """Return the phases with ``v0`` and ``s0`` of each at the end of the one before."""
+    done: list[Phase] = []
+    v0 = s0 = 0.0
+    for phase in phases:
+        placed = Phase(
+            begin=phase.begin, end=phase.end, c0=phase.c0, c1=phase.c1, b=phase.b, w=phase.w,
+            p=phase.p, v0=v0, s0=s0,
+        )  # fmt: skip
+        length = np.array(phase.end - phase.begin)
+        v0, s0 = float(placed.value(length, 1)), float(placed.value(length, 0))
+        done.append(placed)
+    return tuple(done)
+
+
+@dataclass(frozen=True, slots=True)
+class Phases:
+    """A rise made of phases."""
+
+    phases: tuple[Phase, ...]
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Begins of all phases but the first."""
+        return tuple(phase.begin for phase in self.phases[1:])
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative at ``t``; the last phase has no end."""
+        begins = np.array([phase.begin for phase in self.phases])
+        which = np.clip(np.searchsorted(begins, t, side="right") - 1, 0, len(self.phases) - 1)
+        out = np.zeros_like(t)
+        for i, phase in enumerate(self.phases):
+            here = which == i
+            out[here] = phase.value(t[here] - phase.begin, derivative)
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """The polynomial of degree ``2 n + 1`` whose first ``n`` derivatives vanish at both ends.
+
+    With u = 1 - t it is ``t**(n+1) sum(comb(n+k, k) u**k, k = 0 ... n)``, a sum of positive terms,
+    and its velocity is ``(2n+1)! / n!**2 (t u)**n``.
+    """
+
+    n: int
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Empty: the polynomial is smooth throughout."""
+        return ()
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative at ``t``."""
+        n, u = self.n, 1.0 - t
+        if derivative == 0:
+            total = np.zeros_like(t)
+            for k in range(n, -1, -1):
+                total = total * u + comb(n + k, k)
+            return np.asarray(t ** (n + 1) * total)
+        top, both = factorial(2 * n + 1) / factorial(n) ** 2, t * u
+        if derivative == 1:
+            return np.asarray(top * both**n)
+        if derivative == 2:
+            return np.asarray(top * n * both ** (n - 1) * (u - t))
+        bend = (n - 1) * (u - t) ** 2 - 2.0 * both
+        return np.asarray(top * n * both ** (n - 2) * bend)
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonics:
+    """A rise whose velocity is ``sum(shares[k] (1 - cos(2 pi orders[k] t)))``."""
+
+    orders: tuple[int, ...]
+    shares: tuple[float, ...]
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Quarters of the highest harmonic's period, within which low-degree polynomials fit it."""
+        count = 2 * self.orders[-1]
+        return tuple(k / (2.0 * count) for k in range(1, count))
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative at ``t``."""
+        out = np.zeros_like(t)
+        for order, share in zip(self.orders, self.shares, strict=True):
+            w = 2.0 * pi * order
+            if derivative == 0:
+                out = out + share / w * less_sine(w * t)
+            elif derivative == 1:
+                out = out + share * less_cosine(w * t)
+            elif derivative == 2:
+                out = out + share * w * np.sin(w * t)
+            else:
+                out = out + share * w * w * np.cos(w * t)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """A piecewise polynomial rise, as of a tabulated law or a spline.
+
+    Parameters
+    ----------
+    begins
+        (n,) start of each piece; the first is 0.
+    powers
+        (n, k) coefficients of each piece, by rising powers of the time since its start. The first
+        piece has no constant and no linear term, so that the rise starts at rest.
+    """
+
+    begins: FloatArray
+    powers: FloatArray
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        """Begins of all pieces but the first."""
+        return tuple(self.begins[1:].tolist())
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        """Return the ``derivative``-th derivative at ``t``."""
+        which = np.clip(np.searchsorted(self.begins, t, side="right") - 1, 0, len(self.begins) - 1)
+        kept = self.powers[which]
+        for _ in range(derivative):
+            kept = kept[..., 1:] * np.arange(1, kept.shape[-1])
+        since = t - self.begins[which]
+        out = np.zeros_like(t)
+        for column in range(kept.shape[-1] - 1, -1, -1):
+            out = out * since + kept[..., column]
+        return out
+
+
+_CELLS = 2048
+_ENOUGH = 1e-9  # a relative step of Newton's after which its error is about the square of this
+_ROUNDS = 120
+
+
+def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) -> FloatArray:
+    """Return the times in [0, ``end``] at which ``form`` has risen to ``rise``.
+
+    A table of the form brackets each root in at most a 2048th of the time. There Newton's method
+    converges in two or three steps; a step that leaves its bracket is replaced by a bisection.
+
+    Parameters
+    ----------
+    form
+        A rise that never goes back.
+    rise
+        (n,) from 0 to the rise at ``end``.
+    latest
+        Where the form dwells at a rise, return the last time of the dwell and not the first.
+    """
+    inner = [b for b in form.breaks if 0.0 < b < end]
+    grid = np.union1d(np.linspace(0.0, end, _CELLS + 1), inner)
+    table = np.maximum.accumulate(form.value(grid, 0))
+    upper = np.searchsorted(table, rise, side="right" if latest else "left")
+    upper = np.clip(upper, 1, len(grid) - 1)
+    low, high = grid[upper - 1], grid[upper]
+    below, above = table[upper - 1], table[upper]
+    span = np.where(above > below, above - below, 1.0)
+    share = np.clip((rise - below) / span, 0.0, 1.0)
+    # From rest a rise starts as a power of time, which gives the first guess in the first cell.
+    first = upper == 1
+    if first.any():
+        half = float(form.value(np.array([0.5 * grid[1]]), 0)[0])
+        power = np.log2(table[1] / half) if half > 0.0 and table[1] > half else 1.0
+        share[first] **= 1.0 / power
+    t: FloatArray = np.clip(low + share * (high - low), low, high)
+    active = np.flatnonzero((share > 0.0) & (share < 1.0))
+    for _ in range(_ROUNDS):
+        if not len(active):
+            break
+        at = t[active]
+        missed = form.value(at, 0) - rise[active]
+        slope = form.value(at, 1)
+        under = missed < 0.0 if not latest else missed <= 0.0
+        low[active[under]] = at[under]
+        high[active[~under]] = at[~under]
+        lowest, highest = low[active], high[active]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            moved = at - missed / slope
+        inside = (moved >= lowest) & (moved <= highest) & (missed != 0.0)
+        moved = np.where(missed == 0.0, at, np.where(inside, moved, 0.5 * (lowest + highest)))
+        t[active] = moved
+        step = np.abs(moved - at)
+        done = (missed == 0.0) | (inside & (step <= _ENOUGH * moved))
+        done |= (highest - lowest) <= 1e-16 * highest
+        active = active[~done]
+    return t
+
+
+LEAST_STRETCH = 1e-7
+"""Share of the move's time; a shorter stretch is a step, whose derivatives are rounding."""
+_SAME = 1e-9  # of the time: ends this close are one end, calculated in two ways
+LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Law:
+    """A normalised motion from rest to rest: rise 1 in time 1.
+
+    Parameters
+    ----------
+    name
+        Hyphenated, as on the command line.
+    velocity, acceleration, jerk
+        Peaks of the magnitudes of the derivatives (Cv, Ca, Cj); None where the jerk is infinite
+        because the acceleration steps.
+    form
+        The rise on [0, ``meets``].
+    closing
+        The rest of the rise as a function of the rest of the time, on [0, 1 - ``meets``]: the
+        motion seen backwards from its end. None where the second half of the motion mirrors the
+        first; then ``meets`` is 1/2.
+    meets
+        Time at which ``form`` hands over to ``closing``.
+    """
+
+    name: str
+    velocity: float
+    acceleration: float
+    jerk: float | None
+    form: Form
+    closing: Form | None = None
+    meets: float = 0.5
+
+    def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
+        """Return the ``derivative``-th derivative (0 to 3) at (n,) times; at rest outside [0, 1].
+
+        Where a derivative jumps, the value after the jump is returned for times up to ``meets`` and
+        the value before it for later ones. The impulse of jerk at a jump of acceleration is left
+        out. A ValueError refuses other derivatives.
+        """
+        if not 0 <= derivative <= 3:
+            raise ValueError(f"derivative must be 0 to 3, got {derivative}")
+        at = np.atleast_1d(np.asarray(t, dtype=np.float64))
+        late = at > self.meets
+        value = np.empty_like(at)
+        value[~late] = self.form.value(np.clip(at[~late], 0.0, self.meets), derivative)
+        seen = self.left(np.clip(1.0 - at[late], 0.0, 1.0 - self.meets), derivative)
+        if derivative == 0:
+            value[late] = 1.0 - seen
+            return value
+        value[late] = seen if derivative % 2 else -seen
+        value[(at < 0.0) | (at > 1.0)] = 0.0
+        return value
+
+    def left(self, before_end: FloatArray, derivative: int = 0) -> FloatArray:
+        """Return the rest of the rise at (n,) times ``before_end``, counted back from the end.
+
+        ``derivative`` counts derivatives by that time. Close to the end the rest is accurate to its
+        last digits, as ``1 - s`` would not be.
+        """
+        closing = self.form if self.closing is None else self.closing
+        return closing.value(before_end, derivative)
+
+    def inverse(self, rise: FloatArray | float) -> FloatArray:
+        """Return the (n,) times at which the law has risen to ``rise``, in [0, 1]: s(t(x)) = x.
+
+        Where the law dwells at a rise, the earliest time of the dwell is returned.
+
+        Raises
+        ------
+        ValueError
+            If a rise is outside [0, 1].
+        OptionError
+            If the law goes back somewhere, and so meets a rise more than once.
+        """
+        refuse_descent(self)
+        x = np.atleast_1d(np.asarray(rise, dtype=np.float64))
+        if not bool(np.all((x >= 0.0) & (x <= 1.0))):
+            worst = x[~((x >= 0.0) & (x <= 1.0))][0]
+            raise ValueError(f"law {self.name}: a rise must be in [0, 1], got {worst}")
+        early = x <= float(self.form.value(np.array([self.meets]), 0)[0])
+        out = np.empty_like(x)
+        out[early] = invert(self.form, self.meets, x[early])
+        closing = self.form if self.closing is None else self.closing
+        # 1 - x is exact from 1/2 on, and a rise is flat at both ends: solve for what is left.
+        out[~early] = 1.0 - invert(closing, 1.0 - self.meets, 1.0 - x[~early], latest=True)
+        return out
+
+    @property
+    def edges(self) -> FloatArray:
+        """(n,) ends of the stretches on which the law is smooth, from 0 to 1."""
+        closing = self.form if self.closing is None else self.closing
+        first = [b for b in self.form.breaks if 0.0 < b < self.meets]
+        last = [1.0 - b for b in closing.breaks if 0.0 < b < 1.0 - self.meets]
+        ends = [0.0]
+        for end in sorted((self.meets, *first, *last)):
+            if min(end - ends[-1], 1.0 - end) > _SAME:
+                ends.append(end)
+        return np.array([*ends, 1.0])
+
+    @property
+    def efficiency(self) -> float:
+        """Heat in the motor with the cubic law, the least of all, over the heat with this law.
+
+        Heat is the integral of the squared acceleration of a move over the same distance and time.
+        """
+        t, weights = gauss(self.edges)
+        heat = float(self(t, 2) ** 2 @ weights)
+        return LEAST_HEAT / heat
+
+
+def measured_law(name: str, form: Form, closing: Form | None = None, meets: float = 0.5) -> Law:
+    """Return the law of the given forms, with peaks that are computed from them.
+
+    The arguments are those of ``Law``. The jerk of the law is None where the acceleration jumps.
+    """
+    bare = Law(
+        name=name, velocity=0.0, acceleration=0.0, jerk=None, form=form, closing=closing,
+        meets=meets,
+    )  # fmt: skip
+    peaks = []
+    for derivative in (1, 2, 3):
+        low, _, high, _ = extremes(bare, derivative)
+        peaks.append(max(-low, high))
+    return Law(
+        name=name, velocity=peaks[0], acceleration=peaks[1],
+        jerk=None if steps(bare) else peaks[2], form=form, closing=closing, meets=meets,
+    )  # fmt: skip
+
+
+def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights of Gauss-Legendre quadrature between (n,) edges.
+
+    Each stretch between two edges is divided into ``panels`` of ``points`` nodes.
+    """
+    nodes, weights = _of_one(points)
+    parts = np.arange(panels) / panels
+    begins = (edges[:-1, None] + np.diff(edges)[:, None] * parts).ravel()
+    half = 0.5 * np.diff(np.append(begins, edges[-1]))
+    t: FloatArray = ((begins + half)[:, None] + half[:, None] * nodes).ravel()
+    return t, (half[:, None] * weights).ravel()
+
+
+@cache
+def _of_one(points: int) -> tuple[FloatArray, FloatArray]:
+    """Return nodes and weights from -1 to 1, eigenvalues of a matrix: to find them takes time."""
+    nodes, weights = np.polynomial.legendre.leggauss(points)
+    nodes.flags.writeable = weights.flags.writeable = False
+    return nodes, weights
+
+
+def check_stretches(name: str, ends: Iterable[float]) -> None:
+    """Refuse a law with a stretch shorter than ``LEAST_STRETCH``.
+
+    Parameters
+    ----------
+    ends
+        Where its stretches end, from the beginning of the move or before its end.
+
+    Raises
+    ------
+    OptionError
+        If one is shorter than ``LEAST_STRETCH``.
+    """
+    shortest = min((end - begin for begin, end in pairwise((0.0, *ends)) if end > begin), default=1)
+    if shortest < LEAST_STRETCH:
+        raise OptionError(
+            f"motion law {name!r}: a stretch of it takes {shortest:.3g} of the time, the least is "
+            f"{LEAST_STRETCH:g}",
+            remedy="Give its stretches lengths that are closer to each other.",
+        )

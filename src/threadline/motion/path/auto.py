@@ -1,0 +1,191 @@
+"""Paths that follow the program within a tolerance: lines where straight, B-splines elsewhere.
+
+Between two rests, the programmed vertices and points added beside them are the polygon of one
+B-spline. A cubic has them as control points, and knots spaced as they are; its pieces join with
+continuous second derivative. A quartic has its knots there and control points between them
+(``greville``); its pieces join with continuous third derivative. A piece is straight where all of
+its control points are on one line. Either stays in the convex hull of its polygon and so within
+the travel of the axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.machine.mandrel import LocalRadii
+from threadline.motion.path.greville import AHEAD, CUT, REACH
+from threadline.motion.path.polygon import (
+    CUBIC,
+    EVEN_CUT,
+    LEAST_SPACING_M,
+    Controls,
+    control_polygon,
+    join_controls,
+    pieces_of,
+    turns,
+)
+from threadline.motion.path.runs import COINCIDENT_M, Chunk, Vertices, join_vertices, runs
+from threadline.motion.path.thinned import thinned_runs
+from threadline.motion.path.types import PieceBlock, ProgrammedPath
+
+
+def auto_pieces(
+    programmed: ProgrammedPath,
+    cut_m: float,
+    near_m: float = COINCIDENT_M,
+    *,
+    degree: int = CUBIC,
+    thin: bool = False,
+) -> Iterator[PieceBlock]:
+    """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
+
+    Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
+    the one before it is left out; ``degree`` is as for ``pieces_of``. With ``thin``,
+    chords take the place of moves where the program is rough (``thinned_runs``); the pieces of a
+    chord belong to the last of its moves.
+    """
+    run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
+    for chunk in thinned_runs(programmed, near_m, cut_m) if thin else runs(programmed, near_m):
+        yield from run.extend(chunk)
+
+
+def points_added(programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC) -> int:
+    """Return the number of points that are not vertices; reads the whole program."""
+    run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
+    for chunk in runs(programmed):
+        for _ in run.extend(chunk):
+            pass
+    return run.added
+
+
+@dataclass(slots=True)
+class _Run:
+    """State of the run under way: vertices and control points that are not yet in a piece."""
+
+    radius_m: FloatArray
+    local: LocalRadii | None
+    cut_m: float
+    degree: int = CUBIC
+    vertices: Vertices | None = None
+    controls: Controls | None = None
+    first_chord: int = 0  # first chord between ``vertices`` that is not yet in ``controls``
+    begins: bool = True  # whether the run begins with the first of ``vertices``
+    begun: bool = False  # whether pieces of this run were yielded already
+    added: int = 0  # number of control points so far that are not vertices
+
+    @property
+    def _ahead(self) -> int:
+        """Number of vertices beyond a chord on which its points depend."""
+        return 1 if self.degree == CUBIC else AHEAD
+
+    @property
+    def _carried(self) -> int:
+        """Number of points on either side of a span on which its shape depends."""
+        return 2 if self.degree == CUBIC else REACH
+
+    def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
+        """Add vertices, and yield the pieces that no later vertex can change."""
+        self.vertices = join_vertices(self.vertices, *chunk.parts)
+        cut = EVEN_CUT if self.degree == CUBIC else CUT
+        while True:
+            length, turn = turns(self.vertices.positions, self.radius_m, self.local)
+            # At a corner too tight for a curve within the tolerance the motion comes to rest.
+            least_m = self.cut_m - self.vertices.beside_m.max()
+            tight = np.flatnonzero(least_m < cut * LEAST_SPACING_M * turn)
+            tight = tight[tight >= max(self.first_chord, 1)]
+            if not len(tight):
+                break
+            yield from self._advance(int(tight[0]), length, turn, ends=True, dwell_s=0.0)
+        count = len(self.vertices)
+        if chunk.ends:
+            yield from self._advance(count - 1, length, turn, ends=True, dwell_s=chunk.dwell_s)
+        elif count - 1 - self._ahead > self.first_chord:
+            stop = count - 1 - self._ahead
+            yield from self._advance(stop, length, turn, ends=False, dwell_s=0.0)
+
+    def _advance(
+        self, stop: int, length: FloatArray, turn: FloatArray, *, ends: bool, dwell_s: float
+    ) -> Iterator[PieceBlock]:
+        """Turn the chords up to vertex ``stop`` into control points, and these into pieces."""
+        assert self.vertices is not None
+        vertices = self.vertices
+        if ends:
+            length, turn = length[:stop], np.append(turn[:stop], 0.0)
+        if ends and stop == 0 and self.controls is None:
+            if dwell_s > 0:
+                yield _pause(vertices, dwell_s)
+            return
+        if self.controls is None:
+            self.controls = _start_of(vertices)
+        if stop > self.first_chord:
+            fresh = control_polygon(
+                vertices,
+                length,
+                turn,
+                self.cut_m,
+                self.first_chord,
+                stop,
+                self.degree,
+                begins=self.begins,
+                ends=ends,
+            )
+            self.controls = join_controls(self.controls, fresh)
+            self.added += int(fresh.added.sum())
+        yield from self._settle(ends, dwell_s)
+        if ends:
+            self.vertices, self.first_chord = vertices.take(slice(stop, None)), 0
+            self.begins = True
+        else:
+            kept = max(stop - self._ahead, 0)
+            self.begins = self.begins and kept == 0
+            self.vertices, self.first_chord = vertices.take(slice(kept, None)), stop - kept
+
+    def _settle(self, ends: bool, dwell_s: float) -> Iterator[PieceBlock]:
+        controls = self.controls
+        assert controls is not None
+        first = self._carried if self.begun else 0
+        stop = len(controls) - 1 - (0 if ends else self._carried)
+        # As many points are carried behind the first pieces of a run as behind any others.
+        if stop > first and (ends or stop >= self._carried):
+            yield pieces_of(
+                controls,
+                first,
+                stop,
+                ends=ends,
+                dwell_s=dwell_s,
+                degree=self.degree,
+            )
+            self.controls = controls.take(slice(stop - self._carried, None))
+            self.begun = True
+        if ends:
+            self.controls, self.begun = None, False
+
+
+def _start_of(vertices: Vertices) -> Controls:
+    start = vertices.take(slice(0, 1))
+    return Controls(
+        positions=start.positions,
+        turn=np.zeros(1),
+        added=np.zeros(1, dtype=np.int64),
+        length_m=np.zeros(1),
+        nominal_s=np.zeros(1),
+        operation=start.operation,
+        line=start.line,
+    )
+
+
+def _pause(vertices: Vertices, dwell_s: float) -> PieceBlock:
+    coefficients = np.zeros((1, 4, vertices.positions.shape[1]))
+    coefficients[0, 0] = vertices.positions[0]
+    return PieceBlock(
+        coefficients=coefficients,
+        operation=vertices.operation[:1],
+        nominal_s=np.zeros(1),
+        rest_after=np.ones(1, dtype=np.int64),
+        dwell_s=np.array([dwell_s]),
+        line=vertices.line[:1],
+    )

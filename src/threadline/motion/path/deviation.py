@@ -1,0 +1,375 @@
+"""Distances between polynomial pieces and a polyline, both in order (compiled)."""
+# mypy: disable-error-code="no-untyped-def"
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.motion.path.types import PieceBlock, PlannedPath, ProgrammedPath
+
+SAMPLES = 8  # per curved piece, before refining
+NEAREST = 40  # most steps to the nearest place of a piece; Newton's method needs a few
+CLOSE = 1e-12  # least step, as a share of a piece
+REFINE = 24  # golden-section steps: 1e-5 of a sample interval
+_GOLDEN = 0.6180339887498949
+
+
+@njit()
+def _at(c, u, out):
+    for j in range(c.shape[1]):
+        value = 0.0
+        for k in range(c.shape[0] - 1, -1, -1):
+            value = value * u + c[k, j]
+        out[j] = value
+
+
+@njit()
+def _to_chords(point, vertices, first, last, difference):
+    """Return the squared distance to the chords between vertices ``first`` and ``last``."""
+    best = np.inf
+    axes = len(point)
+    for v in range(first, max(last, first + 1)):
+        w = min(v + 1, len(vertices) - 1)
+        dot = 0.0
+        square = 0.0
+        for j in range(axes):
+            d = vertices[w, j] - vertices[v, j]
+            dot += d * (point[j] - vertices[v, j])
+            square += d * d
+        t = min(max(dot / square, 0.0), 1.0) if square > 0.0 else 0.0
+        gap = 0.0
+        for j in range(axes):
+            e = point[j] - vertices[v, j] - t * (vertices[w, j] - vertices[v, j])
+            gap += e * e
+        if gap < best:
+            best = gap
+            for j in range(axes):
+                difference[j] = point[j] - vertices[v, j] - t * (vertices[w, j] - vertices[v, j])
+    return best
+
+
+@njit()
+def _gap(c, u, target):
+    gap = 0.0
+    for j in range(c.shape[1]):
+        value = 0.0
+        for k in range(c.shape[0] - 1, -1, -1):
+            value = value * u + c[k, j]
+        gap += (value - target[j]) ** 2
+    return gap
+
+
+@njit()
+def _bracketed(c, target, low, high, u):
+    """Return u and the squared distance of the nearest place between ``low`` and ``high``.
+
+    It takes Newton's steps on the slope of the squared distance from ``u`` on, and halves the
+    bracket where such a step would leave it. The bracket shrinks to the side to which the distance
+    falls, so that a slope of 0 away from the nearest place (where a piece begins at rest) does not
+    end the search.
+    """
+    best, where = np.inf, u
+    for _ in range(NEAREST):
+        gap, slope, bend = 0.0, 0.0, 0.0
+        for j in range(c.shape[1]):
+            value, first, second = 0.0, 0.0, 0.0
+            for k in range(c.shape[0] - 1, -1, -1):
+                second = second * u + first
+                first = first * u + value
+                value = value * u + c[k, j]
+            apart = value - target[j]
+            gap += apart * apart
+            slope += apart * first
+            bend += first * first + 2.0 * apart * second
+        if gap < best:
+            best, where = gap, u
+        if slope > 0.0 or u >= high:
+            high = u
+        else:
+            low = u
+        ahead = 0.5 * (low + high)
+        if bend > 0.0:
+            newton = u - slope / bend
+            if low < newton < high:
+                ahead = newton
+        if abs(ahead - u) < CLOSE:
+            break
+        u = ahead
+    return where, best
+
+
+@njit()
+def _nearest_on_piece(c, target, limit, gaps):
+    """Return u and the squared distance of the place of a piece that is nearest to ``target``.
+
+    If it is farther away than ``limit`` (a squared distance), only the nearest sample is returned.
+    ``gaps`` is (SAMPLES + 1,) scratch space.
+    """
+    best, where = np.inf, 0.0
+    for k in range(SAMPLES + 1):
+        gaps[k] = _gap(c, k / SAMPLES, target)
+        if gaps[k] < best:
+            best, where = gaps[k], k / SAMPLES
+    # A place between two samples is nearer than they are by at most the path length between them.
+    way = 0.0
+    for j in range(c.shape[1]):
+        rate = 0.0
+        for k in range(1, c.shape[0]):
+            rate += k * abs(c[k, j])
+        way += rate * rate
+    way = np.sqrt(way) / SAMPLES
+    for k in range(SAMPLES + 1):
+        # Around every sample that is nearer than its neighbours there is a local minimum.
+        if (k > 0 and gaps[k] > gaps[k - 1]) or (k < SAMPLES and gaps[k] > gaps[k + 1]):
+            continue
+        if np.sqrt(gaps[k]) - way > np.sqrt(min(best, limit)):
+            continue
+        low, high = max(k - 1, 0) / SAMPLES, min(k + 1, SAMPLES) / SAMPLES
+        u, gap = _bracketed(c, target, low, high, k / SAMPLES)
+        if gap < best:
+            best, where = gap, u
+    return where, best
+
+
+@njit()
+def compare(c, vertex, vertices, window, best, offset):
+    """Compare n pieces with the vertices around them.
+
+    Parameters
+    ----------
+    c
+        (n, order, axes) coefficients, at the tool.
+    vertex
+        (n,) the vertex to which the move of each piece leads.
+    vertices
+        (k, axes) positions at the tool.
+    window
+        Number of vertices on either side with whose chords a piece is compared.
+    best, offset
+        (k,) and (k, axes): squared distance of each vertex to the path so far, and its difference
+        from there; both are updated.
+
+    Returns
+    -------
+    The largest squared distance of the path to the chords, its piece and u, and the (axes,) largest
+    differences.
+    """
+    axes = c.shape[2]
+    point = np.empty(axes)
+    difference = np.empty(axes)
+    gaps = np.empty(SAMPLES + 1)
+    largest = np.zeros(axes)
+    worst, worst_piece, worst_u = -1.0, 0, 0.0
+    for i in range(len(c)):
+        first = max(vertex[i] - window, 0)
+        last = min(vertex[i] + window, len(vertices) - 1)
+        top, at = -1.0, 0
+        # The distance of a straight piece from a chord is largest at one of its ends.
+        straight = True
+        for k in range(2, c.shape[1]):
+            for j in range(axes):
+                straight = straight and c[i, k, j] == 0.0
+        for k in range(0, SAMPLES + 1, SAMPLES if straight else 1):
+            _at(c[i], k / SAMPLES, point)
+            gap = _to_chords(point, vertices, first, last, difference)
+            for j in range(axes):
+                largest[j] = max(largest[j], abs(difference[j]))
+            if gap > top:
+                top, at = gap, k
+        if top > 0.8 * worst and not straight:
+            low, high = max(at - 1, 0) / SAMPLES, min(at + 1, SAMPLES) / SAMPLES
+            for _ in range(REFINE):
+                a = high - _GOLDEN * (high - low)
+                b = low + _GOLDEN * (high - low)
+                _at(c[i], a, point)
+                here = _to_chords(point, vertices, first, last, difference)
+                _at(c[i], b, point)
+                if here > _to_chords(point, vertices, first, last, difference):
+                    high = b
+                else:
+                    low = a
+            u = 0.5 * (low + high)
+            _at(c[i], u, point)
+            gap = _to_chords(point, vertices, first, last, difference)
+            for j in range(axes):
+                largest[j] = max(largest[j], abs(difference[j]))
+            if gap < top:
+                gap, u = top, at / SAMPLES
+            top = gap
+        else:
+            u = at / SAMPLES
+        if top > worst:
+            worst, worst_piece, worst_u = top, i, u
+        for v in range(max(vertex[i] - 2, 0), min(vertex[i] + 2, len(vertices))):
+            if best[v] == 0.0:
+                continue
+            u, gap = _nearest_on_piece(c[i], vertices[v], best[v], gaps)
+            if gap < best[v]:
+                best[v] = gap
+                _at(c[i], u, point)
+                for j in range(axes):
+                    offset[v, j] = point[j] - vertices[v, j]
+    return worst, worst_piece, worst_u, largest
+
+
+WINDOW = 2  # number of moves, before its own and after, with which a piece is compared
+_PIECES = 4096
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathDeviation:
+    """Largest deviation of a planned path, and where it is.
+
+    Parameters
+    ----------
+    at_tool_m
+        Largest distance at the tool, with rotary axes at their radius.
+    at_vertex
+        True if that is the distance of a programmed vertex from the path, False if it is that of
+        the path from a chord.
+    line, operation
+        Line of the job file and operation at that place.
+    position
+        (axes,) the vertex, or the place of the path, m or rad.
+    per_axis
+        (axes,) largest difference of each axis, m or rad, between the path and the nearest place of
+        the program, or between a vertex and the nearest place of the path.
+    """
+
+    at_tool_m: float
+    at_vertex: bool
+    line: int
+    operation: int
+    position: FloatArray
+    per_axis: FloatArray
+
+
+def path_deviation(programmed: ProgrammedPath, planned: PlannedPath) -> PathDeviation:
+    """Return the largest deviation between the two paths.
+
+    It is the larger one of two distances: from the planned path to the nearest programmed chord,
+    and from a programmed vertex to the nearest place of the planned path. Each piece is compared
+    with a few moves before and after its own alone, because paths cross and retrace themselves.
+
+    Planners report this number. The judge measures the deviation independently
+    (``threadline.verdict.deviation``).
+    """
+    return _Comparison(programmed, planned).run()
+
+
+@dataclass(slots=True)
+class _Window:
+    """Vertices near the current piece; ``best`` is the squared distance of each to the path."""
+
+    positions: FloatArray
+    operation: IntArray
+    line: IntArray
+    best: FloatArray
+    offset: FloatArray
+
+
+class _Comparison:
+    def __init__(self, programmed: ProgrammedPath, planned: PlannedPath) -> None:
+        self._radius = programmed.radius_m
+        self._source = iter(programmed)
+        self._planned = planned
+        axes = len(programmed.axes)
+        self._window = _Window(
+            np.zeros((0, axes)),
+            np.zeros(0, dtype=np.int64),
+            np.zeros(0, dtype=np.int64),
+            np.zeros(0),
+            np.zeros((0, axes)),
+        )
+        self._ended = False
+        self._worst = -1.0
+        self._where: tuple[bool, int, int, FloatArray] = (False, 0, 0, np.zeros(axes))
+        self._per_axis = np.zeros(axes)
+
+    def run(self) -> PathDeviation:
+        for block in self._planned:
+            for part in _parts(block):
+                self._take(*part)
+        while not self._ended:
+            self._read()
+        self._settle(len(self._window.best))
+        return PathDeviation(
+            at_tool_m=float(np.sqrt(max(self._worst, 0.0))),
+            at_vertex=self._where[0],
+            line=self._where[1],
+            operation=self._where[2],
+            position=self._where[3],
+            per_axis=self._per_axis / self._radius,
+        )
+
+    def _read(self) -> None:
+        """Append the distinct vertices of the next block."""
+        block = next(self._source, None)
+        w = self._window
+        if block is None:
+            self._ended = True
+            return
+        scaled = block.positions * self._radius
+        before = w.positions[-1:] if len(w.positions) else np.full_like(scaled[:1], np.inf)
+        moved = np.abs(np.diff(scaled, axis=0, prepend=before)).max(axis=1) > 0
+        rows = np.flatnonzero(moved)
+        self._window = _Window(
+            np.concatenate([w.positions, scaled[rows]]),
+            np.concatenate([w.operation, block.operation[rows]]),
+            np.concatenate([w.line, block.line[rows]]),
+            np.concatenate([w.best, np.full(len(rows), np.inf)]),
+            np.concatenate([w.offset, np.zeros((len(rows), scaled.shape[1]))]),
+        )
+
+    def _take(self, coefficients: FloatArray, operation: IntArray) -> None:
+        """Compare pieces with the vertices around each."""
+        last = int(operation[-1])
+        while not self._ended and int((self._window.operation > last).sum()) <= 2 * WINDOW:
+            self._read()
+        w = self._window
+        # The vertex that the operation of each piece leads to; the start shares operation 0.
+        vertex = np.searchsorted(w.operation, operation, side="right") - 1
+        first = max(int(vertex[0]) - 4 * WINDOW, 0)
+        self._settle(first)
+        w = self._window
+        strayed, at, u, difference = compare(
+            coefficients * self._radius, vertex - first, w.positions, WINDOW, w.best, w.offset
+        )
+        self._per_axis = np.maximum(self._per_axis, difference)
+        if strayed > self._worst:
+            powers = u ** np.arange(coefficients.shape[1])
+            position = np.asarray(powers @ coefficients[at])
+            mine = int(vertex[at]) - first
+            self._worst = strayed
+            self._where = (False, int(w.line[mine]), int(operation[at]), position)
+
+    def _settle(self, count: int) -> None:
+        """Record the distances of the first ``count`` vertices, which no later piece can change."""
+        w = self._window
+        reached = w.best[:count]
+        seen = np.flatnonzero(np.isfinite(reached))
+        if len(seen):
+            self._per_axis = np.maximum(self._per_axis, np.abs(w.offset[seen]).max(axis=0))
+            at = int(seen[np.argmax(reached[seen])])
+            if reached[at] > self._worst:
+                self._worst = float(reached[at])
+                position = np.asarray(w.positions[at] / self._radius)
+                self._where = (True, int(w.line[at]), int(w.operation[at]), position)
+        self._window = _Window(
+            w.positions[count:],
+            w.operation[count:],
+            w.line[count:],
+            w.best[count:],
+            w.offset[count:],
+        )
+
+
+def _parts(block: PieceBlock) -> Iterator[tuple[FloatArray, IntArray]]:
+    for first in range(0, len(block), _PIECES):
+        rows = slice(first, first + _PIECES)
+        yield block.coefficients[rows], block.operation[rows]

@@ -1,0 +1,346 @@
+"""Numbers that a planner reports of its path, computed when they are first read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ParamSpec
+
+from threadline.base.option_defaults import DEFAULT_TOLERANCE_M
+from threadline.base.wording import nearest
+from threadline.errors import OptionError
+from threadline.files import KeptStream, Stream
+from threadline.machine import Machine
+from threadline.machine.vary import within_path
+from threadline.motion.path import bspline, straight
+from threadline.motion.path.auto import auto_pieces, points_added
+from threadline.motion.path.bspline import PULLS, Pull
+from threadline.motion.path.deviation import path_deviation
+from threadline.motion.path.durations import polynomial_limits, smoothing_for, smoothing_share
+from threadline.motion.path.polygon import CUBIC, QUARTIC
+from threadline.motion.path.runs import resting_at_reversals
+from threadline.motion.path.straight import blended_pieces, polynomial_pieces
+from threadline.motion.path.types import PieceBlock, PlannedPath, ProgrammedPath, Timing
+
+P = ParamSpec("P")
+
+
+class LazySummary(Mapping[str, float]):
+    """A mapping that is computed when it is first read.
+
+    Parameters
+    ----------
+    work
+        Function of a module, not nested in another, so that a summary can be pickled as a
+        ``Stream`` can.
+    arguments, keywords
+        Arguments with which it is called.
+    """
+
+    def __init__(
+        self, work: Callable[P, Mapping[str, float]], *arguments: P.args, **keywords: P.kwargs
+    ) -> None:
+        self._work, self._arguments, self._keywords = work, arguments, keywords
+
+    @cached_property
+    def _found(self) -> Mapping[str, float]:
+        return self._work(*self._arguments, **self._keywords)
+
+    def __getitem__(self, key: str) -> float:
+        return self._found[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._found)
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+
+def auto_summary(
+    programmed: ProgrammedPath, planned: PlannedPath, cut_m: float, degree: int = CUBIC
+) -> dict[str, float]:
+    """Return the number of points added, the largest deviation in m and its program line."""
+    added = {"points_added": float(points_added(programmed, cut_m, degree))}
+    return added | deviation_summary(programmed, planned)
+
+
+def deviation_summary(programmed: ProgrammedPath, planned: PlannedPath) -> dict[str, float]:
+    """Return the largest deviation in m, and its program line."""
+    deviation = path_deviation(programmed, planned)
+    return {
+        "largest_deviation_m": deviation.at_tool_m,
+        "largest_deviation_line": float(deviation.line),
+    }
+
+
+PARABOLA_SHARE = 0.9
+_NEAR_SHARE = 0.01  # share of the tolerance: ``optimal`` leaves out vertices nearer to the last
+_ROUNDING = 1e-9
+CHORDS = "chords"
+"""The programmed chords as they stand; no interpolation of its own."""
+BY_LAW = "law:"
+"""Begins the name of the interpolations that follow each chord by a motion law."""
+OPTIMAL = "optimal"
+FIRMWARE = "firmware"
+"""The chords as the machine's own firmware times them."""
+KEEPING_TOLERANCE = ("auto", OPTIMAL, "parabolic")
+"""Interpolations that stay within the tolerance everywhere; the others report their deviation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathOptions:
+    """Options of the interpolations; see ``plan_path``."""
+
+    tolerance_m: float = DEFAULT_TOLERANCE_M
+    pull: Pull = "repeat"
+
+
+Planner = Callable[[ProgrammedPath, Machine, PathOptions], PlannedPath]
+
+
+def plan_path(
+    programmed: ProgrammedPath,
+    machine: Machine,
+    interpolation: str = "auto",
+    tolerance_m: float = DEFAULT_TOLERANCE_M,
+    pull: Pull = "repeat",
+) -> PlannedPath:
+    """Return the path that will be followed.
+
+    Parameters
+    ----------
+    programmed, machine
+        What the job says, and the machine that does it.
+    interpolation
+        One of ``interpolation_names()``.
+    tolerance_m
+        Largest distance between planned and programmed path at the tool, with rotary axes at
+        their radius. The historical interpolations ignore it. The cubic keeps it at the points
+        and the quintic meets the points; between the points neither has a bound.
+    pull
+        How ``b-spline-pulled`` is pulled to its turning points: by repeating them, by points
+        nearby, or by knot spacing.
+
+    Raises
+    ------
+    OptionError
+        If the interpolation or the way to pull is unknown, or the tolerance not greater than 0.
+    PlanError
+        If the job cannot be done (see ``programmed_path``).
+    """
+    if interpolation not in _PLANNERS:
+        raise OptionError(
+            f"unknown interpolation {interpolation!r}",
+            remedy=nearest(interpolation, [*_PLANNERS, f"{BY_LAW}NAME"], "There are"),
+        )
+    if not 0 < tolerance_m < float("inf"):
+        raise OptionError(
+            f"tolerance is {tolerance_m!r} m; it must be greater than 0",
+            remedy='Give one like "0.1 mm".',
+        )
+    if pull not in PULLS:
+        raise OptionError(
+            f"unknown way {pull!r} to pull a spline", remedy=f"There are: {', '.join(PULLS)}."
+        )
+    options = PathOptions(tolerance_m=tolerance_m, pull=pull)
+    if interpolation != OPTIMAL:
+        machine = within_path(machine, programmed.axes, programmed.radius_m)
+    elif machine.path is not None and machine.path.asks_for_rests:
+        programmed = replace(programmed, blocks=Stream(resting_at_reversals, programmed))
+    return _PLANNERS[interpolation](programmed, machine, options)
+
+
+def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> PlannedPath:
+    """Return the programmed chords as a path, for motions that need no rounded corners.
+
+    Such motions are smoothed in time (``Pace.PROGRAMMED``) or rest at every vertex
+    (``Pace.LAW``).
+
+    Parameters
+    ----------
+    interpolation
+        Name that the path is given.
+    """
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=interpolation,
+        timing=Timing.GEOMETRIC,
+        historical=False,
+        blocks=KeptStream(straight.chords, programmed),
+    )
+
+
+def on_chords(interpolation: str) -> bool:
+    """Return whether the interpolation of that name follows the programmed chords themselves."""
+    return interpolation == CHORDS or interpolation.startswith(BY_LAW)
+
+
+def interpolation_names() -> tuple[str, ...]:
+    """Return the names that ``plan_path`` knows."""
+    return tuple(_PLANNERS)
+
+
+def _historical(
+    name: str,
+    programmed: ProgrammedPath,
+    blocks: KeptStream[PieceBlock],
+    summary: Mapping[str, float],
+) -> PlannedPath:
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=name,
+        timing=Timing.TIME,
+        historical=True,
+        blocks=blocks,
+        summary=summary,
+    )
+
+
+def _linear(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    del options
+    return _historical(
+        "linear", programmed, KeptStream(straight.linear_pieces, programmed, machine), {}
+    )
+
+
+def _point_to_point(
+    programmed: ProgrammedPath, machine: Machine, options: PathOptions
+) -> PlannedPath:
+    del options
+    return _historical(
+        "point-to-point",
+        programmed,
+        KeptStream(straight.point_to_point_pieces, programmed, machine),
+        {},
+    )
+
+
+def _bspline(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    del options
+    return _spline("b-spline", bspline.plain, programmed, machine)
+
+
+def _pulled(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    return _spline("b-spline-pulled", PULLS[options.pull], programmed, machine)
+
+
+def _spline(
+    name: str, refine: bspline.Refine, programmed: ProgrammedPath, machine: Machine
+) -> PlannedPath:
+    interval_s = bspline.interval_time_s(programmed, machine, refine)
+    return _historical(
+        name,
+        programmed,
+        KeptStream(bspline.bspline_pieces, programmed, machine, refine, interval_s),
+        {"interval_s": interval_s},
+    )
+
+
+def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    smoothing = smoothing_for(machine, programmed.axes)
+    share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
+    smoothing_m = share * options.tolerance_m
+    cut_m = options.tolerance_m - smoothing_m
+    path = PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation="auto",
+        timing=Timing.GEOMETRIC,
+        historical=False,
+        blocks=KeptStream(auto_pieces, programmed, cut_m),
+        smoothing_m=smoothing_m,
+    )
+    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m))
+
+
+def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    # Jerk is limited by the timing, so the shape has the whole tolerance, less the distance of the
+    # vertices that are left out: moves of a nanometre cannot be timed.
+    del machine
+    near_m = _NEAR_SHARE * options.tolerance_m
+    cut_m = options.tolerance_m * (1.0 - _NEAR_SHARE - _ROUNDING)
+    path = PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=OPTIMAL,
+        timing=Timing.FASTEST,
+        historical=False,
+        blocks=KeptStream(auto_pieces, programmed, cut_m, near_m, degree=QUARTIC),
+    )
+    return replace(path, summary=LazySummary(auto_summary, programmed, path, cut_m, QUARTIC))
+
+
+def _firmware(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    del options
+    if machine.planner is None:
+        raise OptionError(
+            f"{machine.name} has no firmware that plans motion by itself",
+            place=machine.place,
+            remedy="Write [planner] into the machine file (docs/machines.md), or choose another "
+            "interpolation.",
+        )
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation=FIRMWARE,
+        timing=Timing.FIRMWARE,
+        historical=True,
+        blocks=KeptStream(straight.chords, programmed),
+    )
+
+
+def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+    smoothing = smoothing_for(machine, programmed.axes)
+    share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
+    # Unlike a spline, a parabola uses all of its share and leaves nothing for the smoothing's outer
+    # ends, which by trial need a tenth of it at reversals.
+    smoothing_m = PARABOLA_SHARE * share * options.tolerance_m
+    cut_m = (1.0 - share) * options.tolerance_m
+    path = PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation="parabolic",
+        timing=Timing.GEOMETRIC,
+        historical=False,
+        blocks=KeptStream(blended_pieces, programmed, cut_m),
+        smoothing_m=smoothing_m,
+    )
+    return replace(path, summary=LazySummary(deviation_summary, programmed, path))
+
+
+def _polynomial(name: str) -> Planner:
+    quintic = name == "quintic"
+
+    def planner(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
+        bounds = polynomial_limits(
+            machine, programmed.axes, programmed.radius_m, options.tolerance_m, quintic=quintic
+        )
+        path = PlannedPath(
+            axes=programmed.axes,
+            radius_m=programmed.radius_m,
+            interpolation=name,
+            timing=Timing.TIME,
+            historical=False,
+            blocks=KeptStream(polynomial_pieces, programmed, bounds, quintic=quintic),
+            smoothing_m=0.0 if quintic else options.tolerance_m,
+        )
+        return replace(path, summary=LazySummary(deviation_summary, programmed, path))
+
+    return planner
+
+
+_PLANNERS: dict[str, Planner] = {
+    "auto": _auto,
+    OPTIMAL: _optimal,
+    FIRMWARE: _firmware,
+    "point-to-point": _point_to_point,
+    "linear": _linear,
+    "parabolic": _parabolic,
+    "cubic": _polynomial("cubic"),
+    "quintic": _polynomial("quintic"),
+    "b-spline": _bspline,
+    "b-spline-pulled": _pulled,
+}

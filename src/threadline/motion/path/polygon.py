@@ -1,0 +1,492 @@
+"""The polygon of a spline that stays within a tolerance of programmed vertices.
+
+Where the program turns so little that the spline cuts a vertex by less than the tolerance, the
+vertices alone are its points. Elsewhere points are added on the chords on either side of the
+vertex, the nearer to it the smaller the tolerance: one on each for a cubic, whose control points
+they are, up to two for a quartic, whose knots they are. All lengths are measured at the tool, with
+rotary axes at their radius.
+"""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.machine.mandrel import LocalRadii
+from threadline.motion.path.greville import TOUCH, knots_between, quartic_spacing, quartic_spans
+from threadline.motion.path.runs import Vertices
+from threadline.motion.path.types import PieceBlock
+
+STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
+LEAST_SPACING_M = 1e-7  # a corner that would need points nearer than this is met at rest
+# With neighbours at h1 and h2 a vertex is cut by at most |dt| max(h1, h2) / 4, whatever the
+# spacing beyond them; with even spacing l on both sides by |dt| l / 6.
+ANY_CUT = 1.0 / 4.0
+EVEN_CUT = 1.0 / 6.0
+EXTRA = 1.75  # share of the spacing: room for another point before a vertex without points
+MOST_POINTS = 5  # most points of a chord, the vertex at its end included
+CUBIC, QUARTIC = 3, 4
+"""Degrees of a spline: with continuous second derivative, or third."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Controls:
+    """Consecutive points of the polygon; the leg of point i leads from point i - 1 to it.
+
+    Parameters
+    ----------
+    positions
+        (n, axes) m or rad.
+    turn
+        (n,) |t2 - t1| of the unit tangents before and after the point, at the tool; 0 on a line.
+    added
+        (n,) 1 for a point that is not a vertex, else 0.
+    length_m, nominal_s
+        (n,) length of the leg at the tool, and its time at the feed.
+    operation, line
+        (n,) operation that the leg belongs to, and its line in the job file.
+    """
+
+    positions: FloatArray
+    turn: FloatArray
+    added: IntArray
+    length_m: FloatArray
+    nominal_s: FloatArray
+    operation: IntArray
+    line: IntArray
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def take(self, rows: slice) -> Controls:
+        """Return the points at ``rows``."""
+        return Controls(**{name: getattr(self, name)[rows] for name in _COLUMNS})
+
+
+_COLUMNS = ("positions", "turn", "added", "length_m", "nominal_s", "operation", "line")
+
+
+def join_controls(first: Controls | None, second: Controls) -> Controls:
+    """Return the points of ``first``, if there are any, followed by those of ``second``."""
+    if first is None:
+        return second
+    return Controls(
+        **{n: np.concatenate([getattr(first, n), getattr(second, n)]) for n in _COLUMNS}
+    )
+
+
+def turns(
+    positions: FloatArray, radius_m: FloatArray, local: LocalRadii | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the (n - 1,) lengths of the chords and the (n,) turns at the vertices.
+
+    The turn of the first and the last vertex is 0. It says how far a curve of given length leaves
+    the vertex, so that a turn of a mandrel counts at its largest radius on the chords beside the
+    vertex; lengths count at the largest of all.
+    """
+    shares = np.ones((0, len(radius_m)))
+    if local is not None:
+        most = local.most_between(positions)
+        shares = np.maximum(most[:-1], most[1:])
+    found: tuple[FloatArray, FloatArray] = _turns(positions, radius_m, shares)
+    return found
+
+
+@njit()
+def _turns(positions, radius_m, shares):
+    """Return lengths and turns; ``shares`` are those of the vertices in between, or none."""
+    count, axes = positions.shape
+    length, turn = np.empty(max(count - 1, 0)), np.zeros(count)
+    tangent = np.zeros((2, axes))
+    for i in range(count - 1):
+        squared, here, before = 0.0, i % 2, 1 - i % 2
+        for j in range(axes):
+            chord = (positions[i + 1, j] - positions[i, j]) * radius_m[j]
+            tangent[here, j] = chord
+            squared += chord * chord
+        size = np.sqrt(squared)
+        length[i] = size
+        changed = 0.0
+        for j in range(axes):
+            tangent[here, j] /= size
+            change = tangent[here, j] - tangent[before, j]
+            if i > 0 and len(shares):
+                change *= shares[i - 1, j]
+            changed += change * change
+        changed = np.sqrt(changed)
+        if i > 0 and not changed <= STRAIGHT:
+            turn[i] = changed
+    return length, turn
+
+
+@njit()
+def corner_spacing(length_m, turn, cut_m, beside_m, spacing):
+    """Write the (n,) distances of the points to be added beside each vertex, 0 for none.
+
+    ``cut_m``, less what the program is beside the chord into a vertex (``beside_m``) and the next
+    one, is the largest distance at the tool between the spline and the vertex, and between the
+    spline and the chords. The points stand at most half way to the next vertex.
+    """
+    count = len(turn)
+    for v in range(count):
+        spacing[v] = 0.0
+        if turn[v] > 0.0:
+            before = length_m[v - 1] if v > 0 else 0.0
+            after = length_m[v] if v < count - 1 else 0.0
+            beside = max(beside_m[v], beside_m[v + 1] if v < count - 1 else 0.0)
+            unit = (cut_m - beside) / turn[v]
+            if max(before, after) * ANY_CUT > unit:
+                spacing[v] = min(unit / EVEN_CUT, 0.5 * min(before, after))
+
+
+def control_polygon(
+    vertices: Vertices,
+    length_m: FloatArray,
+    turn: FloatArray,
+    cut_m: float,
+    first: int,
+    stop: int,
+    degree: int = CUBIC,
+    *,
+    begins: bool = False,
+    ends: bool = False,
+) -> Controls:
+    """Return the points of chords ``first`` to ``stop``, the first vertex left out.
+
+    Parameters
+    ----------
+    vertices
+        n vertices of one run, among them one on either side of the chords, four for a quartic,
+        unless the run ends there.
+    length_m, turn
+        (n - 1,) lengths and (n,) turns of ``turns``.
+    cut_m
+        Largest distance of the spline from the program, at the tool.
+    begins, ends
+        Whether the run begins with the first vertex, and ends with the last.
+    """
+    spacing = np.empty((2, len(turn)))  # on the leg into each vertex, and on the next
+    if degree == CUBIC:
+        corner_spacing(length_m, turn, cut_m, vertices.beside_m, spacing[0])
+        spacing[1] = spacing[0]
+    else:
+        quartic_spacing(length_m, turn, cut_m, vertices.beside_m, first, stop, spacing)
+    columns = _points(
+        vertices.positions,
+        vertices.nominal_s,
+        vertices.operation,
+        vertices.line,
+        length_m,
+        turn,
+        spacing,
+        first,
+        stop,
+        degree == QUARTIC,
+        begins,
+        ends,
+    )
+    return Controls(**dict(zip(_COLUMNS, columns, strict=True)))
+
+
+@njit()
+def _points(
+    positions, nominal_s, operation, line, length_m, turn, spacing, first, stop, quartic,
+    begins, ends,
+):  # fmt: skip
+    """Return the columns of the points of chords ``first`` to ``stop``."""
+    axes = positions.shape[1]
+    share = np.empty(MOST_POINTS)
+    count = 0
+    for c in range(first, stop):
+        if not quartic and spacing[1, c] == 0.0 and spacing[0, c + 1] == 0.0:
+            count += 1  # most are: told without a call
+        else:
+            count += _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share)
+    out = np.empty((count, axes))
+    turned, gone, time_s = np.zeros(count), np.empty(count), np.empty(count)
+    added = np.zeros(count, dtype=np.int64)
+    own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    n = 0
+    for c in range(first, stop):
+        before, between = 0.0, 0
+        if quartic or spacing[1, c] > 0.0 or spacing[0, c + 1] > 0.0:
+            between = _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share) - 1
+        for k in range(between):
+            at = share[k]
+            for j in range(axes):
+                out[n, j] = positions[c, j] + at * (positions[c + 1, j] - positions[c, j])
+            gone[n] = (at - before) * length_m[c]
+            time_s[n] = (at - before) * nominal_s[c + 1]
+            own[n], row[n], added[n] = operation[c + 1], line[c + 1], 1
+            before = at
+            n += 1
+        # The end is written out so that a vertex is met bit for bit.
+        for j in range(axes):
+            out[n, j] = positions[c + 1, j]
+        gone[n], time_s[n] = (1.0 - before) * length_m[c], (1.0 - before) * nominal_s[c + 1]
+        own[n], row[n], turned[n] = operation[c + 1], line[c + 1], turn[c + 1]
+        n += 1
+    return out, turned, added, gone, time_s, own, row
+
+
+@njit()
+def _on_chord(length, turn, spacing, c, quartic, begins, ends, share):
+    """Write the places (0 to 1) of the points on a chord, its end the last; count them."""
+    near, far = spacing[1, c] / length[c], spacing[0, c + 1] / length[c]
+    if quartic:
+        opens, closes = begins and c == 0, ends and c == len(length) - 1
+        other = c + 1 if near > 0.0 else c - 1
+        beyond = length[other] / length[c] if 0 <= other < len(length) else np.inf
+        return knots_between(near, far, opens, closes, beyond, share)
+    n = 0
+    room = 1.0 - near - far
+    if near > 0.0 and far > 0.0 and room < TOUCH:
+        share[n] = 0.5
+        n += 1
+    else:
+        # Towards a vertex without added points, a second added point keeps the spacing even.
+        if near > 0.0:
+            share[n] = near
+            n += 1
+            if far == 0.0 and turn[c + 1] > 0.0 and room > EXTRA * near:
+                share[n] = 2.0 * near
+                n += 1
+        if far > 0.0:
+            if near == 0.0 and turn[c] > 0.0 and room > EXTRA * far:
+                share[n] = 1.0 - 2.0 * far
+                n += 1
+            share[n] = 1.0 - far
+            n += 1
+    share[n] = 1.0
+    return n + 1
+
+
+_EVEN = 0.02
+"""A piece is divided where its time per unit of u, by the feed, varies by more than this share."""
+_MOST_PARTS = 16
+_TINY = float(np.finfo(np.float64).tiny)
+
+
+def pieces_of(
+    controls: Controls,
+    first: int,
+    stop: int,
+    *,
+    ends: bool,
+    dwell_s: float,
+    degree: int = CUBIC,
+) -> PieceBlock:
+    """Return the pieces between points ``first`` and ``stop``.
+
+    Parameters
+    ----------
+    controls
+        Points, with at least two before ``first`` and two after ``stop``, three for a quartic,
+        unless the run begins at the first or ends at the last.
+    ends, dwell_s
+        Whether the run ends at ``stop``, and the pause there.
+    degree
+        3, with the points as control points, or 4, with control points between them.
+    """
+    columns = controls.positions, controls.turn, controls.length_m, controls.nominal_s
+    if degree == CUBIC:
+        coefficients, pace, straight = _spans(*columns, first, stop)
+    else:
+        coefficients, pace, straight = quartic_spans(*columns, first, stop)
+    own = slice(first + 1, stop + 1)
+    operation, line = controls.operation[own], controls.line[own]
+    parts = _parts(pace, straight)
+    count = _count(parts, straight, operation)
+    nominal_s = _nominal(pace, straight, controls.nominal_s[own])
+    if count < len(parts) or parts.max() > 1:
+        coefficients, nominal_s, operation, line = _cut_and_joined(
+            coefficients, pace, nominal_s, straight, parts, operation, line, count
+        )
+    rest = np.zeros(count, dtype=np.int64)
+    pause = np.zeros(count)
+    if ends:
+        rest[-1], pause[-1] = 1, dwell_s
+    for fresh in (coefficients, nominal_s, rest, pause):
+        fresh.flags.writeable = False  # so the block need not copy what nobody else holds
+    return PieceBlock(
+        coefficients=coefficients,
+        operation=operation,
+        nominal_s=nominal_s,
+        rest_after=rest,
+        dwell_s=pause,
+        line=line,
+    )
+
+
+@njit()
+def _spans(positions, turn, length_m, nominal_s, first, stop):
+    """Return the pieces between two control points, their paces, and which of them are straight.
+
+    Returns
+    -------
+    coefficients, pace, straight
+        (m, 4, axes); (m, 3) Bezier values of the time at the feed per unit of u, s; (m,).
+
+    Notes
+    -----
+    Boehm's construction: leg k, from point k to k + 1 of length h[k], carries the two inner
+    Bezier points of its span at the fractions h[k-1] / H and (h[k-1] + h[k]) / H,
+    H = h[k-1] + h[k] + h[k+1]; the joint at point k divides the last of leg k - 1 and the first
+    of leg k as h[k-1] : h[k]. A leg between two points where the polygon does not turn is a line.
+    The spline beside a line ends in their common point as at the end of a run: its polygon is
+    mirrored there, so that it leaves straight, without curvature and evenly, whatever the length
+    of the line. The time at the feed is a spline over the same knots as the path.
+    """
+    legs, axes = len(positions) - 1, positions.shape[1]
+    line = np.empty(legs, dtype=np.bool_)
+    for k in range(legs):
+        line[k] = turn[k] == 0.0 and turn[k + 1] == 0.0
+    # Shares of each leg before its first and after its second inner Bezier point.
+    lead, trail = np.empty(legs), np.empty(legs)
+    opens, closes = np.empty(legs, dtype=np.bool_), np.empty(legs, dtype=np.bool_)
+    for k in range(legs):
+        opens[k] = k == 0 or line[k - 1] or line[k]
+        closes[k] = k == legs - 1 or line[k + 1] or line[k]
+        h = length_m[k + 1]
+        before = h if opens[k] else length_m[k]
+        after = h if closes[k] else length_m[k + 2]
+        total = before + h + after
+        lead[k], trail[k] = before / total, after / total
+    coefficients = np.empty((stop - first, 4, axes))
+    pace = np.empty((stop - first, 3))
+    for k in range(first, stop):
+        i = k - first
+        h = length_m[k + 1]
+        here = 0.0 if opens[k] else h / (length_m[k] + h)
+        there = 0.0 if closes[k] else h / (h + length_m[k + 2])
+        for j in range(axes):
+            leg = positions[k + 1, j] - positions[k, j]
+            d0, d2 = lead[k] * leg, trail[k] * leg
+            d1 = leg - d0 - d2
+            joint = positions[k, j]
+            if not opens[k]:
+                start = d0
+                d0 = (trail[k - 1] * (positions[k, j] - positions[k - 1, j]) + start) * here
+                joint += start - d0
+            if not closes[k]:
+                d2 = (lead[k + 1] * (positions[k + 2, j] - positions[k + 1, j]) + d2) * there
+            coefficients[i, 0, j] = joint
+            if line[k]:
+                coefficients[i, 1, j], coefficients[i, 2, j], coefficients[i, 3, j] = leg, 0.0, 0.0
+            else:
+                coefficients[i, 1, j] = 3.0 * d0
+                coefficients[i, 2, j] = 3.0 * (d1 - d0)
+                coefficients[i, 3, j] = d0 - 2.0 * d1 + d2
+        d0, d2 = lead[k] * nominal_s[k + 1], trail[k] * nominal_s[k + 1]
+        pace[i, 1] = 3.0 * (nominal_s[k + 1] - d0 - d2)
+        if not opens[k]:
+            d0 = (trail[k - 1] * nominal_s[k] + d0) * here
+        if not closes[k]:
+            d2 = (lead[k + 1] * nominal_s[k + 2] + d2) * there
+        pace[i, 0], pace[i, 2] = 3.0 * d0, 3.0 * d2
+    return coefficients, pace, line[first:stop]
+
+
+@njit()
+def _parts(pace, straight):
+    """Return into how many parts each of m pieces is divided so that its pace is even in each.
+
+    A piece has a single nominal time. At the slowest of its paces (m, degree) it would take up to
+    half as long again as programmed, and the needle of a stitcher would wait for the head.
+    """
+    out = np.ones(len(pace), dtype=np.int64)
+    for i in range(len(pace)):
+        total, least, most = 0.0, np.inf, -np.inf
+        for k in range(pace.shape[1]):  # of a row, sum() and max() would make an array each
+            total += pace[i, k]
+            least, most = min(least, pace[i, k]), max(most, pace[i, k])
+        uneven = (most - least) / max(total / pace.shape[1], _TINY)
+        if not straight[i] and uneven > _EVEN:
+            out[i] = min(int(np.ceil(uneven / _EVEN)), _MOST_PARTS)
+    return out
+
+
+@njit()
+def _count(parts, straight, operation):
+    """Return the number of pieces: parts, and straight spans of one move as one of them."""
+    count = 0
+    for i in range(len(parts)):
+        count += parts[i]
+        if i > 0 and straight[i] and straight[i - 1] and operation[i] == operation[i - 1]:
+            count -= 1
+    return count
+
+
+@njit()
+def _nominal(pace, straight, passed_s):
+    """Return the (m,) times of whole pieces: at the slowest pace of those that are curved."""
+    out = np.empty(len(pace))
+    for i in range(len(pace)):
+        most = -np.inf
+        for k in range(pace.shape[1]):
+            most = max(most, pace[i, k])
+        out[i] = passed_s[i] if straight[i] else most
+    return out
+
+
+@njit()
+def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, line, count):
+    """Return ``count`` pieces: m cut into ``parts`` each, straight spans of one move joined.
+
+    Returns
+    -------
+    coefficients, nominal_s, operation, line
+        (count, degree + 1, axes) and (count,) of the pieces.
+    """
+    order, axes = coefficients.shape[1:]
+    out = np.empty((count, order, axes))
+    time_s = np.empty(count)
+    own, row = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    part_s = np.empty(order - 1)
+    n = 0
+    for i in range(len(parts)):
+        same = i > 0 and straight[i] and straight[i - 1] and operation[i] == operation[i - 1]
+        if same:
+            for j in range(axes):
+                out[n - 1, 1, j] += coefficients[i, 1, j]
+            time_s[n - 1] += nominal_s[i]
+            continue
+        own[n : n + parts[i]], row[n : n + parts[i]] = operation[i], line[i]
+        if parts[i] == 1:
+            for power in range(order):  # an assignment of the whole takes seconds to compile
+                for j in range(axes):
+                    out[n, power, j] = coefficients[i, power, j]
+            time_s[n] = nominal_s[i]
+            n += 1
+            continue
+        h = 1.0 / parts[i]
+        for part in range(parts[i]):
+            u = h * part
+            for j in range(axes):
+                for power in range(order):
+                    out[n, power, j] = coefficients[i, power, j]
+                # Horner's scheme in both directions is the shift of a polynomial.
+                for low in range(order - 1):
+                    for power in range(order - 2, low - 1, -1):
+                        out[n, power, j] += u * out[n, power + 1, j]
+                width = 1.0
+                for power in range(1, order):
+                    width *= h
+                    out[n, power, j] *= width
+            # The largest Bezier value of the part's time per u, so that no place is above its feed.
+            most = 0.0
+            for later in range(order - 1):
+                for k in range(order - 1):
+                    part_s[k] = pace[i, k]
+                for level in range(order - 2):
+                    at = u + h if level < later else u
+                    for k in range(order - 2 - level):
+                        part_s[k] += at * (part_s[k + 1] - part_s[k])
+                most = max(most, part_s[0])
+            time_s[n] = h * most
+            n += 1
+    return out, time_s, own, row

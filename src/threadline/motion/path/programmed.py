@@ -1,0 +1,235 @@
+"""The programmed path of a job: vertices in axis space, with the time of each move at its feed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import LimitError, Place, PlanError
+from threadline.files import KeptStream
+from threadline.jobs.feed_times import check_feed, nominal_time_s, wanted_feed
+from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, MoveRun, move_runs
+from threadline.machine import Machine
+from threadline.motion.path.types import ProgrammedPath, VertexBlock
+
+BLOCK = 4096
+_NONE_YET = Feed(FeedMode.RAPID, 0.0)
+_TRAVEL_SLACK = 1e-9  # m or rad: rounding of sums of incremental moves that end at a limit
+
+
+def programmed_path(
+    job: Job, machine: Machine, feed: Feed | None = None, *, at_limits: bool = False
+) -> ProgrammedPath:
+    """Return the programmed path of ``job``, a stream of vertices on the axes of the job.
+
+    The motion rests where something other than a move follows: a dwell, an output, a wait, a stop,
+    a tool event, the end.
+
+    Parameters
+    ----------
+    job, machine
+        The job, and the machine that does it.
+    feed
+        Feed of every move but the rapid ones. When None, each move has its programmed feed, but
+        none faster than the operator's normal feed if the machine file has one;
+        ``VertexBlock.slowed`` counts the moves that were slowed to it.
+    at_limits
+        Whether times are what a timing by limits may go down to (``Feed.most``): a needle that
+        follows the head then turns as fast as that.
+
+    Raises
+    ------
+    PlanError
+        If an axis of the job is not on the machine, or ``feed`` is not above 0. While the stream is
+        read: if a feed is missing or not above 0.
+    LimitError
+        While the stream is read: if the start or the end of a move is outside the travel.
+    """
+    for axis in job.axes:
+        if axis not in machine.axes:
+            raise PlanError(
+                f"axis {axis} of job {job.name!r} is not an axis of machine {machine.name!r}, "
+                f"which has {', '.join(machine.axis_names)}",
+                remedy="Use another machine file, or take the axis out of the job.",
+            )
+    if feed is not None:
+        check_feed(feed, job.axes, None)
+    column = [machine.axis_names.index(axis) for axis in job.axes]
+    return ProgrammedPath(
+        axes=job.axes,
+        radius_m=machine.radius_m[column],
+        blocks=KeptStream(_blocks, job, machine, feed, at_limits),
+        local=machine.local_radii(job.axes),
+    )
+
+
+@dataclass(slots=True)
+class _Pending:
+    """Vertices that are not yet in a block; the last may still get a rest.
+
+    ``rests`` holds the pause at each vertex of rest, by its place; ``feeds`` the feed from a
+    vertex on, with the line of its first move (None for the start).
+    """
+
+    targets: list[FloatArray]
+    line: list[IntArray]
+    operation: list[IntArray]
+    rests: dict[int, float]
+    feeds: list[tuple[int, Feed | None]]
+    file: str
+    count: int = 1
+
+    def add(self, run: MoveRun, operation: int) -> None:
+        """Append a run of moves, of which the first is number ``operation``."""
+        self.file = run.file
+        for begin, feed in run.feeds:
+            if feed is not self.feeds[-1][1]:
+                self.feeds.append((self.count + begin, feed))
+        self.targets.append(run.targets)
+        self.line.append(run.line)
+        self.operation.append(np.arange(operation, operation + len(run), dtype=np.int64))
+        self.count += len(run)
+
+    def rest(self, dwell_s: float) -> None:
+        """Add a rest of ``dwell_s`` at the latest vertex."""
+        self.rests[self.count - 1] = self.rests.get(self.count - 1, 0.0) + dwell_s
+
+    def after(self, size: int) -> _Pending:
+        """Return the vertices after the first ``size``, which are in a block."""
+        return _Pending(
+            [np.concatenate(self.targets)[size:]],
+            [np.concatenate(self.line)[size:]],
+            [np.concatenate(self.operation)[size:]],
+            {at - size: dwell_s for at, dwell_s in self.rests.items() if at >= size},
+            [(0, self.feeds[-1][1])],
+            self.file,
+            self.count - size,
+        )
+
+
+def _blocks(
+    job: Job, machine: Machine, feed: Feed | None, at_limits: bool
+) -> Iterator[VertexBlock]:
+    _check_start(job, machine)
+    previous = np.array(job.start)
+    zero = [np.zeros(1, dtype=np.int64)]
+    pending = _Pending([previous[None]], [*zero], [*zero], {0: 0.0}, [(0, _NONE_YET)], job.file)
+    index = 0
+    for item in move_runs(job):
+        if isinstance(item, MoveRun):
+            run = replace(item, feeds=_at_limits(item.feeds)) if at_limits else item
+            pending.add(run, index)
+            index += len(item)
+            if pending.count > BLOCK:
+                size = pending.count - 1
+                block = _block(pending, size, previous, job, machine, feed)
+                previous = block.positions[-1]
+                yield block
+                pending = pending.after(size)
+            continue
+        pending.rest(item.duration_s if isinstance(item, Dwell) else 0.0)
+        index += 1
+    pending.rest(0.0)
+    yield _block(pending, pending.count, previous, job, machine, feed)
+
+
+def _at_limits(feeds: Sequence[tuple[int, Feed | None]]) -> tuple[tuple[int, Feed | None], ...]:
+    """Return feeds of a run of moves as those of a timing by limits, equal ones in one."""
+    found: list[tuple[int, Feed | None]] = []
+    for begin, feed in feeds:
+        own = None if feed is None else feed.at_limits
+        if not found or own != found[-1][1]:
+            found.append((begin, own))
+    return tuple(found)
+
+
+def _block(
+    pending: _Pending,
+    size: int,
+    previous: FloatArray,
+    job: Job,
+    machine: Machine,
+    feed: Feed | None,
+) -> VertexBlock:
+    positions = np.concatenate(pending.targets)[:size]
+    line = np.concatenate(pending.line)[:size]
+    _check_travel(positions, line, pending.file, job, machine)
+    displacement = np.diff(positions, axis=0, prepend=previous[None])
+    nominal = np.zeros(size)
+    slowed = 0
+    ends = [begin for begin, _ in pending.feeds[1:]] + [size]
+    for (begin, programmed), following in zip(pending.feeds, ends, strict=True):
+        end = min(following, size)
+        if begin >= end:
+            continue
+        place = Place(pending.file, int(line[begin])) if line[begin] else None
+        nominal[begin:end], late = nominal_time_s(
+            displacement[begin:end],
+            wanted_feed(programmed, feed, place, job, machine),
+            feed,
+            job,
+            machine,
+        )
+        slowed += late
+    rest = np.zeros(size, dtype=np.int64)
+    dwell_s = np.zeros(size)
+    for at, pause_s in pending.rests.items():
+        if at < size:
+            rest[at], dwell_s[at] = 1, pause_s
+    return VertexBlock(
+        positions=positions,
+        operation=np.concatenate(pending.operation)[:size],
+        nominal_s=nominal,
+        rest=rest,
+        dwell_s=dwell_s,
+        line=line,
+        slowed=slowed,
+    )
+
+
+def _check_start(job: Job, machine: Machine) -> None:
+    for axis, value in zip(job.axes, job.start, strict=True):
+        low, high = machine.travel[machine.axis_names.index(axis)]
+        if not low - _TRAVEL_SLACK <= value <= high + _TRAVEL_SLACK:
+            raise LimitError(
+                f"axis {axis} starts at {_shown(axis, value, machine)}, "
+                f"outside its travel {_shown(axis, low, machine)} to {_shown(axis, high, machine)}",
+                axis=axis,
+                quantity="travel",
+                value_si=float(value),
+                limit_si=float(low if value < low else high),
+                remedy="Start the job within the travel.",
+            )
+
+
+def _check_travel(
+    positions: FloatArray, line: IntArray, file: str, job: Job, machine: Machine
+) -> None:
+    column = [machine.axis_names.index(axis) for axis in job.axes]
+    low, high = machine.travel[column].T
+    inside = (positions >= low - _TRAVEL_SLACK) & (positions <= high + _TRAVEL_SLACK)
+    if inside.all():
+        return
+    row, j = np.argwhere(~inside)[0]
+    axis = job.axes[j]
+    value = float(positions[row, j])
+    limit = float(low[j] if value < low[j] else high[j])
+    raise LimitError(
+        f"axis {axis} would move to {_shown(axis, value, machine)}; "
+        f"its travel ends at {_shown(axis, limit, machine)}",
+        axis=axis,
+        quantity="travel",
+        value_si=value,
+        limit_si=limit,
+        place=Place(file, int(line[row])),
+        remedy="Shorten the move or shift the start of the job.",
+    )
+
+
+def _shown(axis: str, value_si: float, machine: Machine) -> str:
+    if machine.axes[axis].kind == "linear":
+        return f"{value_si * 1e3:.6g} mm"
+    return f"{np.degrees(value_si):.6g} deg"

@@ -1,0 +1,279 @@
+"""The simple interpolations: chords, chords joined by parabolas, and polynomials in time.
+
+Each axis passes a point at the smaller of the mean velocities before and after it, and at 0 where
+it turns back. So each piece is monotone and its end velocities are 0 to 1 times its mean velocity.
+The time of every piece, on which the mean velocities depend, is that of ``polynomial_time_s``. A
+quintic passes the points without acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.motion.path.durations import (
+    chord_time_s,
+    polynomial_time_s,
+    rest_to_rest_s,
+    whole_ticks_s,
+)
+from threadline.motion.path.polygon import LEAST_SPACING_M, turns
+from threadline.motion.path.runs import Chunk, Vertices, join_vertices, runs
+from threadline.motion.path.types import PieceBlock, ProgrammedPath, VertexBlock
+
+
+def velocity_limit_of(programmed: ProgrammedPath, machine: Machine) -> FloatArray:
+    """Return the (axes,) velocity limits in the order of the path's axes."""
+    return machine.velocity_limit[[machine.axis_names.index(axis) for axis in programmed.axes]]
+
+
+def chords(programmed: ProgrammedPath) -> Iterator[PieceBlock]:
+    """Yield one straight piece per move, with the time at its feed (0 for a rapid move)."""
+    for block, start in with_previous(programmed):
+        displacement = np.diff(block.positions, axis=0, prepend=start)
+        coefficients = np.stack([block.positions - displacement, displacement], axis=1)
+        yield _straight_pieces(block, coefficients, block.nominal_s, rest_after=block.rest)
+
+
+def linear_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
+    """Yield one straight piece per move, at constant velocity, all axes arriving together.
+
+    The travel time is of whole ticks (``whole_ticks_s``).
+    """
+    tick_s = float(machine.tick_clock.period_s)
+    limit = velocity_limit_of(programmed, machine)
+    for block, start in with_previous(programmed):
+        displacement = np.diff(block.positions, axis=0, prepend=start)
+        time_s = whole_ticks_s(chord_time_s(displacement, block.nominal_s, limit), tick_s)
+        begin = block.positions - displacement
+        coefficients = np.stack([begin, displacement], axis=1)
+        yield _straight_pieces(block, coefficients, time_s, rest_after=block.rest)
+
+
+def point_to_point_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
+    """Yield one straight piece per move that starts and ends at rest.
+
+    The velocity is a parabola over time whose peak is the feed (``rest_to_rest_s``).
+    """
+    limit = velocity_limit_of(programmed, machine)
+    for block, start in with_previous(programmed):
+        displacement = np.diff(block.positions, axis=0, prepend=start)
+        time_s = rest_to_rest_s(chord_time_s(displacement, block.nominal_s, limit))
+        begin = block.positions - displacement
+        zero = np.zeros_like(begin)
+        coefficients = np.stack([begin, zero, 3.0 * displacement, -2.0 * displacement], axis=1)
+        yield _straight_pieces(
+            block, coefficients, time_s, rest_after=np.ones(len(block), dtype=np.int64)
+        )
+
+
+def with_previous(programmed: ProgrammedPath) -> Iterator[tuple[VertexBlock, FloatArray]]:
+    """Yield every block with the (1, axes) position before it, which for the first is the start."""
+    previous: FloatArray | None = None
+    for block in programmed:
+        yield block, block.positions[:1] if previous is None else previous
+        previous = block.positions[-1:]
+
+
+def _straight_pieces(
+    block: VertexBlock, coefficients: FloatArray, time_s: FloatArray, *, rest_after: object
+) -> PieceBlock:
+    return PieceBlock(
+        coefficients=coefficients,
+        operation=block.operation,
+        nominal_s=time_s,
+        rest_after=np.asarray(rest_after),
+        dwell_s=block.dwell_s,
+        line=block.line,
+    )
+
+
+def polynomial_pieces(
+    programmed: ProgrammedPath, limits: tuple[FloatArray, ...], *, quintic: bool
+) -> Iterator[PieceBlock]:
+    """Yield one polynomial in time per move.
+
+    Parameters
+    ----------
+    programmed
+        The programmed path.
+    limits
+        (axes,) limits of velocity, acceleration and, for a quintic, jerk.
+    quintic
+        Whether the pieces have continuous acceleration.
+    """
+    held: Vertices | None = None
+    before: FloatArray | None = None  # mean velocities of the chord before ``held``
+    for chunk in runs(programmed):
+        held = join_vertices(held, *chunk.parts)
+        count = len(held)
+        stop = count - 1 if chunk.ends else count - 2
+        if stop > 0:
+            leg = np.diff(held.positions, axis=0)
+            time_s = polynomial_time_s(leg, held.nominal_s[1:], limits, quintic=quintic)
+            mean = leg / time_s[:, None]
+            via = np.zeros_like(held.positions)
+            first = mean[:1] * 0.0 if before is None else before
+            via[:-1] = _between(np.concatenate([first, mean[:-1]]), mean)
+            yield _polynomial_pieces(held, via, time_s, stop, chunk, quintic)
+            before = mean[stop - 1 : stop]
+        elif chunk.ends and chunk.dwell_s > 0:
+            yield pause(held, chunk.dwell_s)
+        if chunk.ends:
+            held, before = held.take(slice(count - 1, None)), None
+        elif stop > 0:
+            held = held.take(slice(stop, None))
+
+
+def _between(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the smaller of two velocities of one sign, else 0."""
+    smaller = np.minimum(np.abs(before), np.abs(after))
+    return np.asarray(np.where(before * after > 0, np.sign(after) * smaller, 0.0))
+
+
+def _polynomial_pieces(
+    held: Vertices, via: FloatArray, time_s: FloatArray, stop: int, chunk: Chunk, quintic: bool
+) -> PieceBlock:
+    begin, end = held.positions[:stop], held.positions[1 : stop + 1]
+    leg = end - begin
+    first = via[:stop] * time_s[:stop, None]
+    last = via[1 : stop + 1] * time_s[:stop, None]
+    zero = np.zeros_like(leg)
+    if quintic:
+        shape = [
+            begin,
+            first,
+            zero,
+            10.0 * leg - 6.0 * first - 4.0 * last,
+            -15.0 * leg + 8.0 * first + 7.0 * last,
+            6.0 * leg - 3.0 * first - 3.0 * last,
+        ]
+    else:
+        shape = [begin, first, 3.0 * leg - 2.0 * first - last, first + last - 2.0 * leg]
+    rest = np.zeros(stop, dtype=np.int64)
+    dwell = np.zeros(stop)
+    if chunk.ends:
+        rest[-1], dwell[-1] = 1, chunk.dwell_s
+    return PieceBlock(
+        coefficients=np.stack(shape, axis=1),
+        operation=held.operation[1 : stop + 1],
+        nominal_s=time_s[:stop],
+        rest_after=rest,
+        dwell_s=dwell,
+        line=held.line[1 : stop + 1],
+    )
+
+
+def pause(held: Vertices, dwell_s: float) -> PieceBlock:
+    """Return a pause of ``dwell_s`` at the last of the vertices."""
+    return PieceBlock(
+        coefficients=held.positions[-1:, None, :],
+        operation=held.operation[-1:],
+        nominal_s=np.zeros(1),
+        rest_after=np.ones(1, dtype=np.int64),
+        dwell_s=np.array([dwell_s]),
+        line=held.line[-1:],
+    )
+
+
+CUT = 4.0  # a parabola over the length l on either side cuts the corner by turn * l / 4
+
+
+def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBlock]:
+    """Yield lines and, at every vertex in motion, a parabola that cuts it by ``cut_m`` at most.
+
+    This is the linear path with parabolic blends of the textbooks (Craig, "Introduction to
+    Robotics", trajectory generation): a parabola traversed evenly in its parameter is a motion of
+    constant acceleration. Each parabola begins as far before the vertex as it ends after it, at
+    most half way to the next vertex, and is yielded as two pieces, one for each of the two moves.
+    """
+    radius = programmed.radius_m
+    held: Vertices | None = None
+    first = 0  # first chord between ``held`` that was not yielded yet
+    for chunk in runs(programmed):
+        held = join_vertices(held, *chunk.parts)
+        while True:
+            length, turn = turns(held.positions, radius, programmed.local)
+            tight = np.flatnonzero(CUT * cut_m < LEAST_SPACING_M * turn)
+            tight = tight[tight > first]
+            if not len(tight):
+                break
+            stop = int(tight[0])
+            yield _blends_pieces(held, length, turn, cut_m, first, stop, ends=True, dwell_s=0.0)
+            held, first = held.take(slice(stop, None)), 0
+        stop = len(held) - 1 if chunk.ends else len(held) - 2
+        if stop > first:
+            yield _blends_pieces(
+                held, length, turn, cut_m, first, stop, ends=chunk.ends, dwell_s=chunk.dwell_s
+            )
+        elif chunk.ends and chunk.dwell_s > 0:
+            yield pause(held, chunk.dwell_s)
+        if chunk.ends:
+            held, first = held.take(slice(len(held) - 1, None)), 0
+        elif stop > first:
+            held, first = held.take(slice(stop - 1, None)), 1
+
+
+def _blends_pieces(
+    held: Vertices,
+    length: FloatArray,
+    turn: FloatArray,
+    cut_m: float,
+    first: int,
+    stop: int,
+    *,
+    ends: bool,
+    dwell_s: float,
+) -> PieceBlock:
+    """Return the chords ``first`` to ``stop`` and the corners at their ends."""
+    turn = turn.copy()
+    if ends:
+        turn[stop] = 0.0
+    room = np.minimum(np.append(length, np.inf), np.insert(length, 0, np.inf)) / 2.0
+    with np.errstate(divide="ignore"):
+        reach = np.where(turn > 0, np.minimum(CUT * cut_m / turn, room), 0.0)
+    chords = np.arange(first, stop)
+    leg = held.positions[chords + 1] - held.positions[chords]
+    before = (reach[chords] / length[chords])[:, None]
+    after = (reach[chords + 1] / length[chords])[:, None]
+    onward = np.minimum(chords + 1, len(length) - 1)
+    next_leg = held.positions[onward + 1] - held.positions[onward]
+    next_share = (reach[chords + 1] / length[onward])[:, None]
+    vertex = held.positions[chords + 1]
+    enter, leave = vertex - after * leg, vertex + next_share * next_leg
+    bend = (enter - 2.0 * vertex + leave) / 4.0
+    zero = np.zeros_like(leg)
+    line = [held.positions[chords] + before * leg, (1.0 - before - after) * leg, zero]
+    one = [enter, vertex - enter, bend]
+    two = [(enter + 2.0 * vertex + leave) / 4.0, (leave - enter) / 2.0, bend]
+    coefficients = np.stack([np.stack(part, axis=1) for part in (line, one, two)], axis=1)
+    arriving = held.nominal_s[chords + 1] * after[:, 0]
+    leaving = held.nominal_s[onward + 1] * next_share[:, 0]
+    middle = (arriving + leaving) / 2.0
+    nominal = np.stack(
+        [
+            held.nominal_s[chords + 1] * (1.0 - before - after)[:, 0],
+            np.maximum(arriving, middle),
+            np.maximum(middle, leaving),
+        ],
+        axis=1,
+    )
+    corner = reach[chords + 1] > 0
+    straight = (1.0 - before - after)[:, 0] > 1e-12
+    kept = np.flatnonzero(np.stack([straight, corner, corner], axis=1))
+    operation = np.stack([held.operation[k] for k in (chords + 1, chords + 1, onward + 1)], axis=1)
+    lines = np.stack([held.line[k] for k in (chords + 1, chords + 1, onward + 1)], axis=1)
+    rest, dwell = np.zeros(len(kept), dtype=np.int64), np.zeros(len(kept))
+    if ends:
+        rest[-1], dwell[-1] = 1, dwell_s
+    return PieceBlock(
+        coefficients=coefficients.reshape(-1, 3, leg.shape[1])[kept],
+        operation=operation.reshape(-1)[kept],
+        nominal_s=nominal.reshape(-1)[kept],
+        rest_after=rest,
+        dwell_s=dwell,
+        line=lines.reshape(-1)[kept],
+    )

@@ -1,0 +1,208 @@
+"""Fewer vertices where a program is rough: one chord for many that lie beside it.
+
+Points that were measured, or rounded by the program that wrote them, stand a little beside the
+curve that is meant. A path that follows each of them turns at every one. Here one chord takes the
+place of all legs whose vertices lie within a share of the tolerance of it, in order; its ends need
+not be vertices. Where the program is smooth, and at corners that the tolerance rounds on the legs
+beside them, the vertices stay as they are, bit for bit.
+"""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.compiled import njit
+from threadline.motion.path.chords import (
+    AHEAD,
+    LEAST,
+    ROUGH,
+    SHARES,
+    SMOOTH,
+    UNEVEN,
+    chord,
+    from_vertex,
+    legs_kept,
+    roughness,
+    squared_of,
+    towards,
+)
+from threadline.motion.path.runs import Chunk, Vertices, join_vertices, runs
+from threadline.motion.path.types import ProgrammedPath
+
+WINDOW = 28  # legs, on which is decided how the program is
+VALID = 40  # legs, for which it is then taken to be so
+LONGEST = 320  # legs, for which it is: twice as many each time that it is found rough again
+BEGIN = (0, SMOOTH, VALID, 0, np.inf, 0)
+
+ENOUGH = 1024  # vertices of a chunk behind chords: for fewer, a call takes longer than its work
+
+
+def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Iterator[Chunk]:
+    """Yield what ``runs`` does, with chords in place of legs where the program is rough."""
+    thinner = Thinner(programmed.radius_m, cut_m)
+    held: list[Vertices] = []
+    for chunk in runs(programmed, near_m):
+        fresh = thinner.thinned(chunk)
+        held += fresh.parts
+        if fresh.ends or sum(map(len, held)) >= ENOUGH:
+            yield replace(fresh, parts=tuple(held))
+            held = []
+    if any(map(len, held)):
+        yield Chunk(parts=tuple(held), ends=False, dwell_s=0.0)
+
+
+@dataclass(slots=True)
+class Thinner:
+    """Vertices of a path, chunk after chunk, with chords in place of legs where it is rough.
+
+    Parameters
+    ----------
+    radius_m
+        (axes,) radii of the axes.
+    cut_m
+        The tolerance that is shared with the spline, at the tool. ``Vertices.beside_m`` says what
+        is used of it.
+
+    Notes
+    -----
+    Each vertex that is left out has a place on the chord, no farther away than ``beside_m``, and
+    the places are in the order of the vertices. Between two vertices the distance of both paths is
+    convex. So ``beside_m`` is a bound of the Frechet distance of leg and program.
+    """
+
+    radius_m: FloatArray
+    cut_m: float
+    held: Vertices | None = None  # from one before the next chord's start on
+    start: int = 0  # row of ``held`` where the next chord begins
+    place: FloatArray = field(default_factory=lambda: np.zeros(0))  # (axes,) m, where it does
+    known: tuple[int, int, int, int, float, int] = BEGIN
+    """Up to which row it is known how the program is, how it is, and for how many legs that was
+    taken to be so; share and length of the last chord, and how many legs the next may have."""
+
+    def thinned(self, chunk: Chunk) -> Chunk:
+        """Return the vertices that no later one can change."""
+        begun = self.held is not None
+        held = self.held = join_vertices(self.held, *chunk.parts)
+        if not len(held):
+            return chunk
+        if not begun:
+            self.place = held.positions[0] * self.radius_m
+        positions, beside_m, nominal_s, row, start, place, known = _thin(
+            held.positions,
+            held.nominal_s,
+            self.radius_m,
+            self.cut_m,
+            SHARES,
+            chunk.ends,
+            self.start,
+            self.place,
+            *self.known,
+        )
+        found = Vertices(
+            positions=positions,
+            nominal_s=nominal_s,
+            operation=held.operation[row],
+            line=held.line[row],
+            beside_m=beside_m,
+        )
+        if not begun:
+            found = join_vertices(held.take(slice(0, 1)), found)
+        if chunk.ends:
+            self.held, self.start = held.take(slice(-1, None)), 0
+            self.place, self.known = held.positions[-1] * self.radius_m, BEGIN
+        else:
+            gone = max(start - 1, 0)
+            self.held, self.start = held.take(slice(gone, None)), start - gone
+            self.place, self.known = place, (known[0] - gone, *known[1:])
+        return Chunk(parts=(found,), ends=chunk.ends, dwell_s=chunk.dwell_s)
+
+
+@njit(fastmath={"reassoc"})
+def _passed(nominal_s, start, stop):
+    """Return the time from one row to another, summed in any order."""
+    passed_s = 0.0
+    for i in range(start + 1, stop + 1):
+        passed_s += nominal_s[i]
+    return passed_s
+
+
+@njit()
+def _thin(
+    positions, nominal_s, radius_m, cut_m, shares, ends, start, place,
+    until, rough, valid, level, before_m, guess,
+):  # fmt: skip
+    """Return the ends of the chords from row ``start`` on, and where the next one begins.
+
+    Returns
+    -------
+    out, beside, time_s, row
+        (n, axes) and (n,) ends, distances of what is left out, times, and rows of the vertices.
+    start, place, known
+        Row and place of the last end, and what is known of the rows behind it and of the last
+        chord, as in ``Thinner``.
+    """
+    count, axes = positions.shape
+    out, beside = np.empty((count, axes)), np.empty(count)
+    time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
+    kept = legs_kept(positions, radius_m, cut_m)
+    here, d, middle = place.copy(), np.empty(axes), np.empty(axes)
+    # Of what is behind the last two rows nothing is known before more vertices come.
+    last = count - 1 if ends else count - 2
+    n, next_kept = 0, start
+    while start < last:
+        if not ends and last - start < WINDOW:
+            break
+        if start >= until:
+            found = roughness(positions, radius_m, cut_m, start, min(last, start + WINDOW))
+            valid = min(2 * valid, LONGEST) if found == ROUGH and rough == ROUGH else VALID
+            rough = found
+            until = start + (valid if rough != SMOOTH else WINDOW)
+        # Back from where a chord ended to the next vertex would be a turn where none is meant.
+        aside = from_vertex(positions, radius_m, here, start) > 0.0
+        limit = start + 1
+        if (aside or rough != SMOOTH) and not len(kept):
+            limit = min(last, start + AHEAD)
+        elif (aside or rough != SMOOTH) and not kept[start]:
+            next_kept = max(next_kept, start)
+            while next_kept < min(last, start + AHEAD) and not kept[next_kept]:
+                next_kept += 1
+            limit = next_kept
+        if limit - start < LEAST:  # told here: a call with so many arrays takes longer than this
+            k, met, strayed, guess = (
+                start + 1,
+                True,
+                from_vertex(positions, radius_m, here, start),
+                0,
+            )
+            towards(positions, radius_m, here, k, d)
+        else:
+            corner = (len(kept) > 0 and kept[limit]) or (ends and limit == last)
+            k, met, strayed, level, guess = chord(
+                positions, radius_m, cut_m, shares, rough, aside, level, before_m, guess, start,
+                limit, corner, not ends and not corner and limit == last, here, d, middle,
+            )  # fmt: skip
+        if k < 0:
+            break  # where it ends is not known yet
+        if k == start + 1 and rough == UNEVEN:
+            rough, until = SMOOTH, start + WINDOW  # the tube of a chord is too short for its gain
+        before_m = np.sqrt(squared_of(d))
+        for j in range(axes):
+            if met:  # a vertex is met bit for bit
+                here[j] = positions[k, j] * radius_m[j]
+                out[n, j] = positions[k, j]
+            else:
+                here[j] += d[j]
+                out[n, j] = here[j] / radius_m[j]
+        time_s[n] = _passed(nominal_s, start, k)
+        row[n], beside[n] = k, strayed
+        n += 1
+        start = k
+    known = (until, rough, valid, level, before_m, guess)
+    # Of these arrays there is much more than is used of them.
+    own = out[:n].copy(), beside[:n].copy(), time_s[:n].copy(), row[:n].copy()
+    return *own, start, here, known

@@ -1,0 +1,303 @@
+"""Shapers in closed form: zero vibration, and extra-insensitive ones with any number of humps.
+
+V is zero at k + 1 frequencies and reaches the tolerance, flat, between each two of them; for
+odd k the modelled frequency is the middle peak, for even k the middle zero. Positive trains
+have k + 2 impulses, amplitudes and times both unknown; unit-magnitude and negative trains have
+2 k + 3 impulses of given amplitudes. Either way there are as many equations as unknowns.
+Undamped positive designs are Dolph-Chebyshev trains and known in closed form; everything else
+is followed from an undamped seed.
+
+Source: Singhose, Seering and Singer, "Input shaping for vibration reduction with specified
+insensitivity to modeling errors" (1996), curve fits; valid to damping ratios of 0.3 and 0.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.motion.shaping.response import Rows, pole
+from threadline.motion.shaping.solvers import System, follow
+
+SEED_TOLERANCE = 0.05
+_DAMPING_STEP = 0.05
+
+# Undamped unit-magnitude trains at 5 %: times after the first, in periods, then the unknown
+# zeros and peaks relative to the modelled frequency. Five digits, to be finished by Newton.
+# One hump: the shortest root that a search from 1500 random symmetric starts found. Two humps:
+# the train that Pao and Singhose's published example (3.04 Hz, damping 0.17) leads back to; that
+# it is the shortest is not proved.
+_HUMPS_UM_SEEDS = {
+    1: (0.09408, 0.36837, 0.64266, 0.73673, 0.87037, 1.12276),
+    2: (0.05996, 0.40099, 0.59323, 0.78546, 1.12649, 1.18645, 0.70318, 1.26911, 0.83556, 1.15593),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Humps:
+    """A solved design, in periods and relative frequencies.
+
+    Parameters
+    ----------
+    amplitudes, times
+        Shape ``(n,)``; times in undamped periods.
+    zeros, peaks
+        Relative frequencies where V is 0, shape ``(k + 1,)``, and where it peaks, ``(k,)``.
+    """
+
+    amplitudes: FloatArray
+    times: FloatArray
+    zeros: FloatArray
+    peaks: FloatArray
+
+
+def _unpack(x: FloatArray, humps: int, amplitudes: FloatArray | None) -> Humps:
+    n = humps + 2 if amplitudes is None else 2 * humps + 3
+    times = np.concatenate(([0.0], x[: n - 1]))
+    rest = x[n - 1 :]
+    if amplitudes is None:
+        amplitudes, rest = rest[:n], rest[n:]
+    # The middle zero (even k) or peak (odd k) is the modelled frequency: no unknown.
+    unknown_zeros = humps + humps % 2
+    zeros, peaks = rest[:unknown_zeros], rest[unknown_zeros:]
+    if humps % 2:
+        peaks = np.insert(peaks, humps // 2, 1.0)
+    else:
+        zeros = np.insert(zeros, humps // 2, 1.0)
+    return Humps(amplitudes, times, zeros, peaks)
+
+
+def _system(humps: int, zeta: float, tolerance: float, amplitudes: FloatArray | None) -> System:
+    def evaluate(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        train = _unpack(x, humps, amplitudes)
+        rows = Rows(
+            train.amplitudes,
+            train.times,
+            pole(zeta),
+            free_amplitudes=amplitudes is None,
+            unknown_frequencies=2 * humps,
+        )
+        slot = 0
+        for i, f in enumerate(train.zeros):
+            fixed = humps % 2 == 0 and i == humps // 2
+            rows.zero(float(f), None if fixed else slot)
+            slot += not fixed
+        for i, f in enumerate(train.peaks):
+            fixed = humps % 2 == 1 and i == humps // 2
+            rows.level(float(f), tolerance, None if fixed else slot)
+            rows.flat(float(f), tolerance, None if fixed else slot)
+            slot += not fixed
+        if amplitudes is None:
+            rows.unit_sum()
+        return rows.system()
+
+    return evaluate
+
+
+def chebyshev_seed(humps: int, tolerance: float) -> FloatArray:
+    """Unknowns of the undamped positive design, exact.
+
+    Impulses every half period make V = tolerance |T_m(x0 cos(pi f / 2))|, m = humps + 1, with
+    T_m(x0) = 1 / tolerance because V(0) = 1 (Dolph 1946, for antennas; the one- and two-hump
+    cases are the closed forms of Singhose, Seering and Singer 1994).
+    """
+    m = humps + 1
+    x0 = math.cosh(math.acosh(1.0 / tolerance) / m)
+    roots = 2.0 * np.arccos(np.cos((2.0 * np.arange(1, m + 1) - 1.0) * np.pi / (2 * m)) / x0)
+    amplitudes = np.real(np.poly(np.exp(1j * roots)))
+    amplitudes /= amplitudes.sum()
+    zeros = np.sort(roots / np.pi)
+    peaks = np.sort(2.0 * np.arccos(np.cos(np.arange(1, m) * np.pi / m) / x0) / np.pi)
+    if humps % 2:
+        peaks = np.delete(peaks, humps // 2)
+    else:
+        zeros = np.delete(zeros, humps // 2)
+    return np.concatenate((np.arange(1, m + 1) * 0.5, amplitudes, zeros, peaks))
+
+
+def positive_humps(humps: int, zeta: float, tolerance: float) -> Humps:
+    """EI shaper of ``humps`` humps; see the module for the equations.
+
+    Raises
+    ------
+    ShaperError
+        If the continuation in the damping ratio loses the solution.
+    """
+    x = follow(
+        lambda z: _system(humps, z, tolerance, None),
+        chebyshev_seed(humps, tolerance),
+        start=0.0,
+        end=zeta,
+        step=_DAMPING_STEP,
+        what=f"{humps}-hump EI shaper, damping {zeta:g}, tolerance {tolerance:g}",
+    )
+    return _unpack(x, humps, None)
+
+
+def switched_humps(humps: int, zeta: float, tolerance: float, amplitudes: FloatArray) -> Humps:
+    """Hump design with given amplitudes, 2 humps + 3 of them, alternating in sign, sum 1.
+
+    The unit-magnitude seed is led to the amplitudes, then to the tolerance, then to the damping.
+
+    Raises
+    ------
+    ShaperError
+        If one of the continuations loses the solution.
+    """
+    unit = alternating(len(amplitudes))
+    what = f"{humps}-hump shaper with given amplitudes, damping {zeta:g}, tolerance {tolerance:g}"
+    x = np.array(_HUMPS_UM_SEEDS[humps])
+    x = follow(
+        lambda c: _system(humps, 0.0, SEED_TOLERANCE, unit + c * (amplitudes - unit)),
+        x,
+        start=0.0,
+        end=1.0 if bool(np.any(amplitudes != unit)) else 0.0,
+        step=0.1,
+        what=what,
+    )
+    x = follow(
+        lambda c: _system(humps, 0.0, math.exp(c), amplitudes),
+        x,
+        start=math.log(SEED_TOLERANCE),
+        end=math.log(tolerance),
+        step=0.25,
+        what=what,
+    )
+    x = follow(
+        lambda z: _system(humps, z, tolerance, amplitudes),
+        x,
+        start=0.0,
+        end=zeta,
+        step=_DAMPING_STEP,
+        what=what,
+    )
+    return _unpack(x, humps, amplitudes)
+
+
+def alternating(n: int) -> FloatArray:
+    """+1 -1 +1 ... of odd length: the amplitudes of a unit-magnitude train."""
+    return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
+
+
+Train = tuple[FloatArray, FloatArray]
+"""Amplitudes and times, (n,) each; times in undamped periods."""
+
+
+def _damped_period(zeta: float) -> float:
+    return 1.0 / math.sqrt(1.0 - zeta**2)
+
+
+def _decay(zeta: float, damped_periods: float) -> float:
+    return math.exp(-2.0 * math.pi * zeta * damped_periods / math.sqrt(1.0 - zeta**2))
+
+
+def binomial(order: int, zeta: float) -> Train:
+    """ZV (order 0), ZVD (1), ZVDD (2): the ZV pair convolved with itself ``order`` times.
+
+    Singer and Seering (1990). V and its first ``order`` derivatives vanish at the mode.
+    """
+    n = order + 2
+    k = _decay(zeta, 0.5)
+    weights: FloatArray = np.array([math.comb(n - 1, i) * k**i for i in range(n)], dtype=np.float64)
+    return weights / float(weights.sum()), np.arange(n, dtype=np.float64) * (
+        0.5 * _damped_period(zeta)
+    )
+
+
+def modified_zv(zeta: float) -> Train:
+    """MZV: three impulses, 3/8 of a damped period apart, so that V is 0 at the mode.
+
+    1 + sqrt(2) z + z^2 vanishes at z = exp(j 3 pi / 4), which fixes the amplitudes.
+    """
+    k = _decay(zeta, 0.375)
+    weights: FloatArray = np.array([1.0, math.sqrt(2.0) * k, k**2], dtype=np.float64)
+    return weights / float(weights.sum()), np.arange(3, dtype=np.float64) * (
+        0.375 * _damped_period(zeta)
+    )
+
+
+def _zero_system(order: int, zeta: float, amplitudes: FloatArray) -> System:
+    def evaluate(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        times = np.concatenate(([0.0], x))
+        rows = Rows(amplitudes, times, pole(zeta), free_amplitudes=False, unknown_frequencies=0)
+        for derivative in range(order + 1):
+            rows.zero(1.0, order=derivative)
+        return rows.system()
+
+    return evaluate
+
+
+# Undamped unit-magnitude trains: a sixth and a third of a period for ZV (exact); for ZVD, to
+# five digits, the root that the one-hump train tends to as its tolerance goes to 0.
+_CLOSED_UM_SEEDS = {0: (1.0 / 6.0, 1.0 / 3.0), 1: (0.08951, 0.36623, 0.64296, 0.73247)}
+
+
+def switched_zero(order: int, zeta: float, amplitudes: FloatArray) -> Train:
+    """ZV (order 0, 3 impulses) or ZVD (order 1, 5) with given alternating amplitudes, sum 1.
+
+    The undamped unit-magnitude train is led to the amplitudes, then to the damping.
+
+    Raises
+    ------
+    ShaperError
+        If a continuation loses the solution.
+    """
+    unit = alternating(len(amplitudes))
+    what = f"zero-vibration shaper with given amplitudes, order {order}, damping {zeta:g}"
+    stages: list[tuple[Callable[[float], System], float]] = [
+        (
+            lambda c: _zero_system(order, 0.0, unit + c * (amplitudes - unit)),
+            1.0 if bool(np.any(amplitudes != unit)) else 0.0,
+        ),
+        (lambda z: _zero_system(order, z, amplitudes), zeta),
+    ]
+    x = np.array(_CLOSED_UM_SEEDS[order])
+    for system_at, end in stages:
+        x = follow(system_at, x, start=0.0, end=end, step=0.1, what=what)
+    return amplitudes, np.concatenate(([0.0], x))
+
+
+# Times in periods and amplitudes as polynomials of the damping ratio, constant first.
+_FITTED = {
+    2: (
+        (
+            (0.0, 0.0, 0.0, 0.0),
+            (0.49890, 0.16270, -0.54262, 6.16180),
+            (0.99748, 0.18382, -1.58270, 8.17120),
+            (1.49920, -0.09297, -0.28338, 1.85710),
+        ),
+        (
+            (0.16054, 0.76699, 2.26560, -1.22750),
+            (0.33911, 0.45081, -2.58080, 1.73650),
+            (0.34089, -0.61533, -0.68765, 0.42261),
+            (0.15997, -0.60246, 1.00280, -0.93145),
+        ),
+    ),
+    3: (
+        (
+            (0.0, 0.0, 0.0, 0.0),
+            (0.49974, 0.23834, 0.44559, 12.4720),
+            (0.99849, 0.29808, -2.36460, 23.3990),
+            (1.49870, 0.10306, -2.01390, 17.0320),
+            (1.99960, -0.28231, 0.61536, 5.40450),
+        ),
+        (
+            (0.11275, 0.76632, 3.29160, -1.44380),
+            (0.23698, 0.61164, -2.57850, 4.85220),
+            (0.30008, -0.19062, -2.14560, 0.13744),
+            (0.23775, -0.73297, 0.46885, -2.08650),
+            (0.11244, -0.45439, 0.96382, -1.46000),
+        ),
+    ),
+}
+
+
+def fitted_humps(humps: int, damping_ratio: float) -> tuple[FloatArray, FloatArray]:
+    """Return times in periods and amplitudes of the shaper with 2 or 3 humps, 4 or 5 of each."""
+    powers = damping_ratio ** np.arange(4)
+    periods, weights = (np.array(table) @ powers for table in _FITTED[humps])
+    return periods, weights

@@ -1,0 +1,382 @@
+"""What a real controller makes of a shaper, and what that costs over its band.
+
+A PLC switches on its scan, a valve needs time between two switchings, a program has room for so
+many impulses. The train is moved onto whole ticks by :mod:`threadline.motion.shaping.rounding`,
+with the
+amplitudes solved again where the machine can set them; what the grid takes is said over the band of
+frequency that the kind was chosen for, beside what rounding to the nearest ticks would leave.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import OptionError
+from threadline.motion.shaping.designs import DEFAULT_TOLERANCE
+from threadline.motion.shaping.response import residual_vibration, vibration_of
+from threadline.motion.shaping.robustness import insensitivity
+from threadline.motion.shaping.rounding import Band, TickGrid, on_ticks, seconds, with_amplitudes
+from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
+
+_NONE = 1e-12  # an amplitude that is none
+_ABOUT = 0.1  # of the tolerance, or of the least: trains within it are about alike
+_WIDER = 0.01  # by so much a band has to be wider to be preferred
+_LOOKED_AT = 24
+_FINER = 4
+_CHOICES = 400
+_SILENT = 1e-6
+_LONGEST = 100  # ticks or dwells beyond this many trains leave nothing of the shaping
+_MOST_TICKS = 1e12
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerLimits:
+    """What the controller and its valves can do.
+
+    Parameters
+    ----------
+    tick_s
+        Every impulse falls on a whole number of these, s.
+    dwell_s
+        Shortest time between two switchings, s; 0 for none.
+    max_impulses
+        Longest train, or None.
+    amplitudes_free
+        True where amplitudes can be set anew (flow valves); False keeps them (on/off valves).
+    """
+
+    tick_s: float
+    dwell_s: float = 0.0
+    max_impulses: int | None = None
+    amplitudes_free: bool = False
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.tick_s) and self.tick_s > 0.0):
+            raise OptionError(
+                f"controller: tick_s must be positive, got {self.tick_s!r}",
+                remedy="Give the period of its scan.",
+            )
+        if not (math.isfinite(self.dwell_s) and self.dwell_s >= 0.0):
+            raise OptionError(
+                f"controller: dwell_s must be >= 0, got {self.dwell_s!r}",
+                remedy="Give the shortest time between two switchings.",
+            )
+        if self.max_impulses is not None and self.max_impulses < 2:
+            raise OptionError(
+                f"controller: max_impulses must be >= 2, got {self.max_impulses!r}",
+                remedy="A train of one impulse shapes nothing.",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class OverBand:
+    """What the grid costs one mode over the band that the kind was chosen for.
+
+    Parameters
+    ----------
+    mode, low_hz, high_hz, tolerance
+        The mode, the band, and the V that is allowed over it.
+    designed, nearest, made
+        Worst V over it: of the design, of its times rounded to the nearest ticks, of the train.
+    designed_width, nearest_width, made_width
+        Insensitivity of the three at the tolerance.
+    """
+
+    mode: FlexibleMode
+    low_hz: float
+    high_hz: float
+    tolerance: float
+    designed: float
+    nearest: float
+    made: float
+    designed_width: float
+    nearest_width: float
+    made_width: float
+
+
+@dataclass(frozen=True, slots=True)
+class Realised:
+    """The train that the controller can play, beside the one that was designed.
+
+    Parameters
+    ----------
+    shaper, designed
+        Both trains.
+    ticks
+        Impulse times as whole ticks.
+    vibration, designed_vibration
+        Worst V over the modes at their modelled frequencies.
+    bands
+        The price over the band of every mode.
+    """
+
+    shaper: Shaper
+    designed: Shaper
+    ticks: tuple[int, ...]
+    vibration: float
+    designed_vibration: float
+    bands: tuple[OverBand, ...]
+
+    @property
+    def time_price_s(self) -> float:
+        """How much longer the train became; negative if shorter."""
+        return self.shaper.duration_s - self.designed.duration_s
+
+    @property
+    def vibration_price(self) -> float:
+        """How much V at the modelled frequencies rose."""
+        return self.vibration - self.designed_vibration
+
+
+def realise(
+    shaper: Shaper,
+    modes: Sequence[FlexibleMode],
+    limits: ControllerLimits,
+    *,
+    relative: float | Sequence[float | None] | None = None,
+    tolerance: float | Sequence[float] = DEFAULT_TOLERANCE,
+) -> Realised:
+    """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
+
+    The result is never worse over the bands than the times rounded to the nearest ticks, nor does
+    it keep the tolerance over a narrower band. With ``max_impulses``, positive trains lose their
+    smallest impulse, others the closest pair of opposite ones, one at a time. Impulses that round
+    to the same tick are one.
+
+    Parameters
+    ----------
+    shaper
+        Designed train.
+    modes
+        At least one; the worst counts.
+    limits
+        The controller's.
+    relative
+        Half width of the band of frequency that counts, in [0, 1), one for all modes or one each;
+        0 for the frequency alone, None for the band in which the designed train stays within the
+        tolerance.
+    tolerance
+        Of the band, in (0, 1); likewise.
+
+    Raises
+    ------
+    OptionError
+        If there is no mode, or a time of the controller is out of all proportion to them.
+    ShaperError
+        If no train of that many impulses is left.
+    """
+    if not modes:
+        raise OptionError("controller: at least one mode is needed to judge the train by")
+    _check_times(shaper, modes, limits)
+    amplitudes, times = _thinned(shaper, limits)
+    gap = max(1, math.ceil(limits.dwell_s / limits.tick_s - 1e-9))
+    halves = relative if isinstance(relative, Sequence) else (relative,) * len(modes)
+    asked = zip(modes, halves, _each(tolerance, modes), strict=True)
+    bands = [_band(shaper, *one) for one in asked]
+    exact = times / limits.tick_s
+    nearest = _merged(amplitudes, np.rint(exact).astype(np.int64), gap)
+    apart = _spaced(np.rint(exact).astype(np.int64), gap)
+    grid = TickGrid(bands, limits.tick_s, int(nearest[1][-1]))
+
+    def train(weights: FloatArray, ticks: IntArray) -> Shaper:
+        return Shaper(amplitudes=weights, times_s=seconds(ticks, limits.tick_s), name=shaper.name)
+
+    if limits.amplitudes_free:
+        silent = [m for m in modes if vibration_of(shaper, m) < _SILENT]
+        starts = [nearest[1], *_fewer(shaper, limits, gap)]
+        positive = bool(np.all(shaper.amplitudes >= 0.0))
+        found = [with_amplitudes(starts, gap, grid, silent, limits.tick_s, positive=positive)]
+    else:
+        of_merged = exact if len(apart) == len(nearest[1]) else nearest[1].astype(np.float64)
+        found = [(nearest[0], t) for t in on_ticks(*nearest, of_merged, gap, grid)]
+        if len(apart) > len(nearest[1]):
+            # Some nearest ticks coincide: such impulses are taken as one, and pushed apart, too.
+            found += [(amplitudes, t) for t in on_ticks(amplitudes, apart, exact, gap, grid)]
+    made = _widest(train(*nearest), [train(*pair) for pair in found], bands)
+    return _priced(shaper, train(*nearest), made, bands, limits)
+
+
+def _check_times(shaper: Shaper, modes: Sequence[FlexibleMode], limits: ControllerLimits) -> None:
+    slowest_s = max(mode.damped_period_s for mode in modes)
+    longest_s = _LONGEST * (shaper.duration_s + slowest_s)
+    for name, value in (("tick_s", limits.tick_s), ("dwell_s", limits.dwell_s)):
+        if value > longest_s:
+            raise OptionError(
+                f"controller: {name} {value:g} is beyond {longest_s:.4g}, {_LONGEST} times "
+                "the train and the slowest period",
+                remedy="Check its unit: no train for this mode can be played so slowly.",
+            )
+    if len(shaper.times_s) > 1 and limits.dwell_s > shaper.duration_s:
+        raise OptionError(
+            f"controller: the valves need {limits.dwell_s:g} s between two switchings, and the "
+            f"whole shaper takes {shaper.duration_s:.4g} s",
+            remedy="So far apart its impulses add to the vibration: take quicker valves (a shorter "
+            "dwell) or a longer shaper.",
+        )
+    if longest_s / limits.tick_s > _MOST_TICKS:
+        raise OptionError(
+            f"controller: tick_s {limits.tick_s:g} divides the train into more than "
+            f"{_MOST_TICKS:g} ticks",
+            remedy="Check its unit.",
+        )
+
+
+def _band(shaper: Shaper, mode: FlexibleMode, relative: float | None, tolerance: float) -> Band:
+    if relative is not None:
+        f = mode.frequency_hz
+        return Band(mode, f * (1.0 - relative), f * (1.0 + relative), tolerance)
+    own = insensitivity(shaper, mode, tolerance)
+    return Band(mode, own.low_hz, own.high_hz, tolerance)
+
+
+def _each(value: float | Sequence[float], modes: Sequence[FlexibleMode]) -> Sequence[float]:
+    return (value,) * len(modes) if isinstance(value, float | int) else value
+
+
+def _width(train: Shaper, band: Band) -> float:
+    return insensitivity(train, band.mode, band.tolerance).value
+
+
+def _widest(
+    nearest: Shaper,
+    trains: Sequence[Shaper],
+    bands: Sequence[Band],
+) -> Shaper:
+    """Return the train with the widest bands of those that leave about the least over them.
+
+    None is taken that leaves more over a band than the nearest ticks and its tolerance, or that
+    keeps the tolerance over a narrower one. Trains come with the best of their kind first.
+    """
+
+    def over(train: Shaper) -> FloatArray:
+        return np.array([_over(train, band, nearest.duration_s).max() for band in bands])
+
+    allowed = np.array([band.tolerance for band in bands])
+    ceiling = np.maximum(over(nearest), allowed) * (1.0 + 1e-12)
+    seen = [over(train) for train in trains]
+    most = float((over(nearest) / allowed).max()) * (1.0 + 1e-12)
+    kept = [k for k, worst in enumerate(seen) if np.all(worst <= ceiling)]
+    shares = {k: float((seen[k] / allowed).max()) for k in kept}
+    least = min([most, *shares.values()])
+    within = min(most, least + _ABOUT * max(1.0, least))
+    order = [k for k in kept if shares[k] <= within]
+    floor = [_width(nearest, band) for band in bands]
+    if len(order) > _LOOKED_AT:
+        about = {
+            k: min(_width_on_samples(trains[k], band, nearest) for band in bands) for k in order
+        }
+        order = sorted(sorted(order, key=lambda k: -about[k])[:_LOOKED_AT])
+    best, widest = nearest, 0.0
+    for k in order:
+        widths = [_width(trains[k], band) for band in bands]
+        as_wide = all(a >= b * (1.0 - 1e-9) for a, b in zip(widths, floor, strict=True))
+        if as_wide and (best is nearest or min(widths) > widest + _WIDER):
+            best, widest = trains[k], min(widths)
+    return best
+
+
+def _width_on_samples(train: Shaper, band: Band, nearest: Shaper) -> float:
+    """Return about how wide a band keeps its tolerance around its mode, as a share of it."""
+    f = band.samples_hz(nearest.duration_s, finer=_FINER)
+    loud = f[_over(train, band, nearest.duration_s) > band.tolerance]
+    own = band.mode.frequency_hz
+    return float(min(loud[loud >= own], default=f[-1]) - max(loud[loud <= own], default=f[0])) / own
+
+
+def _over(train: Shaper, band: Band, duration_s: float) -> FloatArray:
+    """Return V over a band, so finely that its worst is right to a thousandth of itself."""
+    f = band.samples_hz(duration_s, finer=_FINER)
+    return residual_vibration(train, f, band.mode.damping_ratio)
+
+
+def _priced(
+    designed: Shaper,
+    nearest: Shaper,
+    made: Shaper,
+    bands: Sequence[Band],
+    limits: ControllerLimits,
+) -> Realised:
+    modes = [band.mode for band in bands]
+
+    def worst(train: Shaper, band: Band) -> float:
+        return float(_over(train, band, designed.duration_s).max())
+
+    return Realised(
+        shaper=made,
+        designed=designed,
+        ticks=tuple(int(k) for k in np.rint(made.times_s / limits.tick_s)),
+        vibration=max(vibration_of(made, mode) for mode in modes),
+        designed_vibration=max(vibration_of(designed, mode) for mode in modes),
+        bands=tuple(
+            OverBand(
+                band.mode,
+                band.low_hz,
+                band.high_hz,
+                band.tolerance,
+                worst(designed, band),
+                worst(nearest, band),
+                worst(made, band),
+                _width(designed, band),
+                _width(nearest, band),
+                _width(made, band),
+            )
+            for band in bands
+        ),
+    )
+
+
+def _fewer(shaper: Shaper, limits: ControllerLimits, gap: int) -> list[IntArray]:
+    """Return the ticks of every choice of ``max_impulses`` impulses; empty if all may stay."""
+    most, n = limits.max_impulses, len(shaper.times_s)
+    if most is None or most >= n or math.comb(n - 1, most - 1) > _CHOICES:
+        return []
+    ticks = np.rint(shaper.times_s / limits.tick_s).astype(np.int64)
+    chosen = (ticks[[0, *rest]] for rest in itertools.combinations(range(1, n), most - 1))
+    return [some for some in chosen if np.diff(some).min() >= gap]
+
+
+def _merged(amplitudes: FloatArray, ticks: IntArray, gap: int) -> tuple[FloatArray, IntArray]:
+    """Return impulses that fall on one tick as one; where they must keep apart, pushed later."""
+    if gap > 1:
+        return amplitudes, _spaced(ticks, gap)
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(ticks)) + 1))
+    sums, kept = np.add.reduceat(amplitudes, starts), ticks[starts]
+    some = np.abs(sums) > _NONE
+    some[0] = True
+    return sums[some], kept[some]
+
+
+def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, FloatArray]:
+    a, t = shaper.amplitudes.copy(), shaper.times_s.copy()
+    most = limits.max_impulses
+    while most is not None and len(a) > most:
+        if bool(np.all(a >= 0.0)):
+            # An inner impulse is shared by its neighbours about its own time.
+            i = 1 + int(np.argmin(a[1:-1]))
+            share = (t[i + 1] - t[i]) / (t[i + 1] - t[i - 1])
+            a[i - 1] += share * a[i]
+            a[i + 1] += (1.0 - share) * a[i]
+            a, t = np.delete(a, i), np.delete(t, i)
+            continue
+        opposite = [i for i in range(1, len(a) - 1) if abs(a[i] + a[i + 1]) < 1e-12]
+        if len(a) - 2 < 2 or not opposite:
+            raise ShaperError(
+                f"shaper '{shaper.name}': {len(a)} impulses can't be cut to {most}",
+                remedy="Choose a kind with fewer impulses.",
+            )
+        i = min(opposite, key=lambda k: float(t[k + 1] - t[k]))
+        a, t = np.delete(a, [i, i + 1]), np.delete(t, [i, i + 1])
+    return a, t
+
+
+def _spaced(ticks: IntArray, gap: int) -> IntArray:
+    """Push impulses later until they keep their distance; a cumulative maximum does it."""
+    ramp = np.arange(len(ticks)) * gap
+    spaced: IntArray = np.maximum.accumulate(ticks - ramp) + ramp
+    return spaced

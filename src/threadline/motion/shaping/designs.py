@@ -1,0 +1,421 @@
+"""Modes far apart: how far at most, and from where on each has a train of its own.
+
+A train that serves two modes lasts about a period of the slower one, and places its impulses within
+a hundredth of a period of the faster one. A grid for both grows with their ratio, and what there is
+to gain by designing them together shrinks with it: convolving the two trains is longer by the
+shorter of them, at most.
+
+Nothing here knows a formula of input shaping. A unit step is cut into the levels that the
+shaper makes of it, x'' + 2 zeta omega x' + omega^2 x = omega^2 u is carried from switching to
+switching with the matrix exponential, and what still rings at the end is compared with what
+rings after the plain step.
+
+``frequency_hz`` is undamped, V is normalised to one unit impulse; see
+:mod:`threadline.motion.shaping.types`.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from enum import StrEnum
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import expm
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError, UnitError
+from threadline.motion.shaping.closed import (
+    Humps,
+    Train,
+    alternating,
+    binomial,
+    modified_zv,
+    positive_humps,
+    switched_humps,
+    switched_zero,
+)
+from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
+from threadline.units import parse_quantity
+
+MOST_APART = 1e3
+"""Ratio of the fastest mode to the slowest: the modes of one machine are nearer each other."""
+
+
+def check_apart(modes: Sequence[FlexibleMode]) -> None:
+    """Refuse modes that no train serves together.
+
+    Raises
+    ------
+    OptionError
+        If the fastest is more than ``MOST_APART`` times as fast as the slowest.
+    """
+    found = sorted(mode.frequency_hz for mode in modes)
+    if found and found[-1] > MOST_APART * found[0]:
+        raise OptionError(
+            f"modes at {found[0]:g} Hz and {found[-1]:g} Hz: the ratio {found[-1] / found[0]:.4g} "
+            f"is beyond {MOST_APART:g}, and no controller plays one train for both",
+            remedy="Check their units, or shape one of them and leave out the other.",
+        )
+
+
+def groups(modes: Sequence[FlexibleMode], ratio: float) -> Iterator[list[int]]:
+    """Yield the places of modes that follow each other within ``ratio``, the slowest first."""
+    order = sorted(range(len(modes)), key=lambda k: modes[k].frequency_hz)
+    group = order[:1]
+    for slower, faster in pairwise(order):
+        if modes[faster].frequency_hz > ratio * modes[slower].frequency_hz:
+            yield group
+            group = []
+        group.append(faster)
+    if group:
+        yield group
+
+
+COINCIDENT_S = 1e-12
+"""Impulses closer than this are one: far below any tick, far above rounding."""
+
+MOST_IMPULSES = 10_000
+"""Trains multiply: without a bound, a few modes too many take minutes; no controller plays them."""
+
+
+def convolve(*shapers: Shaper, name: str = "") -> Shaper:
+    """Convolve shapers: durations add up, vibrations multiply.
+
+    Parameters
+    ----------
+    *shapers
+        At least one; one alone stays as it is.
+    name
+        Name of the result; the names joined by ``*`` if empty.
+
+    Raises
+    ------
+    OptionError
+        If there is none.
+    ShaperError
+        If the train would have more than ``MOST_IMPULSES``.
+    """
+    if not shapers:
+        raise OptionError("convolution: at least one shaper is needed")
+    amplitudes, times = shapers[0].amplitudes, shapers[0].times_s
+    for other in shapers[1:]:
+        if len(times) * len(other.times_s) > MOST_IMPULSES:
+            raise ShaperError(
+                f"convolution of {len(shapers)} shapers: more than {MOST_IMPULSES} impulses",
+                remedy="Shape fewer modes, or all at once with the kind direct.",
+            )
+        amplitudes = np.outer(amplitudes, other.amplitudes).ravel()
+        times = np.add.outer(times, other.times_s).ravel()
+        order = np.argsort(times, kind="stable")
+        amplitudes, times = amplitudes[order], times[order]
+        starts = np.concatenate(([0], np.flatnonzero(np.diff(times) > COINCIDENT_S) + 1))
+        amplitudes, times = np.add.reduceat(amplitudes, starts), times[starts]
+    return Shaper(
+        amplitudes=amplitudes,
+        times_s=times,
+        name=name or "*".join(shaper.name for shaper in shapers),
+    )
+
+
+PROOF_TOLERANCE = 1e-9
+"""Designs are solved to 1e-10; expm and up to 20 switchings add rounding well below 1e-9."""
+
+
+def simulated_vibration(shaper: Shaper, frequency_hz: float, damping_ratio: float) -> float:
+    """Ringing left by a shaped unit step, relative to that left by a plain one.
+
+    Parameters
+    ----------
+    shaper
+        Impulse train; sums to what the step ends at.
+    frequency_hz, damping_ratio
+        Undamped frequency, Hz, and damping ratio in [0, 1).
+
+    Returns
+    -------
+    float
+        Envelope of the deviation from rest at the last switching over the envelope of the
+        plain step at its own.
+    """
+    omega = 2.0 * math.pi * frequency_hz
+    # State (x, x'/omega, u): u is carried along, so that one exponential does it all.
+    matrix = omega * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping_ratio, 1.0], [0.0, 0.0, 0.0]])
+    steps = np.diff(shaper.times_s)
+    transitions = expm(matrix * steps[:, None, None]) if len(steps) else np.empty((0, 3, 3))
+    state = np.zeros(3)
+    state[2] = shaper.amplitudes[0]
+    for transition, amplitude in zip(transitions, shaper.amplitudes[1:], strict=True):
+        state = transition @ state
+        state[2] += amplitude
+    ringing = _envelope(state[0] - state[2], state[1], damping_ratio)
+    return ringing / _envelope(-1.0, 0.0, damping_ratio)
+
+
+def _envelope(deviation: float, rate_over_omega: float, damping_ratio: float) -> float:
+    """Amplitude of a damped ringing from its deviation and its rate over omega."""
+    quadrature = (rate_over_omega + damping_ratio * deviation) / math.sqrt(1 - damping_ratio**2)
+    return math.hypot(deviation, quadrature)
+
+
+def prove(
+    shaper: Shaper,
+    frequency_hz: FloatArray,
+    damping_ratio: float,
+    expected: FloatArray,
+    *,
+    at_most: bool = False,
+) -> Shaper:
+    """Return ``shaper`` if the simulated oscillator agrees with the design, else raise.
+
+    Parameters
+    ----------
+    shaper
+        What was designed; its amplitudes must sum to 1.
+    frequency_hz
+        Undamped frequencies to simulate, Hz, shape ``(m,)``.
+    damping_ratio
+        Held for all of them.
+    expected
+        Vibration that the design claims at each, shape ``(m,)``.
+    at_most
+        True where ``expected`` is a bound and not a value.
+
+    Raises
+    ------
+    ShaperError
+        If the sum is not 1 or a simulated vibration differs by more than 1e-9.
+    """
+    if abs(float(shaper.amplitudes.sum()) - 1.0) > PROOF_TOLERANCE:
+        raise ShaperError(
+            f"shaper '{shaper.name}': amplitudes sum to {shaper.amplitudes.sum()!r}, not to 1"
+        )
+    for f, claim in zip(frequency_hz, expected, strict=True):
+        found = simulated_vibration(shaper, float(f), damping_ratio)
+        error = found - float(claim)
+        if error > PROOF_TOLERANCE or (not at_most and error < -PROOF_TOLERANCE):
+            raise ShaperError(
+                f"shaper '{shaper.name}': simulated vibration at {f:.6g} Hz, damping "
+                f"{damping_ratio:g}, is {found:.3e}; the design claims {float(claim):.3e}",
+                remedy="Change the tolerance, the damping or the kind of shaper.",
+            )
+    return shaper
+
+
+DEFAULT_TOLERANCE = 0.05
+_BAND_SAMPLES = 15
+
+
+class ShaperKind(StrEnum):
+    """Kinds made for one mode; the words of the command line."""
+
+    ZV = "zv"
+    MZV = "mzv"
+    ZVD = "zvd"
+    ZVDD = "zvdd"
+    EI = "ei"
+    EI2 = "2hump-ei"
+    EI3 = "3hump-ei"
+    UM_ZV = "um-zv"
+    UM_ZVD = "um-zvd"
+    UM_EI = "um-ei"
+    UM_2EI = "um-2ei"
+    NEGATIVE_ZV = "negative-zv"
+    NEGATIVE_ZVD = "negative-zvd"
+    NEGATIVE_EI = "negative-ei"
+    NEGATIVE_2EI = "negative-2ei"
+
+
+_POSITIVE_ORDER = {ShaperKind.ZV: 0, ShaperKind.ZVD: 1, ShaperKind.ZVDD: 2}
+_POSITIVE_HUMPS = {ShaperKind.EI: 1, ShaperKind.EI2: 2, ShaperKind.EI3: 3}
+_SWITCHED_ORDER = {
+    ShaperKind.UM_ZV: 0,
+    ShaperKind.UM_ZVD: 1,
+    ShaperKind.NEGATIVE_ZV: 0,
+    ShaperKind.NEGATIVE_ZVD: 1,
+}
+_SWITCHED_HUMPS = {
+    ShaperKind.UM_EI: 1,
+    ShaperKind.UM_2EI: 2,
+    ShaperKind.NEGATIVE_EI: 1,
+    ShaperKind.NEGATIVE_2EI: 2,
+}
+UNIT_MAGNITUDE = (ShaperKind.UM_ZV, ShaperKind.UM_ZVD, ShaperKind.UM_EI, ShaperKind.UM_2EI)
+"""Kinds whose step is only ever 0 or 1: for valves."""
+
+
+def design(
+    kind: ShaperKind | str,
+    mode: FlexibleMode,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    over_level: float = 1.0,
+) -> Shaper:
+    """Design a shaper of ``kind`` for one mode.
+
+    Parameters
+    ----------
+    kind
+        See :class:`ShaperKind`. Negative (over-pressure) kinds are for comparison: their step
+        leaves [0, 1].
+    mode
+        Undamped frequency, Hz, and damping ratio in [0, 0.3).
+    tolerance
+        Height of the humps of the EI kinds, in (0, 0.5); the others ignore it.
+    over_level
+        Bound P of the partial sums of the negative kinds, amplitudes P, -2P, 2P ... 1 + P:
+        Singhose, Singer and Seering (1997), "Time-optimal negative input shapers", JDSMC 119.
+
+    Returns
+    -------
+    Shaper
+        Constraints solved to 1e-10 and confirmed to 1e-9 by a simulation.
+
+    Raises
+    ------
+    OptionError
+        If the kind is unknown or a number is outside its range.
+    ShaperError
+        If the design does not converge or its simulation disagrees.
+    """
+    try:
+        chosen = ShaperKind(kind)
+    except ValueError:
+        raise OptionError(
+            f"shaper kind {str(kind)!r} is unknown",
+            remedy=f"Kinds: {', '.join(ShaperKind)}.",
+        ) from None
+    if not 0.0 < tolerance < 0.5:
+        raise OptionError(f"shaper tolerance must be in (0, 0.5), got {tolerance!r}")
+    zeta = mode.damping_ratio
+    if chosen in _POSITIVE_HUMPS:
+        return _proved_humps(
+            chosen, mode, positive_humps(_POSITIVE_HUMPS[chosen], zeta, tolerance), tolerance
+        )
+    if chosen in _SWITCHED_HUMPS:
+        humps = _SWITCHED_HUMPS[chosen]
+        amplitudes = _switched_amplitudes(chosen, 2 * humps + 3, over_level)
+        return _proved_humps(
+            chosen, mode, switched_humps(humps, zeta, tolerance, amplitudes), tolerance
+        )
+    if chosen in _SWITCHED_ORDER:
+        order = _SWITCHED_ORDER[chosen]
+        train = switched_zero(order, zeta, _switched_amplitudes(chosen, 2 * order + 3, over_level))
+    elif chosen in _POSITIVE_ORDER:
+        train = binomial(_POSITIVE_ORDER[chosen], zeta)
+    else:
+        train = modified_zv(zeta)
+    return _proved_zero(chosen, mode, train)
+
+
+def _switched_amplitudes(kind: ShaperKind, n: int, over_level: float) -> FloatArray:
+    if kind in UNIT_MAGNITUDE:
+        return alternating(n)
+    if not 0.5 < over_level <= 10.0:
+        raise OptionError(
+            f"shaper '{kind}': over_level must be in (0.5, 10], got {over_level!r}",
+            remedy="At 0.5 the impulses can just cancel; below it they can't.",
+        )
+    amplitudes = 2.0 * over_level * alternating(n)
+    amplitudes[0], amplitudes[-1] = over_level, 1.0 + over_level
+    return amplitudes
+
+
+def _shaper(kind: ShaperKind, mode: FlexibleMode, train: Train) -> Shaper:
+    amplitudes, times = train
+    return Shaper(amplitudes=amplitudes, times_s=times / mode.frequency_hz, name=str(kind))
+
+
+def _proved_zero(kind: ShaperKind, mode: FlexibleMode, train: Train) -> Shaper:
+    at = np.array([mode.frequency_hz])
+    return prove(_shaper(kind, mode, train), at, mode.damping_ratio, np.zeros(1))
+
+
+def _proved_humps(kind: ShaperKind, mode: FlexibleMode, humps: Humps, tolerance: float) -> Shaper:
+    shaper = _shaper(kind, mode, (humps.amplitudes, humps.times))
+    named = np.concatenate((humps.zeros, humps.peaks))
+    claims = np.concatenate((np.zeros(len(humps.zeros)), np.full(len(humps.peaks), tolerance)))
+    prove(shaper, named * mode.frequency_hz, mode.damping_ratio, claims)
+    # Between the zeros nothing may stand above the humps that were asked for.
+    band = np.linspace(humps.zeros[0], humps.zeros[-1], _BAND_SAMPLES) * mode.frequency_hz
+    return prove(shaper, band, mode.damping_ratio, np.full(_BAND_SAMPLES, tolerance), at_most=True)
+
+
+_REMEDY = 'Write it like "zv:12Hz:0.02" or "X=ei:12Hz:0.02:0.05, Y=zv:20Hz*zv:31Hz".'
+
+
+def parse_shaper(text: str, tick_s: float | None = None) -> Shaper | dict[str, Shaper]:
+    """Return the shaper that ``text`` describes, or one per axis where it names axes.
+
+    A shaper is ``kind:frequency``, then, where wanted, ``:damping ratio`` (0 if it is left out)
+    and ``:tolerance``. ``*`` convolves shapers for several modes; ``AXIS=`` gives an axis its
+    own, separated by commas.
+
+    Parameters
+    ----------
+    tick_s
+        Tick of the references that are to be shaped; None where there is none.
+
+    Raises
+    ------
+    OptionError
+        If the text cannot be read, no such shaper can be designed, or a mode lies above half the
+        rate of the ticks, where no reference can excite it or leave it out.
+    """
+    parts = [part.strip() for part in text.split(",")]
+    named = [re.fullmatch(r"([A-Z])\s*=\s*(.+)", part) for part in parts]
+    if not any(named) and len(parts) == 1:
+        return _convolution(parts[0], tick_s)
+    found: dict[str, Shaper] = {}
+    for part, match in zip(parts, named, strict=True):
+        if match is None:
+            raise OptionError(f"shaper {text!r}: {part!r} has no axis before it", remedy=_REMEDY)
+        if match[1] in found:
+            raise OptionError(f"shaper {text!r}: axis {match[1]} has two", remedy=_REMEDY)
+        found[match[1]] = _convolution(match[2], tick_s)
+    return found
+
+
+def parse_mode_hz(text: str) -> float:
+    """Return an undamped frequency such as ``"3.04 Hz"``.
+
+    Raises
+    ------
+    OptionError
+        If it is not a frequency.
+    """
+    try:
+        return parse_quantity(text, "Hz")
+    except UnitError as error:
+        raise OptionError(f"mode {text!r}: {error.message}", remedy='Write "3.04 Hz".') from error
+
+
+def _convolution(text: str, tick_s: float | None) -> Shaper:
+    return convolve(*(_one(part.strip(), text, tick_s) for part in text.split("*")))
+
+
+def _one(text: str, whole: str, tick_s: float | None) -> Shaper:
+    words = [word.strip() for word in text.split(":")]
+    if not 2 <= len(words) <= 4 or not all(words):
+        raise OptionError(f"shaper {whole!r}: {text!r} is not kind:frequency", remedy=_REMEDY)
+    damping = _number(words[2], "damping ratio", whole) if len(words) > 2 else 0.0
+    tolerance = _number(words[3], "tolerance", whole) if len(words) > 3 else DEFAULT_TOLERANCE
+    mode = FlexibleMode(parse_mode_hz(words[1]), damping)
+    if tick_s is not None and mode.frequency_hz > 0.5 / tick_s:
+        raise OptionError(
+            f"shaper {whole!r}: its mode of {mode.frequency_hz:g} Hz is above "
+            f"{0.5 / tick_s:g} Hz, half the rate of the machine's tick of {1e3 * tick_s:g} ms",
+            remedy="References on that tick cannot excite it: leave it out.",
+        )
+    return design(words[0], mode, tolerance=tolerance)
+
+
+def _number(text: str, what: str, whole: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise OptionError(
+            f"shaper {whole!r}: {what} {text!r} is no number", remedy=_REMEDY
+        ) from None

@@ -1,0 +1,366 @@
+"""Rests that a shaped motion must really come to: a dwell, an output, a wait or a stop follows.
+
+Delay along the path is no deviation. What counts is, both ways, the distance from each place of
+the shaped path to the nearest place of the planned one, and from each place of the planned path
+(a corner, a turning point) to the nearest place of the shaped one. Only places that belong
+together in time are compared, because paths cross and retrace themselves: a shaped place is made
+of planned ones at most one train earlier.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.errors import OptionError, PlanError
+from threadline.machine import Machine
+from threadline.motion.shaping.response import compiled
+from threadline.motion.timing import Trajectory
+from threadline.motion.timing.types import TrajectoryBlock
+
+_AT_REST = 1e-9
+"""Speed at a joint, in units of the piece's own way over its time, that counts as none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Pieces of a trajectory.
+
+    Parameters
+    ----------
+    start_s, duration_s, coefficients, operation
+        As for a trajectory block.
+    run
+        (n,) 1 where a piece begins after a rest that was made to last, else 0.
+    """
+
+    start_s: FloatArray
+    duration_s: FloatArray
+    coefficients: FloatArray
+    operation: IntArray
+    run: IntArray
+
+    def __len__(self) -> int:
+        return len(self.start_s)
+
+    @property
+    def end_s(self) -> float:
+        """When the last piece ends."""
+        return float(self.start_s[-1] + self.duration_s[-1])
+
+    @property
+    def still(self) -> NDArray[np.bool_]:
+        """(n,) True where a piece stands still."""
+        return np.asarray((self.coefficients[:, 1:] == 0.0).all(axis=(1, 2)))
+
+    def rows(self, first: int, stop: int) -> Pieces:
+        """Return some of the pieces."""
+        part = slice(first, stop)
+        return Pieces(
+            self.start_s[part],
+            self.duration_s[part],
+            self.coefficients[part],
+            self.operation[part],
+            self.run[part],
+        )
+
+
+def joined(first: Pieces | None, second: Pieces) -> Pieces:
+    """Return two runs of pieces as one, of the higher polynomial order."""
+    if first is None or not len(first):
+        return second
+    order = max(first.coefficients.shape[1], second.coefficients.shape[1])
+    return Pieces(
+        np.concatenate([first.start_s, second.start_s]),
+        np.concatenate([first.duration_s, second.duration_s]),
+        np.concatenate([padded(first.coefficients, order), padded(second.coefficients, order)]),
+        np.concatenate([first.operation, second.operation]),
+        np.concatenate([first.run, second.run]),
+    )
+
+
+def padded(coefficients: FloatArray, order: int) -> FloatArray:
+    """Return coefficients with zeros up to ``order``."""
+    missing = order - coefficients.shape[1]
+    return np.pad(coefficients, ((0, 0), (0, missing), (0, 0))) if missing > 0 else coefficients
+
+
+def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pieces]:
+    """Yield the pieces of a trajectory with ``hold_s`` more at every rest that something needs.
+
+    Such a rest is a standstill where the numbers of the operations skip one or more: what is
+    between two moves is no motion, and must find the machine at rest. A standing piece before it
+    (a dwell) is made longer; else one is put in.
+    """
+    last: Pieces | None = None
+    late_s = 0.0
+    for block in blocks:
+        if not len(block):
+            continue
+        fresh = Pieces(
+            block.start_s + late_s,
+            block.duration_s,
+            block.coefficients,
+            block.operation,
+            np.zeros(len(block), dtype=np.int64),
+        )
+        pieces = joined(last, fresh)
+        if hold_s > 0.0:
+            pieces, added_s = _rests_stretched(pieces, hold_s)
+            late_s += added_s
+        # The last piece waits: it may have to be made longer.
+        if len(pieces) > 1:
+            yield pieces.rows(0, len(pieces) - 1)
+        last = pieces.rows(len(pieces) - 1, len(pieces))
+    if last is not None:
+        yield last
+
+
+def _rests_stretched(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
+    """Return the pieces with their rests made longer, and by how much in all."""
+    after = np.flatnonzero(_rest_before(pieces))
+    if not len(after):
+        return pieces, 0.0
+    duration = np.array(pieces.duration_s)
+    run = np.array(pieces.run)
+    run[after] = 1
+    still = pieces.still
+    longer = after[still[after - 1]]
+    duration[longer - 1] += hold_s
+    steps = np.zeros(len(pieces))
+    steps[after] = hold_s
+    start = pieces.start_s + np.cumsum(steps)
+    new = after[~still[after - 1]]
+    held = np.zeros((len(new), *pieces.coefficients.shape[1:]))
+    held[:, 0] = pieces.coefficients[new - 1].sum(axis=1)
+    stretched = Pieces(
+        np.insert(start, new, start[new] - hold_s),
+        np.insert(duration, new, hold_s),
+        np.insert(pieces.coefficients, new, held, axis=0),
+        np.insert(pieces.operation, new, pieces.operation[new - 1]),
+        np.insert(run, new, 0),
+    )
+    return stretched, hold_s * len(after)
+
+
+def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
+    """(n,) True where the operations skip after a dwell, or where both pieces come to rest."""
+    skips = np.diff(pieces.operation, prepend=pieces.operation[:1]) > 1
+    if not skips.any():
+        return np.asarray(skips)
+    c = pieces.coefficients
+    power = np.arange(c.shape[1])
+    way = np.abs(c[:, 1:]).sum(axis=1) + 1e-300
+    end = np.abs((c * power[None, :, None]).sum(axis=1)) <= _AT_REST * way
+    begin = np.abs(c[:, 1]) <= _AT_REST * way if c.shape[1] > 1 else np.ones_like(end)
+    comes_to_rest = np.concatenate([[False], end[:-1].all(axis=1)]) & begin.all(axis=1)
+    # Historical motion steps into its speed: after a dwell that is a rest all the same.
+    dwelt = np.concatenate([[False], pieces.still[:-1]])
+    return np.asarray(skips & (dwelt | comes_to_rest))
+
+
+_CHUNK = 1 << 14
+SAMPLES_PER_TRAIN = 128
+"""Samples within the duration of the train: a chord between two strays from a curve that is
+followed with acceleration a by a (duration / 128)^2 / 8."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShapingDeviation:
+    """The worst place of a shaped motion.
+
+    Parameters
+    ----------
+    at_tool_m
+        Largest distance at the tool, rotary axes at their radius.
+    missed
+        True where a planned place is passed by, False where the shaped path strays.
+    time_s, operation
+        Of the shaped motion, there; of a planned place that is missed, the planned time with
+        its rests made longer.
+    position
+        (axes,) there, m or rad.
+    """
+
+    at_tool_m: float
+    missed: bool
+    time_s: float
+    operation: int
+    position: tuple[float, ...]
+
+    def within(self, tolerance_m: float) -> bool:
+        """Say whether the deviation is at most ``tolerance_m``."""
+        return self.at_tool_m <= tolerance_m
+
+
+def shaping_deviation(
+    planned: Trajectory, shaped: Trajectory, machine: Machine, duration_s: float
+) -> ShapingDeviation:
+    """Measure how far ``shaped`` leaves the path of ``planned``, in bounded memory.
+
+    Parameters
+    ----------
+    planned, shaped
+        Before and after :func:`threadline.motion.shaping.shape_trajectory`.
+    machine
+        Gives the radius at which rotary axes act.
+    duration_s
+        The longest delay of any axis: :func:`threadline.motion.shaping.longest_delay_s`.
+
+    Raises
+    ------
+    OptionError
+        If ``duration_s`` is negative.
+    PlanError
+        If the axes differ.
+    """
+    if planned.axes != shaped.axes:
+        raise PlanError(
+            f"shaped axes {', '.join(shaped.axes)} are not the planned ones, "
+            f"{', '.join(planned.axes)}"
+        )
+    if not duration_s >= 0.0:
+        raise OptionError(f"shaping deviation: duration_s must be >= 0, got {duration_s!r}")
+    if duration_s == 0.0:
+        return ShapingDeviation(0.0, False, 0.0, 0, tuple(0.0 for _ in planned.axes))
+    radius = machine.radius_m[[machine.axis_names.index(axis) for axis in planned.axes]]
+    step = duration_s / SAMPLES_PER_TRAIN
+    before = _Samples(_deviation_stretched(planned, duration_s), radius, step)
+    after = _Samples(iter(shaped), radius, step)
+    reach = SAMPLES_PER_TRAIN + 2
+    worst = _Worst()
+    first = 0
+    while True:
+        after.read(first + _CHUNK + reach)
+        before.read(first + _CHUNK + reach)
+        count = min(_CHUNK, max(after.end, before.end) - first)
+        if count <= 0:
+            break
+        for missed, mine, other, back, ahead in (
+            (False, after, before, reach, 2),
+            (True, before, after, 2, reach),
+        ):
+            distance = _distances(
+                mine.rows(first, count), other.rows(first - back, count + back + ahead), back, ahead
+            )
+            at = int(np.argmax(distance))
+            worst.take(float(distance[at]), first + at, mine, missed=missed)
+        first += count
+        after.drop(first - reach)
+        before.drop(first - reach)
+    return worst.deviation(step, radius)
+
+
+def _deviation_stretched(planned: Trajectory, hold_s: float) -> Iterator[TrajectoryBlock]:
+    for pieces in with_rests(iter(planned), hold_s):
+        yield TrajectoryBlock(
+            start_s=pieces.start_s,
+            duration_s=pieces.duration_s,
+            coefficients=pieces.coefficients,
+            operation=pieces.operation,
+        )
+
+
+class _Samples:
+    """Places at the tool every ``step_s``, held from before the start until after the end."""
+
+    def __init__(self, blocks: Iterator[TrajectoryBlock], radius: FloatArray, step_s: float):
+        self._blocks, self._radius, self._step = blocks, radius, step_s
+        self._first = 0  # index of the first row in hand
+        self._rows = np.zeros((0, len(radius)))
+        self._operation = np.zeros(0, dtype=np.int64)
+        self._last: TrajectoryBlock | None = None
+        self.ended = False
+
+    @property
+    def end(self) -> int:
+        """Index behind the last sample that has been read."""
+        return self._first + len(self._rows)
+
+    def read(self, until: int) -> None:
+        """Read samples up to index ``until``, or to the end of the trajectory."""
+        while not self.ended and self.end < until:
+            block = next(self._blocks, None)
+            if block is None:
+                self.ended = True
+                if self._last is not None:
+                    self._append(self._last, np.array([self._last.end_s]))
+                return
+            self._last = block
+            first = self.end
+            stop = max(first, int(np.ceil(block.end_s / self._step)))
+            for begin in range(first, stop, _CHUNK):
+                index = np.arange(begin, min(begin + _CHUNK, stop))
+                self._append(block, np.asarray(index * self._step, dtype=np.float64))
+
+    def _append(self, block: TrajectoryBlock, time_s: FloatArray) -> None:
+        at = np.clip(np.searchsorted(block.start_s, time_s, side="right") - 1, 0, None)
+        self._rows = np.concatenate([self._rows, block.evaluate(time_s) * self._radius])
+        self._operation = np.concatenate([self._operation, block.operation[at]])
+
+    def rows(self, first: int, count: int) -> FloatArray:
+        """Return (count, axes) samples; the ends stand for what is beyond them."""
+        at = np.clip(np.arange(first, first + count) - self._first, 0, len(self._rows) - 1)
+        return self._rows[at]
+
+    def operation(self, index: int) -> int:
+        """Return the operation at a sample in hand."""
+        return int(self._operation[min(index - self._first, len(self._rows) - 1)])
+
+    def drop(self, until: int) -> None:
+        """Let go of samples before index ``until``, but keep the last."""
+        count = min(max(until - self._first, 0), len(self._rows) - 1)
+        self._rows, self._operation = self._rows[count:], self._operation[count:]
+        self._first += count
+
+
+@dataclass(slots=True)
+class _Worst:
+    distance: float = -1.0
+    index: int = 0
+    missed: bool = False
+    operation: int = 0
+    place: FloatArray | None = None
+
+    def take(self, distance: float, index: int, source: _Samples, *, missed: bool) -> None:
+        if distance > self.distance:
+            self.distance, self.index, self.missed = distance, index, missed
+            self.operation = source.operation(index)
+            self.place = source.rows(index, 1)[0]
+
+    def deviation(self, step_s: float, radius: FloatArray) -> ShapingDeviation:
+        place = np.zeros(len(radius)) if self.place is None else self.place / radius
+        return ShapingDeviation(
+            max(0.0, self.distance),
+            self.missed,
+            self.index * step_s,
+            self.operation,
+            tuple(place.tolist()),
+        )
+
+
+@compiled
+def _distances(points: FloatArray, chain: FloatArray, back: int, ahead: int) -> FloatArray:
+    """(n,) distance of point i to the chords of ``chain`` rows i ... i + back + ahead."""
+    axes = points.shape[1]
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        best = np.inf
+        for j in range(i, i + back + ahead - 1):
+            along, square = 0.0, 0.0
+            for a in range(axes):
+                way = chain[j + 1, a] - chain[j, a]
+                along += way * (points[i, a] - chain[j, a])
+                square += way * way
+            u = min(1.0, max(0.0, along / square)) if square > 0.0 else 0.0
+            distance = 0.0
+            for a in range(axes):
+                off = points[i, a] - chain[j, a] - u * (chain[j + 1, a] - chain[j, a])
+                distance += off * off
+            best = min(best, distance)
+        out[i] = np.sqrt(best)
+    return out

@@ -1,0 +1,399 @@
+"""Unit-magnitude shapers for several modes at once, the shortest there is.
+
+A step that is shaped by such a train is a level that is 0 or 1 from instant to instant, and 1 in
+the end. The shortest train for given constraints is therefore a time-optimal switching: with the
+level free in [0, 1] on a grid, the least violation within a duration is a linear program, it falls
+as the duration grows, and the level that the program leaves is 0 or 1 but for the cells in which
+it switches. Bisection gives the seed, Newton's method the exact times. Unit-magnitude trains that
+are convolved are longer, or leave [0, 1] where their pulses overlap.
+
+The level of a step that is shaped by such a train is 0 or 1 from instant to instant. With the level
+free in [0, 1] on a grid, the least V over the bands within a duration is a linear program (circles
+as polygons), and the shortest duration that meets the tolerances leaves a level of 0 or 1 but for
+the cells in which it switches: the switching function of an optimum is a sum of a few decaying
+waves, one for each active frequency, and vanishes at instants alone. That gives how many switchings
+there are and about when; the shortest duration with exact circles over the bands, the tops of V
+exchanged as they move, is then a smooth program (sequential quadratic programming).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.errors import OptionError
+from threadline.motion.shaping.designs import check_apart, prove
+from threadline.motion.shaping.direct import Requirement
+from threadline.motion.shaping.response import Rows, ZeroOf, pole, residual_vibration, zero_rows
+from threadline.motion.shaping.solvers import minimise, newton
+from threadline.motion.shaping.types import Shaper, ShaperError
+
+_DIRECT_UNIT_GRIDS = (240, 330, 170, 480)
+_SMALL = 1e-8
+
+
+def direct_unit_magnitude(
+    requirements: Sequence[Requirement], *, name: str = "um-direct"
+) -> Shaper:
+    """Shortest train of amplitudes +1 -1 ... +1 that silences every mode.
+
+    Parameters
+    ----------
+    requirements
+        With tolerance 0; ``derivatives`` makes a mode robust, as UM-ZVD is.
+    name
+        Of the shaper.
+
+    Returns
+    -------
+    Shaper
+        Levels 0 and 1 alone; constraints met to 1e-10 and proved by simulation.
+
+    Raises
+    ------
+    OptionError
+        If there is no requirement, one has a tolerance, or the modes are too far apart.
+    ShaperError
+        If a program fails, or the proof does.
+    """
+    if not requirements:
+        raise OptionError("unit-magnitude shaper: at least one requirement is needed")
+    for r in requirements:
+        if r.tolerance > 0.0:
+            raise OptionError(
+                f"unit-magnitude shaper: the requirement at {r.mode.frequency_hz:g} Hz has a "
+                "tolerance, only exact zeros are solved directly",
+                remedy="Ask for derivatives instead, or take um-ei or um-2ei for one mode.",
+            )
+    check_apart([r.mode for r in requirements])
+    unit = 1.0 / min(r.mode.frequency_hz for r in requirements)
+    zeros: list[ZeroOf] = [
+        (r.mode.frequency_hz * unit, pole(r.mode.damping_ratio), order)
+        for r in dict.fromkeys(requirements)
+        for order in range(r.derivatives + 1)
+    ]
+    failures = []
+    for points in _DIRECT_UNIT_GRIDS:
+        try:
+            times = _polish(_seed(zeros, points), zeros)
+            break
+        except ShaperError as error:
+            failures.append(error)
+    else:
+        raise failures[0]
+    amplitudes = np.where(np.arange(len(times)) % 2 == 0, 1.0, -1.0)
+    shaper = Shaper(amplitudes=amplitudes, times_s=times * unit, name=name)
+    for r in requirements:
+        at = np.array([r.mode.frequency_hz])
+        prove(shaper, at, r.mode.damping_ratio, np.zeros(1), at_most=True)
+    return shaper
+
+
+def _least(zeros: Sequence[ZeroOf], duration: float, points: int) -> tuple[float, FloatArray]:
+    """Least violation within ``duration``, in periods, and the (points,) levels."""
+    edges = np.linspace(0.0, duration, points + 1)
+    rows, bounds = [], []
+    for by_impulse in zero_rows(zeros, edges - duration):
+        by_level = by_impulse[:-1] - by_impulse[1:]
+        rest = by_impulse[-1]
+        for turned, constant in ((by_level.real, rest.real), (by_level.imag, rest.imag)):
+            rows += [turned, -turned]
+            bounds += [-constant, constant]
+    solved = minimise(
+        np.append(np.zeros(points), 1.0),
+        equal=(np.zeros((1, points + 1)), np.zeros(1)),
+        below=(np.hstack((np.array(rows), -np.ones((len(rows), 1)))), np.array(bounds)),
+        bounds=[(0.0, 1.0)] * points + [(0.0, None)],
+        what="unit-magnitude shaper",
+    )
+    return float(solved.x[-1]), solved.x[:-1]
+
+
+def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
+    """Switching times of the shortest feasible duration on a grid, from 0."""
+    low, high = 0.0, 0.5 * len(zeros)
+    for _ in range(6):
+        if _least(zeros, high, points)[0] <= _SMALL:
+            break
+        low, high = high, 1.5 * high
+    else:
+        raise ShaperError(f"unit-magnitude shaper: no train within {high:.3g} periods")
+    while high - low > 1e-4 * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _least(zeros, middle, points)[0] <= _SMALL else (middle, high)
+    _, levels = _least(zeros, high, points)
+    times = switchings_of(levels, high / points)
+    # As many times as equations: what is more are slivers of a cell, on and off again.
+    while len(times) - 1 > 2 * len(zeros):
+        narrow = int(np.argmin(np.diff(times)))
+        times = np.delete(times, [narrow, narrow + 1])
+    shifted: FloatArray = times - times[0]
+    return shifted
+
+
+def switchings_of(levels: FloatArray, cell: float) -> FloatArray:
+    """Return when levels of cells of one length switch between 0 and 1, at first from 0.
+
+    Parameters
+    ----------
+    levels
+        (n,) in [0, 1], between 0 before them and 1 behind.
+    cell
+        Duration of each.
+    """
+    padded = np.concatenate(([0.0], levels, [1.0]))
+    rounded = np.rint(padded)
+    found = []
+    for k in np.flatnonzero(np.diff(rounded)):
+        # A cell that is partly on belongs to the level beside it.
+        a, b = padded[k], padded[k + 1]
+        late = (1.0 - b) - a if rounded[k + 1] > rounded[k] else b - (1.0 - a)
+        found.append((k + late) * cell)
+    times = np.array(found)
+    shifted: FloatArray = times - times[0]
+    return shifted
+
+
+def _polish(seed: FloatArray, zeros: Sequence[ZeroOf]) -> FloatArray:
+    """Solve the constraints exactly from a seed."""
+    amplitudes = np.where(np.arange(len(seed)) % 2 == 0, 1.0, -1.0)
+
+    def system(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        times = np.concatenate(([0.0], x))
+        stacks = []
+        for s in dict.fromkeys(zero[1] for zero in zeros):
+            rows = Rows(amplitudes, times, s, free_amplitudes=False, unknown_frequencies=0)
+            for f, other, order in zeros:
+                if other == s:
+                    rows.zero(f, order=order)
+            stacks.append(rows.system())
+        return np.concatenate([r for r, _ in stacks]), np.concatenate([j for _, j in stacks])
+
+    solved = np.concatenate(([0.0], newton(system, seed[1:], "unit-magnitude shaper")))
+    if len(solved) % 2 == 0 or bool(np.any(np.diff(solved) <= 0.0)):
+        raise ShaperError(
+            "unit-magnitude shaper: the design did not converge (its switchings changed order)",
+            remedy="Change a mode a little.",
+        )
+    if float(np.abs(solved - seed).max()) > 0.05:
+        raise ShaperError("unit-magnitude shaper: the design left the optimum that was found")
+    return solved
+
+
+_DIRECT_UNIT_BANDS_GRIDS = (200, 260, 150, 340)
+_POLYGON = 16
+_BAND_GRID = 11
+_SWEEP = 201
+_ROUNDS = 12
+_MARGIN = 1e-8  # of the tolerance: what is left to rounding
+_MOST_SWITCHINGS = 40
+_APART = 1e-4  # periods between two switchings, at least
+_SETTLED = 1e-6
+
+
+def unit_magnitude_over_bands(
+    requirements: Sequence[Requirement], *, name: str = "um-si"
+) -> Shaper:
+    """Train of amplitudes +1 -1 ... +1 within every tolerance over its band, as short as was found.
+
+    Parameters
+    ----------
+    requirements
+        Each with a tolerance above 0.
+
+    Returns
+    -------
+    Shaper
+        Levels 0 and 1 alone; every band confirmed by simulation at 21 frequencies.
+
+    Raises
+    ------
+    OptionError
+        If there is no requirement, or one has no tolerance.
+    ShaperError
+        If no train was found.
+    """
+    if not requirements or any(r.tolerance <= 0.0 for r in requirements):
+        raise OptionError(
+            "unit-magnitude shaper over bands: every mode needs a tolerance above 0",
+            remedy="For exact zeros take um-direct.",
+        )
+    problem = _Problem(requirements)
+    failures = []
+    for points in _DIRECT_UNIT_BANDS_GRIDS:
+        try:
+            times = problem.polished(problem.seed(points))
+            break
+        except ShaperError as error:
+            failures.append(error)
+    else:
+        raise failures[0]
+    shaper = Shaper(amplitudes=_signs(len(times)), times_s=times * problem.unit_s, name=name)
+    for r in requirements:
+        f = r.mode.frequency_hz * np.linspace(1.0 - r.relative, 1.0 + r.relative, 21)
+        f = f if r.relative else f[:1]
+        prove(shaper, f, r.mode.damping_ratio, np.full(len(f), r.tolerance), at_most=True)
+    return shaper
+
+
+def _signs(n: int) -> FloatArray:
+    return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
+
+
+class _Problem:
+    """Bands in units of the slowest frequency, times in its periods."""
+
+    def __init__(self, requirements: Sequence[Requirement]) -> None:
+        self._asked = tuple(dict.fromkeys(requirements))
+        self.unit_s = 1.0 / min(r.mode.frequency_hz for r in requirements)
+
+    def _edges(self, r: Requirement) -> tuple[float, float]:
+        f = r.mode.frequency_hz * self.unit_s
+        return f * (1.0 - r.relative), f * (1.0 + r.relative)
+
+    def _least(self, duration: float, points: int) -> tuple[float, FloatArray]:
+        """Least V over its tolerance within ``duration``, and the (points,) levels."""
+        edges = np.linspace(0.0, duration, points + 1)
+        directions = np.exp(2j * np.pi * np.arange(_POLYGON) / _POLYGON)
+        rows, bounds = [], []
+        for r in self._asked:
+            low, high = self._edges(r)
+            for f in np.linspace(low, high, _BAND_GRID if high > low else 1):
+                by_impulse = np.exp(pole(r.mode.damping_ratio) * f * (edges - duration))
+                by_level = (by_impulse[:-1] - by_impulse[1:]) / r.tolerance
+                rest = by_impulse[-1] / r.tolerance
+                rows.append((by_level[None, :] * directions[:, None]).real)
+                bounds.append(-(rest * directions).real)
+        table = np.vstack(rows)
+        solved = minimise(
+            np.append(np.zeros(points), 1.0),
+            equal=(np.zeros((1, points + 1)), np.zeros(1)),
+            below=(np.hstack((table, -np.ones((len(table), 1)))), np.concatenate(bounds)),
+            bounds=[(0.0, 1.0)] * points + [(0.0, None)],
+            what="unit-magnitude shaper over bands",
+            seconds=60.0,
+        )
+        return float(solved.x[-1]), solved.x[:-1]
+
+    def seed(self, points: int) -> FloatArray:
+        """Switching times of the shortest feasible duration on a grid, from 0."""
+        low, high = 0.0, 0.75 * len(self._asked)
+        for _ in range(8):
+            if self._least(high, points)[0] <= 1.0:
+                break
+            low, high = high, 1.4 * high
+        else:
+            raise ShaperError(
+                f"unit-magnitude shaper over bands: no train within {high:.3g} periods",
+                remedy="Narrow the bands, or allow more vibration.",
+            )
+        while high - low > 2e-3 * high:
+            middle = 0.5 * (low + high)
+            low, high = (low, middle) if self._least(middle, points)[0] <= 1.0 else (middle, high)
+        times = switchings_of(self._least(high, points)[1], high / points)
+        if len(times) % 2 == 0 or len(times) > _MOST_SWITCHINGS:
+            raise ShaperError("unit-magnitude shaper over bands: the levels are not 0 and 1")
+        return times
+
+    def _tops(self, times: FloatArray) -> list[FloatArray]:
+        """Return of every band its ends and the frequencies of the maxima of V inside."""
+        found = []
+        train = Shaper(amplitudes=_signs(len(times)), times_s=times)
+        for r in self._asked:
+            low, high = self._edges(r)
+            if high == low:
+                found.append(np.array([low]))
+                continue
+            f = np.linspace(low, high, _SWEEP)
+            v = residual_vibration(train, f, r.mode.damping_ratio)
+            inside = np.flatnonzero((v[1:-1] >= v[:-2]) & (v[1:-1] >= v[2:])) + 1
+            # The top of the parabola through three samples.
+            a, b, c = v[inside - 1], v[inside], v[inside + 1]
+            bend = a - 2.0 * b + c
+            shift = np.where(
+                np.abs(bend) > 0.0, 0.5 * (a - c) / np.where(bend == 0.0, 1.0, bend), 0.0
+            )
+            found.append(np.concatenate(([low, high], f[inside] + shift * (f[1] - f[0]))))
+        return found
+
+    def polished(self, seed: FloatArray) -> FloatArray:
+        """Return the shortest train of as many switchings, its bands met exactly."""
+        times = seed
+        looked = [
+            np.linspace(*self._edges(r), _BAND_GRID if r.relative else 1) for r in self._asked
+        ]
+        for _ in range(_ROUNDS):
+            looked = [
+                np.unique(np.concatenate((old, tops)))
+                for old, tops in zip(looked, self._tops(times), strict=True)
+            ]
+            before, times = times, self._shortest(times, looked)
+            if np.any(np.diff(times) <= 0.0):
+                break
+            if self._excess(times) <= 1.0 and float(np.abs(times - before).max()) < _SETTLED:
+                return times
+        if np.all(np.diff(times) > 0.0) and self._excess(times) <= 1.0:
+            return times
+        raise ShaperError(
+            "unit-magnitude shaper over bands: the design did not converge",
+            remedy="Change a band or a tolerance a little.",
+        )
+
+    def _shortest(self, times: FloatArray, looked: Sequence[FloatArray]) -> FloatArray:
+        """Return the shortest train near ``times`` with V within the tolerances at ``looked``."""
+        from scipy.optimize import minimize
+
+        n, signs = len(times), _signs(len(times))
+        apart = np.eye(n - 1) - np.eye(n - 1, k=-1)
+
+        def waves(x: FloatArray) -> list[tuple[Requirement, ComplexArray, ComplexArray]]:
+            t = np.concatenate(([0.0], x))
+            found = []
+            for r, f in zip(self._asked, looked, strict=True):
+                turn: ComplexArray = np.asarray(pole(r.mode.damping_ratio) * f, np.complex128)
+                wave = np.exp(turn[:, None] * (t - t[-1])) * signs
+                found.append((r, turn, np.asarray(wave, np.complex128)))
+            return found
+
+        def room(x: FloatArray) -> FloatArray:
+            parts = [
+                (1.0 - _MARGIN) - np.abs(wave.sum(axis=1)) ** 2 / r.tolerance**2
+                for r, _, wave in waves(x)
+            ]
+            return np.concatenate(parts)
+
+        def slope(x: FloatArray) -> FloatArray:
+            parts = []
+            for r, turn, wave in waves(x):
+                by_delay = turn[:, None] * wave
+                by_times = by_delay[:, 1:].copy()
+                by_times[:, -1] = -by_delay[:, :-1].sum(axis=1)
+                whole = wave.sum(axis=1).conjugate()[:, None]
+                parts.append(-2.0 * (whole * by_times).real / r.tolerance**2)
+            return np.vstack(parts)
+
+        # scipy's stubs do not know a Jacobian beside constraints.
+        sequential: Any = minimize
+        solved = sequential(
+            lambda x: float(x[-1]),
+            times[1:],
+            jac=lambda x: np.asarray(np.arange(len(x)) == len(x) - 1, dtype=np.float64),
+            method="SLSQP",
+            constraints=[
+                {"type": "ineq", "fun": room, "jac": slope},
+                {"type": "ineq", "fun": lambda x: apart @ x - _APART, "jac": lambda _: apart},
+            ],
+            options={"maxiter": 300, "ftol": 1e-12},
+        )
+        return np.concatenate(([0.0], np.asarray(solved.x, dtype=np.float64)))
+
+    def _excess(self, times: FloatArray) -> float:
+        """Return V at worst over its tolerance, the tops of every band looked at."""
+        train = Shaper(amplitudes=_signs(len(times)), times_s=times)
+        return max(
+            float(residual_vibration(train, tops, r.mode.damping_ratio).max()) / r.tolerance
+            for r, tops in zip(self._asked, self._tops(times), strict=True)
+        )

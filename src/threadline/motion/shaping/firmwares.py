@@ -1,0 +1,283 @@
+"""The shapers of Klipper, Marlin and RepRapFirmware, and designs in their words.
+
+Klipper has its types computed from frequency and damping ratio by its own formulas: zv, mzv and
+zvd exactly, ei, 2hump_ei and 3hump_ei by published curve fits (Singhose et al.) at 5 %, valid to
+damping ratios of 0.4, 0.3 and 0.2. What it would play is computed here and judged on the mode,
+so that a fit that is too coarse is not called a match.
+
+Source: Marlin 2.1, ``Stepper::set_shaping_damping_ratio`` and ``set_shaping_frequency``: an echo
+half a period of F after the move, the shares of both in 128ths. So F is the damped frequency.
+
+Source: RepRapFirmware 3, ``AxisShaper::Configure``: mzv, zvd, zvdd, zvddd exactly, ei2 and ei3 by
+published fits, their times in damped periods. F is the undamped frequency, S the damping ratio.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.motion.shaping.closed import fitted_humps
+from threadline.motion.shaping.response import LEFT, most_left, residual_vibration
+from threadline.motion.shaping.types import FlexibleMode, Shaper
+
+MATCH = 0.01
+"""A type fits where V differs by at most this over f (1 +- 25 %)."""
+
+_MAX_DAMPING = {"zv": 0.99, "mzv": 0.99, "zvd": 0.99, "ei": 0.4, "2hump_ei": 0.3, "3hump_ei": 0.2}
+_KLIPPER_HUMPS = {"2hump_ei": 2, "3hump_ei": 3}
+
+
+def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
+    """The impulses that Klipper plays for a type, normalised to sum 1.
+
+    Raises
+    ------
+    OptionError
+        If the type is unknown or the damping ratio is beyond what Klipper takes for it.
+    """
+    if shaper_type not in _MAX_DAMPING:
+        raise OptionError(
+            f"Klipper type {shaper_type!r} is unknown", remedy=f"Types: {', '.join(_MAX_DAMPING)}."
+        )
+    zeta = mode.damping_ratio
+    if zeta > _MAX_DAMPING[shaper_type]:
+        raise OptionError(
+            f"Klipper's {shaper_type} takes damping ratios up to {_MAX_DAMPING[shaper_type]:g}, "
+            f"got {zeta:g}"
+        )
+    root = math.sqrt(1.0 - zeta**2)
+    if shaper_type in _KLIPPER_HUMPS:
+        periods, weights = fitted_humps(_KLIPPER_HUMPS[shaper_type], zeta)
+        times = periods / mode.frequency_hz
+    else:
+        spacing = 0.375 if shaper_type == "mzv" else 0.5
+        decay = math.exp(-2.0 * math.pi * zeta * spacing / root)
+        by_type: dict[str, FloatArray] = {
+            "zv": np.array([1.0, decay]),
+            "mzv": np.array([1.0, math.sqrt(2.0) * decay, decay**2]),
+            "zvd": np.array([1.0, 2.0 * decay, decay**2]),
+            "ei": _ei_weights(zeta),
+        }
+        weights = by_type[shaper_type]
+        step_s = spacing / (root * mode.frequency_hz)
+        times = np.array([k * step_s for k in range(len(weights))])
+        if shaper_type == "ei":
+            times[1] *= 2.0 * _ei_middle(zeta)
+    return Shaper(
+        amplitudes=weights / float(weights.sum()), times_s=times, name=f"klipper {shaper_type}"
+    )
+
+
+def _ei_weights(zeta: float) -> FloatArray:
+    v = 0.05
+    first = (
+        (0.24968 + 0.24961 * v) + (0.80008 + 1.23328 * v) * zeta + (0.49599 + 3.17316 * v) * zeta**2
+    )
+    last = (
+        (0.25149 + 0.21474 * v)
+        + (-0.83249 + 1.41498 * v) * zeta
+        + (0.85181 - 4.90094 * v) * zeta**2
+    )
+    return np.array([first, 1.0 - first - last, last])
+
+
+def _ei_middle(zeta: float) -> float:
+    """Time of the middle impulse in damped periods."""
+    v = 0.05
+    return (
+        0.4999
+        + (0.46159 + 8.57843 * v) * v * zeta
+        + (4.26169 - 108.644 * v) * v * zeta**2
+        + (1.75601 + 336.989 * v) * v * zeta**3
+    )
+
+
+def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
+    """Return Klipper's shortest type that keeps a mode at rest over a band, and what it leaves.
+
+    What it leaves is ``most_left``, at most ``LEFT``. None where no type keeps to that: each takes
+    damping ratios up to a limit of its own.
+    """
+    for name, most in _MAX_DAMPING.items():
+        if mode.damping_ratio <= most:
+            left = most_left(klipper_impulses(name, mode), [mode])
+            if left <= LEFT:
+                return name, left
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class KlipperExport:
+    """The section to paste, or why there is none.
+
+    Parameters
+    ----------
+    section
+        Text of ``[input_shaper]`` for both axes; empty where no type fits.
+    shaper_type
+        Klipper's word, or empty.
+    difference
+        Largest difference of V between Klipper's train and ours over f (1 +- 25 %).
+    explanation
+        One sentence.
+    """
+
+    section: str
+    shaper_type: str
+    difference: float
+    explanation: str
+
+
+def klipper_export(shaper: Shaper, mode: FlexibleMode, *, axes: str = "xy") -> KlipperExport:
+    """Find Klipper's type that plays ``shaper``, which was made for ``mode``.
+
+    Parameters
+    ----------
+    shaper
+        Positive train; unit-magnitude and negative ones fit no type.
+    mode
+        Its mode: Klipper's frequency is the undamped one too.
+    axes
+        Of "x", "y" or both.
+
+    Raises
+    ------
+    OptionError
+        If ``axes`` names another axis.
+    """
+    if not axes or set(axes) - {"x", "y"}:
+        raise OptionError(f"Klipper shapes axes x and y, got {axes!r}")
+    f = mode.frequency_hz * np.linspace(0.75, 1.25, 201)
+    ours = residual_vibration(shaper, f, mode.damping_ratio)
+    candidates = []
+    for name, most in _MAX_DAMPING.items():
+        if mode.damping_ratio > most:
+            continue
+        theirs = klipper_impulses(name, mode)
+        if len(theirs.times_s) != len(shaper.times_s):
+            continue
+        v = residual_vibration(theirs, f, mode.damping_ratio)
+        candidates.append((float(np.abs(v - ours).max()), name))
+    best = min(candidates, default=(math.inf, ""))
+    if best[0] > MATCH or bool(np.any(shaper.amplitudes < 0.0)):
+        nearest = f"; the nearest, {best[1]}, is {best[0]:.3f} of V off" if best[1] else ""
+        return KlipperExport(
+            "", "", best[0], f"no type of Klipper's plays shaper '{shaper.name}'{nearest}"
+        )
+    difference, name = best
+    lines = ["[input_shaper]"]
+    for axis in axes:
+        lines += [
+            f"shaper_type_{axis}: {name}",
+            f"shaper_freq_{axis}: {mode.frequency_hz:.6g}",
+            f"damping_ratio_{axis}: {mode.damping_ratio:.6g}",
+        ]
+    return KlipperExport(
+        "\n".join(lines) + "\n",
+        name,
+        difference,
+        f"Klipper's {name} plays it: V differs by at most {difference:.4f} within 25 %",
+    )
+
+
+_PARTS = 128.0
+
+
+def damped_frequency_hz(mode: FlexibleMode) -> float:
+    """Return the F of ``M593`` for a mode."""
+    return mode.frequency_hz * math.sqrt(1.0 - mode.damping_ratio**2)
+
+
+def marlin_impulses(frequency_hz: float, damping_ratio: float) -> Shaper:
+    """Return the impulses of ``M593 F D``; ``damping_ratio`` lies in [0, 1)."""
+    powers = damping_ratio ** np.arange(4)
+    fitted = np.array([64.44056192, -99.02008832, -7.58095488, 43.073216]) @ powers
+    echo = 64.0 if damping_ratio <= 0.0 else math.floor(fitted)
+    return Shaper(
+        amplitudes=np.array([_PARTS - echo, echo]) / _PARTS,
+        times_s=np.array([0.0, 0.5 / frequency_hz]),
+        name="marlin zv",
+    )
+
+
+_DERIVATIVES = {"zvd": 2, "zvdd": 3, "zvddd": 4}
+_REPRAPFIRMWARE_HUMPS = {"ei2": 2, "ei3": 3}
+_MOST_DAMPING = {"ei2": 0.3, "ei3": 0.2}  # of the fits
+TYPES = ("mzv", *_DERIVATIVES, *_REPRAPFIRMWARE_HUMPS)
+"""The words of ``M593 P``, without the train of one's own."""
+_FREQUENCIES = 41  # tried from the slowest mode to the fastest
+
+
+class Chosen(NamedTuple):
+    """Values of ``M593 P F S``, and the largest V that their train leaves of the modes."""
+
+    type: str
+    frequency_hz: float
+    damping_ratio: float
+    left: float
+
+
+def reprap_impulses(shaper_type: str, frequency_hz: float, damping_ratio: float) -> Shaper:
+    """Return the impulses of ``M593 P F S``.
+
+    Raises
+    ------
+    OptionError
+        If the type is unknown.
+    """
+    if shaper_type not in TYPES:
+        raise OptionError(
+            f"RepRapFirmware type {shaper_type!r} is unknown", remedy=f"Types: {', '.join(TYPES)}."
+        )
+    root = math.sqrt(1.0 - damping_ratio**2)
+    period_s = 1.0 / (frequency_hz * root)
+    if shaper_type in _REPRAPFIRMWARE_HUMPS:
+        periods, weights = fitted_humps(_REPRAPFIRMWARE_HUMPS[shaper_type], damping_ratio)
+        weights[-1] = 1.0 - weights[:-1].sum()  # what is left over for the last
+    else:
+        spacing = 0.375 if shaper_type == "mzv" else 0.5
+        decay = math.exp(-2.0 * math.pi * damping_ratio * spacing / root)
+        order = _DERIVATIVES.get(shaper_type)
+        plain = (
+            [1.0, math.sqrt(2.0), 1.0]
+            if order is None
+            else [float(math.comb(order, k)) for k in range(order + 1)]
+        )
+        weights = np.array([share * decay**k for k, share in enumerate(plain)])
+        periods = np.array([k * spacing for k in range(len(plain))])
+    return Shaper(
+        amplitudes=weights / weights.sum(),
+        times_s=periods * period_s,
+        name=f"reprapfirmware {shaper_type}",
+    )
+
+
+def shortest_for_all(modes: Sequence[FlexibleMode]) -> Chosen | None:
+    """Return the shortest train of RepRapFirmware that keeps all ``modes`` at rest over a band.
+
+    It leaves at most ``LEFT`` of each over its band, by ``most_left``; None where no type does. Of
+    several modes the frequency lies between the slowest and the fastest, and the damping ratio is
+    their mean.
+    """
+    found: tuple[float, Chosen] | None = None
+    slowest, fastest = (end(mode.frequency_hz for mode in modes) for end in (min, max))
+    damping = float(np.mean([mode.damping_ratio for mode in modes]))
+    for name in TYPES:
+        if damping > _MOST_DAMPING.get(name, 0.99):
+            continue
+        for f in np.unique(np.linspace(slowest, fastest, _FREQUENCIES)):
+            train = reprap_impulses(name, float(f), damping)
+            length_s = float(train.times_s[-1])
+            if found is not None and length_s >= found[0]:
+                continue
+            left = most_left(train, modes)
+            if left <= LEFT:
+                found = length_s, Chosen(name, float(f), damping, left)
+    return None if found is None else found[1]

@@ -1,0 +1,264 @@
+"""What a motion law leaves swinging: one mode on a base that moves exactly by the law.
+
+The load on the base obeys ``q'' + 2 zeta omega q' + omega**2 q = -y''``, q its position relative to
+the base and y the motion of the base. After the move q rings down with the envelope
+
+    R exp(-zeta omega (t - T)),  R = h / (T omega_d) |integral s''(u) exp(-p T (1 - u)) du|,
+
+p = zeta omega + i omega_d, integral over [0, 1]; R is the residual amplitude of this module. It is
+computed by Gauss-Legendre quadrature on the stretches on which the law is smooth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, pi, sqrt
+
+import numpy as np
+
+from threadline.base.arrays import ComplexArray, FloatArray
+from threadline.errors import OptionError
+from threadline.motion.laws import Law, gauss
+from threadline.motion.shaping.types import FlexibleMode
+
+_RADIANS, _POINTS = 6.0, 16  # of the mode in a panel of so many nodes: right to rounding
+_LITTLE, _FEW_POINTS = 0.5, 6
+_PER_PERIOD = 32  # windows tried in a period of the mode
+_CHUNK = 2_000_000
+_FINER = 16  # in a scan for all lengths at once
+_SHORTEST = 1e-2  # periods in the shortest window of such a scan: it leaves the whole move
+_FINEST = 1e-6  # of the move: what is less is not looked for
+_MOST_PERIODS = 3000.0
+_SHORTEST_M, _LONGEST_M = 1e-9, 1e6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ringing:
+    """What a law leaves after a move.
+
+    Parameters
+    ----------
+    law
+        The law.
+    residual_m
+        Amplitude when the move ends.
+    worst_m, worst_window_s
+        The largest over this and every longer window, and the window that has it.
+    window_s
+        The shortest window from which on every window keeps the residual and the acceleration that
+        were asked for; None where no residual was.
+    """
+
+    law: Law
+    residual_m: float
+    worst_m: float
+    worst_window_s: float
+    window_s: float | None = None
+
+
+def swing(law: Law, mode: FlexibleMode, window_s: FloatArray) -> ComplexArray:
+    """Return (n,) what a move of 1 m leaves swinging at its end, for windows of shape (n,), s.
+
+    A complex number Z whose imaginary part is the place of the load relative to its base; after
+    that it goes on as ``Z exp(-p t)``, and what several moves leave adds up.
+    """
+    omega = 2.0 * pi * mode.frequency_hz
+    damped = omega * sqrt(1.0 - mode.damping_ratio**2)
+    pole = mode.damping_ratio * omega + 1j * damped
+    edges = law.edges
+    turned = omega * float(window_s.max(initial=0.0)) * float(np.diff(edges).max())
+    # On the short stretches of a table the law is a cubic and the mode hardly turns.
+    points = _POINTS if turned > _LITTLE else _FEW_POINTS
+    u, weights = gauss(edges, max(1, ceil(turned / _RADIANS)), points)
+    moment = law(u, 2) * weights
+    out = np.empty(window_s.shape, dtype=np.complex128)
+    rows = max(1, _CHUNK // len(u))
+    for k in range(0, len(window_s), rows):
+        part = window_s[k : k + rows]
+        swung = np.exp(-pole * np.outer(part, 1.0 - u)) @ moment
+        out[k : k + rows] = swung / (part * damped)
+    return out
+
+
+def residual_m(law: Law, mode: FlexibleMode, move_m: float, window_s: FloatArray) -> FloatArray:
+    """Return the residual amplitudes, m, for windows of shape (n,), s."""
+    return np.asarray(move_m * np.abs(swing(law, mode, window_s)))
+
+
+def lasting_windows_s(
+    law: Law,
+    mode: FlexibleMode,
+    moves_m: FloatArray,
+    residual: float,
+    longest_s: float = np.inf,
+) -> FloatArray:
+    """Return (n,) shortest windows from which on every longer one keeps the residual.
+
+    One scan of windows, 512 in a period of the mode, serves all moves: the amplitude is
+    proportional to the length. Where no window up to ``longest_s`` keeps the residual, it is
+    ``longest_s``.
+
+    Parameters
+    ----------
+    moves_m
+        (n,) lengths, 0 or more; a move so short that every window keeps the residual has 0.
+    residual
+        Amplitude, m.
+    longest_s
+        Longer windows are not scanned, s.
+    """
+    longest = float(moves_m.max(initial=0.0))
+    if longest == 0.0:
+        return np.zeros(len(moves_m))
+    begin = _SHORTEST / mode.frequency_hz
+    coarse = _grid(law, mode, longest, begin, residual, longest_s)
+    windows = np.linspace(begin, float(coarse[-1]), _FINER * len(coarse))
+    # The largest amplitude from each window on, which falls.
+    worst = np.maximum.accumulate(np.abs(swing(law, mode, windows))[::-1])[::-1]
+    allowed = np.divide(residual, moves_m, out=np.full(len(moves_m), np.inf), where=moves_m > 0.0)
+    at = np.searchsorted(-worst, -allowed)
+    return np.where(at > 0, windows[np.minimum(at, len(windows) - 1)], 0.0)
+
+
+def ringing(
+    law: Law,
+    mode: FlexibleMode,
+    move_m: float,
+    window_s: float,
+    *,
+    residual: float | None = None,
+    acceleration: float = np.inf,
+) -> Ringing:
+    """Return what ``law`` leaves after a move of ``move_m`` in ``window_s``.
+
+    Parameters
+    ----------
+    residual
+        Amplitude, m, for which the shortest window is wanted, that and every longer one.
+    acceleration
+        Largest acceleration of that window, m/s^2.
+
+    Raises
+    ------
+    OptionError
+        If a number is not positive or beyond all machines, the time is far from the period of the
+        mode, or the residual too small to be looked for.
+    """
+    for what, value in (("move", move_m), ("time", window_s), ("residual", residual)):
+        if value is not None and not (0.0 < value < np.inf):
+            raise OptionError(f"the {what} must be positive, got {value:g}")
+    if not _SHORTEST_M <= move_m <= _LONGEST_M:
+        raise OptionError(
+            f"the move must be from {_SHORTEST_M:g} to {_LONGEST_M:g} m, got {move_m:g} m"
+        )
+    period = 1.0 / mode.frequency_hz
+    if not 1e-3 * period <= window_s <= _MOST_PERIODS * period:
+        raise OptionError(
+            f"the time of {window_s:g} s is {window_s / period:.3g} periods of the mode, it must "
+            f"be from 0.001 to {_MOST_PERIODS:g}",
+            remedy="A mode so much slower or faster than the move rings alike by any law.",
+        )
+    near = np.linspace(window_s, window_s + 3.0 * period, 3 * _PER_PERIOD + 1)
+    found = residual_m(law, mode, move_m, near)
+    top = max(float(found.max()), _FINEST * move_m)
+    longer = _grid(law, mode, move_m, window_s, top)
+    over = residual_m(law, mode, move_m, longer)
+    at = int(np.argmax(over))
+    worst, worst_at = _peak(law, mode, move_m, longer, at)
+    shortest = None
+    if residual is not None:
+        shortest = max(
+            _window_for(law, mode, move_m, residual), sqrt(law.acceleration * move_m / acceleration)
+        )
+    return Ringing(
+        law=law, residual_m=float(found[0]), worst_m=worst, worst_window_s=worst_at,
+        window_s=shortest,
+    )  # fmt: skip
+
+
+def _bound_s(law: Law, mode: FlexibleMode, move_m: float, residual: float) -> float:
+    """Return a window from which on the residual stays below ``residual``.
+
+    The integral is at most V2 / (omega T), V2 the total variation of s'', and V3 / (omega T)^2
+    where the jerk is finite.
+    """
+    u = np.linspace(0.0, 1.0, 8001)
+    omega = 2.0 * pi * mode.frequency_hz
+    damped = omega * sqrt(1.0 - mode.damping_ratio**2)
+
+    def variation(derivative: int) -> float:
+        return float(np.abs(np.diff(law(u, derivative), prepend=0.0, append=0.0)).sum())
+
+    windows = [sqrt(move_m * variation(2) / (damped * omega * residual))]
+    if law.jerk is not None:
+        windows.append((move_m * variation(3) / (damped * omega**2 * residual)) ** (1.0 / 3.0))
+    return 1.01 * min(windows)
+
+
+def _grid(
+    law: Law,
+    mode: FlexibleMode,
+    move_m: float,
+    window_s: float,
+    residual: float,
+    longest_s: float = np.inf,
+) -> FloatArray:
+    """Return the windows to be tried from ``window_s`` to where the bound is ``residual``."""
+    bound = min(_bound_s(law, mode, move_m, residual), longest_s)
+    end = max(bound, window_s + 1.0 / mode.frequency_hz)
+    periods = (end - window_s) * mode.frequency_hz
+    if periods > _MOST_PERIODS:
+        raise OptionError(
+            f"law {law.name}: a residual of {residual:.3g} m is reached for certain only after "
+            f"{periods:.3g} periods of the mode, at most {_MOST_PERIODS:g} are looked at",
+            remedy="Ask for a larger residual.",
+        )
+    return np.linspace(window_s, end, ceil(periods * _PER_PERIOD) + 1)
+
+
+def _peak(
+    law: Law, mode: FlexibleMode, move_m: float, windows: FloatArray, at: int
+) -> tuple[float, float]:
+    """Return the largest residual about ``windows[at]`` and the window that has it."""
+    low, high = windows[max(at - 1, 0)], windows[min(at + 1, len(windows) - 1)]
+    for _ in range(3):
+        fine = np.linspace(low, high, 33)
+        values = residual_m(law, mode, move_m, fine)
+        best = int(np.argmax(values))
+        low, high = fine[max(best - 1, 0)], fine[min(best + 1, 32)]
+    return float(values[best]), float(fine[best])
+
+
+def _window_for(law: Law, mode: FlexibleMode, move_m: float, residual: float) -> float:
+    """Return the shortest window from which on every residual is at most ``residual``."""
+    begin = 0.25 / mode.frequency_hz
+    windows = _grid(law, mode, move_m, begin, residual)
+    near = residual_m(law, mode, move_m, windows)
+    over = np.flatnonzero(near > residual)
+    # A lobe that rises above the line between two windows has its peak beside the largest of them.
+    lobes = 1 + np.flatnonzero((near[1:-1] >= near[:-2]) & (near[1:-1] >= near[2:]))
+    last = int(over[-1]) if len(over) else 0
+    for at in lobes[(lobes > last) & (near[lobes] > 0.98 * residual)][::-1]:
+        value, where = _peak(law, mode, move_m, windows, int(at))
+        if value > residual:
+            return _crossing(law, mode, move_m, residual, where, float(windows[at + 1]))
+    if not len(over):
+        return begin
+    return _crossing(
+        law,
+        mode,
+        move_m,
+        residual,
+        float(windows[last]),
+        float(windows[min(last + 1, len(windows) - 1)]),
+    )
+
+
+def _crossing(
+    law: Law, mode: FlexibleMode, move_m: float, residual: float, low: float, high: float
+) -> float:
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        above = residual_m(law, mode, move_m, np.array([middle]))[0] > residual
+        low, high = (middle, high) if above else (low, middle)
+    return high

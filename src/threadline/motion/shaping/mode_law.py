@@ -1,0 +1,328 @@
+"""The law made for a mode: the shortest window that keeps the residual over a band of frequency.
+
+The acceleration is a spline of degree 2 on even knots. Its coefficients bound it, those of its
+derivative bound the jerk and those of its integral the velocity, so that limits and monotony are
+rows of a linear program that hold everywhere and not at samples. The residual of a frequency
+(:mod:`threadline.motion.shaping.law_residual`) is linear in the coefficients as a complex number;
+its magnitude is held by the sides of a regular polygon inside the circle. For a given window the
+program finds the least residual over the band; bisection finds the shortest window in which that
+is small enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import cos, pi, sqrt
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.motion.laws import Law, law_of_velocity
+from threadline.motion.shaping.law_residual import residual_m
+from threadline.motion.shaping.solvers import InfeasibleError, minimise
+from threadline.motion.shaping.types import FlexibleMode, ShaperError
+
+RAMPS = 16.0
+"""Default jerk limit: from none to full acceleration in this part of the rigid window."""
+_COEFFICIENTS = 80
+_LEVELS = 160
+_FREQUENCIES = 50  # for each turn that the band's two ends part over the window
+_MOST_FREQUENCIES = 161
+_KEPT = 0.996  # of the residual: between two frequencies it may bulge a little
+_SIDES = 16
+_CHECKED = 41
+_LEAST = 1e-6  # of the move: the tolerance of the solver is a tenth of it
+_STEP_S = 5e-5
+_LONGEST = 12.0  # periods of the mode
+_PERIODS = (0.02, 12.0)  # of the mode in the rigid window
+
+ProgressCall = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Demand:
+    """What a law is to keep.
+
+    Parameters
+    ----------
+    mode
+        At the middle of the band.
+    band
+        Half width of the band, of the frequency: 0.1 is +-10 %.
+    move_m, residual_m
+        Length of the move and amplitude allowed when it ends, m.
+    acceleration_m_s2, jerk_m_s3
+        Limits; the jerk's may be infinite.
+    """
+
+    mode: FlexibleMode
+    band: float
+    move_m: float
+    residual_m: float
+    acceleration_m_s2: float
+    jerk_m_s3: float
+
+    def __post_init__(self) -> None:
+        for what, value in (
+            ("move", self.move_m),
+            ("residual", self.residual_m),
+            ("acceleration", self.acceleration_m_s2),
+            ("jerk", self.jerk_m_s3),
+        ):
+            if not value > 0.0 or (what != "jerk" and not np.isfinite(value)):
+                raise OptionError(f"law for a mode: the {what} must be positive, got {value:g}")
+        if self.residual_m < _LEAST * self.move_m:
+            raise OptionError(
+                f"law for a mode: the residual of {self.residual_m * 1e3:g} mm is less than a "
+                f"millionth of the move of {self.move_m * 1e3:g} mm, which no program resolves",
+                remedy="Allow more.",
+            )
+        periods = self.rigid_s * self.mode.frequency_hz
+        if not _PERIODS[0] <= periods <= _PERIODS[1]:
+            raise OptionError(
+                f"law for a mode: within {self.acceleration_m_s2:g} m/s^2 a rigid machine takes "
+                f"{self.rigid_s:.3g} s, {periods:.3g} periods of the mode; it must be from "
+                f"{_PERIODS[0]:g} to {_PERIODS[1]:g}",
+                remedy="A mode so much slower or faster than the move rings alike by any law.",
+            )
+        if not 0.0 <= self.band < 1.0:
+            raise OptionError(f"law for a mode: the band must be in [0, 1), got {self.band:g}")
+
+    @property
+    def rigid_s(self) -> float:
+        """Shortest window of a rigid machine: full acceleration, then full deceleration."""
+        return 2.0 * sqrt(self.move_m / self.acceleration_m_s2)
+
+
+def usual_jerk_m_s3(move_m: float, acceleration_m_s2: float) -> float:
+    """Return the jerk that reaches the acceleration in a 16th of the rigid window.
+
+    In that window it is Cj = 64, about that of 3-4-5 (60) and of modified sine (69).
+    """
+    return acceleration_m_s2 * RAMPS / (2.0 * sqrt(move_m / acceleration_m_s2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MadeLaw:
+    """A law made for a mode, with what it is to be compared with.
+
+    Parameters
+    ----------
+    law, window_s
+        The law and the window that it is made for.
+    simulated_m
+        Largest amplitude over the band after an integration that shares nothing with the program.
+    acceleration_m_s2, jerk_m_s3, velocity_m_s
+        Peaks.
+    free_levels_s
+        Shortest window for the same band with the acceleration free to step between its limits.
+    time_optimal_s
+        The same for the exact mode alone.
+    """
+
+    demand: Demand
+    law: Law
+    window_s: float
+    simulated_m: float
+    velocity_m_s: float
+    acceleration_m_s2: float
+    jerk_m_s3: float
+    free_levels_s: float
+    time_optimal_s: float
+
+
+def made_law(demand: Demand, progress: ProgressCall | None = None) -> MadeLaw:
+    """Return the law for ``demand`` with the shortest window.
+
+    Raises
+    ------
+    ShaperError
+        If no window up to 12 periods of the mode will do, a program fails, or the simulation
+        finds more than was asked for.
+    """
+    smooth = _Spline(demand, _COEFFICIENTS, 2)
+    window = _shortest(smooth, demand, progress, "law for the mode", 0.0)
+    coefficients = smooth.solve(window)[1]
+    law = _law(smooth, coefficients)
+    simulated = simulate_band(law, demand, window)
+    scale = demand.move_m / window
+    peaks = [law.velocity * scale, law.acceleration * scale / window]
+    jerk = (law.jerk or np.inf) * scale / window**2
+    if simulated > demand.residual_m or peaks[1] > 1.001 * demand.acceleration_m_s2:
+        raise ShaperError(
+            f"law for the mode: a simulation finds {simulated * 1e3:.4g} mm after the move and "
+            f"{peaks[1]:.4g} m/s^2, more than the {demand.residual_m * 1e3:g} mm and "
+            f"{demand.acceleration_m_s2:g} m/s^2 that it was made for"
+        )
+    free = Demand(
+        mode=demand.mode, band=demand.band, move_m=demand.move_m, residual_m=demand.residual_m,
+        acceleration_m_s2=demand.acceleration_m_s2, jerk_m_s3=np.inf,
+    )  # fmt: skip
+    exact = Demand(
+        mode=demand.mode, band=0.0, move_m=demand.move_m, residual_m=demand.residual_m,
+        acceleration_m_s2=demand.acceleration_m_s2, jerk_m_s3=np.inf,
+    )  # fmt: skip
+    return MadeLaw(
+        demand=demand, law=law, window_s=window, simulated_m=simulated, velocity_m_s=peaks[0],
+        acceleration_m_s2=peaks[1], jerk_m_s3=jerk,
+        free_levels_s=_shortest(_Spline(free, _LEVELS, 0), free, progress, "free levels", 0.5),
+        time_optimal_s=_shortest(_Spline(exact, _LEVELS, 0), exact, progress, "time-optimal", 0.8),
+    )  # fmt: skip
+
+
+def simulate_band(law: Law, demand: Demand, window_s: float) -> float:
+    """Return the largest amplitude over the band when the move ends, m, by integrating the mode.
+
+    scipy's DOP853 on relative position and velocity, with the law's acceleration for the base.
+    """
+    from scipy.integrate import solve_ivp
+
+    omega = 2.0 * pi * _band(demand, _CHECKED)
+    zeta, count = demand.mode.damping_ratio, len(omega)
+
+    def rates(t: float, state: FloatArray) -> FloatArray:
+        base = float(law(t / window_s, 2)[0]) * demand.move_m / window_s**2
+        q, speed = state[:count], state[count:]
+        return np.concatenate((speed, -base - 2.0 * zeta * omega * speed - omega**2 * q))
+
+    done = solve_ivp(
+        rates, (0.0, window_s), np.zeros(2 * count), method="DOP853", rtol=1e-8,
+        atol=1e-9 * demand.move_m, max_step=window_s / 100.0,
+    )  # fmt: skip
+    q, speed = done.y[:count, -1], done.y[count:, -1]
+    damped = omega * sqrt(1.0 - zeta**2)
+    return float(np.hypot(q, (speed + zeta * omega * q) / damped).max())
+
+
+def outside(made: MadeLaw, ratios: FloatArray) -> FloatArray:
+    """Return the residuals, m, of the made law at the mode times ``ratios``, shape (n,)."""
+    demand = made.demand
+    window = np.array([made.window_s])
+    zeta = demand.mode.damping_ratio
+    return np.array(
+        [
+            residual_m(
+                made.law,
+                FlexibleMode(ratio * demand.mode.frequency_hz, zeta),
+                demand.move_m,
+                window,
+            )[0]
+            for ratio in ratios.tolist()
+        ]
+    )
+
+
+def _band(demand: Demand, count: int) -> FloatArray:
+    f = demand.mode.frequency_hz
+    if demand.band == 0.0:
+        return np.array([f])
+    return np.linspace(f * (1.0 - demand.band), f * (1.0 + demand.band), count)
+
+
+class _Spline:
+    """The program for splines of one degree; what does not depend on the window is kept."""
+
+    def __init__(self, demand: Demand, count: int, degree: int) -> None:
+        self.demand, self.count, self.degree = demand, count, degree
+        inner = np.linspace(0.0, 1.0, count - degree + 1)
+        self.knots = np.concatenate((np.zeros(degree), inner, np.ones(degree)))
+        nodes, weights = np.polynomial.legendre.leggauss(6)
+        half = 0.5 * np.diff(inner)
+        self.u = ((inner[:-1] + half)[:, None] + half[:, None] * nodes).ravel()
+        self.weights = (half[:, None] * weights).ravel()
+        from scipy.interpolate import BSpline
+
+        self.basis = BSpline.design_matrix(self.u, self.knots, degree).toarray()
+        spans = self.knots[degree + 1 : degree + 1 + count] - self.knots[:count]
+        # Coefficients of the velocity, a spline of the next degree, from those of its derivative.
+        self.velocity = np.cumsum(np.eye(count) * spans / (degree + 1), axis=0)
+        self.rise = (self.weights * (1.0 - self.u)) @ self.basis
+
+    def residual_rows(self, window_s: float) -> FloatArray:
+        """(rows, count): residual over the wanted one, per coefficient, frequency and direction."""
+        d = self.demand
+        parted = 2.0 * d.band * d.mode.frequency_hz * window_s
+        count = int(min(max(5.0, np.ceil(_FREQUENCIES * parted)), _MOST_FREQUENCIES))
+        omega = 2.0 * pi * _band(d, count)
+        zeta = d.mode.damping_ratio
+        damped = omega * sqrt(1.0 - zeta**2)
+        pole = zeta * omega + 1j * damped
+        turned = np.exp(-window_s * pole[:, None] * (1.0 - self.u)) * self.weights
+        per = (turned @ self.basis) * (d.move_m / (window_s * damped * _KEPT * d.residual_m))[
+            :, None
+        ]
+        angles = 2.0 * pi * np.arange(_SIDES) / _SIDES
+        # Sides of a polygon inside the circle: what keeps to them keeps to the circle.
+        sides = np.exp(-1j * angles)[:, None, None] * per / cos(pi / _SIDES)
+        return np.asarray(sides.real.reshape(-1, self.count))
+
+    def solve(self, window_s: float) -> tuple[float, FloatArray]:
+        """Return the least residual over the wanted one, and the (count,) coefficients."""
+        d, n = self.demand, self.count
+        residual = self.residual_rows(window_s)
+        rows = [np.hstack((residual, -np.ones((len(residual), 1))))]
+        values = [np.zeros(len(residual))]
+        rows.append(np.hstack((-self.velocity[:-1], np.zeros((n - 1, 1)))))
+        values.append(np.zeros(n - 1))
+        if self.degree and np.isfinite(d.jerk_m_s3):
+            spans = self.knots[self.degree + 1 : self.degree + n] - self.knots[1:n]
+            slopes = np.diff(np.eye(n), axis=0) * self.degree / spans[:, None]
+            most = d.jerk_m_s3 * window_s**3 / d.move_m
+            for sign in (1.0, -1.0):
+                rows.append(np.hstack((sign * slopes, np.zeros((n - 1, 1)))))
+                values.append(np.full(n - 1, most))
+        most = d.acceleration_m_s2 * window_s**2 / d.move_m
+        end = (0.0, 0.0) if self.degree else (-most, most)
+        equal = np.zeros((2, n + 1))
+        equal[0, :n], equal[1, :n] = self.rise, self.velocity[-1]
+        solved = minimise(
+            np.append(np.zeros(n), 1.0),
+            equal=(equal, np.array([1.0, 0.0])),
+            below=(np.vstack(rows), np.concatenate(values)),
+            bounds=[end, *[(-most, most)] * (n - 2), end, (0.0, None)],
+            what="law for the mode",
+            seconds=30.0,
+        )
+        return float(solved.x[-1]), solved.x[:-1]
+
+
+def _shortest(
+    spline: _Spline, demand: Demand, progress: ProgressCall | None, what: str, begun: float
+) -> float:
+    """Return the shortest window in which the program keeps the residual, to 0.05 ms."""
+
+    def will_do(window_s: float) -> bool:
+        try:
+            return spline.solve(window_s)[0] <= 1.0
+        except InfeasibleError:
+            return False
+
+    low, high = 0.999 * demand.rigid_s, 1.25 * demand.rigid_s
+    longest = high + _LONGEST / demand.mode.frequency_hz
+    while not will_do(high):
+        if high > longest:
+            raise ShaperError(
+                f"{what}: no window up to {longest * 1e3:.4g} ms keeps {demand.residual_m * 1e3:g} "
+                f"mm over +-{demand.band * 100:g} % of {demand.mode.frequency_hz:g} Hz",
+                remedy="Allow more acceleration, more residual or a narrower band.",
+            )
+        low, high = high, 1.5 * high
+    first = high - low
+    while high - low > _STEP_S:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if will_do(middle) else (middle, high)
+        if progress is not None:
+            share = np.log(first / (high - low)) / np.log(first / _STEP_S)
+            progress(what, min(1.0, begun + 0.2 * float(share)))
+    return high
+
+
+def _law(spline: _Spline, coefficients: FloatArray) -> Law:
+    """Return the law of a solution; its velocity has no coefficient below 0, so it is monotone."""
+    degree = spline.degree + 1
+    velocity = np.maximum(np.concatenate(([0.0], spline.velocity @ coefficients)), 0.0)
+    velocity[-1] = 0.0
+    knots = np.concatenate(([0.0], spline.knots, [1.0]))
+    return law_of_velocity("made", knots, velocity, degree)

@@ -1,0 +1,296 @@
+"""The fastest command for a machine whose frequency is only known within a band.
+
+Levels are free within [-1, 1]: the bound that any valve, switched or proportional, is measured
+against. For a given time the largest distance with |ringing| <= tolerance over the band is a
+convex program; circles and band are met by cutting planes, to 1e-4 of the tolerance, and the
+time is found by bisection, so the optimum is the global one of the grid of intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.motion.shaping.onoff.body_and_modes import (
+    Command,
+    PerMode,
+    RestToRest,
+    per_mode,
+    ringing_rows,
+    shaped_command,
+    travel_rows,
+    worst_of_each,
+    worst_ringing,
+)
+from threadline.motion.shaping.onoff.optimal import time_optimal
+from threadline.motion.shaping.solvers import InfeasibleError, minimise
+from threadline.motion.shaping.types import Shaper, ShaperError
+
+_ACCURACY = 1e-4
+_ROUNDS = 60
+_SWEEP = 201
+_ROUNDING = 1e-9
+_APART = 80.0
+"""Largest ratio of two frequencies. The grid grows by half a period of the slowest mode and has
+160 intervals: four in a period of a mode that is 80 times as fast."""
+
+
+class _Band:
+    """Half planes Re(exp(-j phase) ringing) <= tolerance that have been needed so far.
+
+    Where modes have tolerances of their own, ringing counts in the largest of them: that of a mode
+    is divided by its share of it.
+    """
+
+    def __init__(self, move: RestToRest, relative: PerMode, tolerance: PerMode) -> None:
+        self._move, self._relative = move, per_mode(relative, move.modes)
+        for half in self._relative:
+            if not 0.0 <= half < 1.0:
+                raise OptionError(f"robust move: the band must be in [0, 1), got {half!r}")
+        allowed = per_mode(tolerance, move.modes)
+        self._share = [one / max(allowed) for one in allowed]
+        phases = np.arange(4) * 0.5 * np.pi
+        self._cuts = []
+        for i, half in enumerate(self._relative):
+            start = np.linspace(1.0 - half, 1.0 + half, 7) if half else np.ones(1)
+            self._cuts += [(i, float(r), float(p)) for r in start for p in phases]
+
+    def rows(self, edges: FloatArray) -> FloatArray:
+        """One row per cut, shape ``(cuts, n)``."""
+        table = np.empty((len(self._cuts), len(edges) - 1))
+        for i, mode in enumerate(self._move.modes):
+            mine = [k for k, cut in enumerate(self._cuts) if cut[0] == i]
+            ratio = np.array([self._cuts[k][1] for k in mine])
+            phase = np.array([self._cuts[k][2] for k in mine])
+            complex_rows = ringing_rows(edges, mode.frequency_hz * ratio, mode.damping_ratio)
+            turned = (complex_rows * np.exp(-1j * phase)[:, None]).real
+            table[mine] = turned / self._share[i]
+        return table
+
+    def worst(self, command: Command) -> float:
+        """Return the worst ringing over the bands, in the largest tolerance."""
+        found = worst_of_each(command, self._move.modes, self._relative)
+        return max(one / share for one, share in zip(found, self._share, strict=True))
+
+    def cut(self, command: Command, tolerance: float) -> bool:
+        """Add the half planes that ``command`` breaks; False if it breaks none."""
+        found = False
+        for i, mode in enumerate(self._move.modes):
+            sweep = np.linspace(1.0 - self._relative[i], 1.0 + self._relative[i], _SWEEP)
+            rows = ringing_rows(command.times_s, mode.frequency_hz * sweep, mode.damping_ratio)
+            value = rows @ command.levels
+            height = np.abs(value) / self._share[i]
+            padded = np.concatenate(([-1.0], height, [-1.0]))
+            top = (height >= padded[:-2]) & (height >= padded[2:])
+            for k in np.flatnonzero(top & (height > tolerance * (1.0 + _ACCURACY) + 1e-12)):
+                self._cuts.append((i, float(sweep[k]), float(np.angle(value[k]))))
+                found = True
+        return found
+
+
+def farthest(
+    move: RestToRest, duration_s: float, tolerance: float, band: _Band, intervals: int
+) -> tuple[float, Command]:
+    """Largest distance, m, within ``duration_s``, and its command."""
+    edges = np.linspace(0.0, duration_s, intervals + 1)
+    speed, distance = travel_rows(edges)
+    for _ in range(_ROUNDS):
+        rows = band.rows(edges)
+        solved = minimise(
+            -distance / duration_s**2,
+            equal=(speed[None, :] / duration_s, np.zeros(1)),
+            # In parts of the tolerance: the solver keeps a row to 1e-7, and as it stands one of
+            # 1e-9 would not be kept at all.
+            below=(rows / tolerance, np.ones(len(rows))),
+            bounds=(-1.0, 1.0),
+            what="robust move",
+        )
+        command = Command(edges, solved.x)
+        if not band.cut(command, tolerance):
+            return float(distance @ solved.x) * move.acceleration_m_s2, command
+    raise ShaperError(
+        f"robust move: no command that keeps the ringing below {tolerance:g} is found in {_ROUNDS} "
+        "rounds of cutting planes",
+        remedy="Narrow the band or allow more ringing.",
+    )
+
+
+def robust_optimum(
+    move: RestToRest, *, relative: PerMode, tolerance: PerMode, intervals: int = 160
+) -> Command:
+    """Fastest command with ringing <= ``tolerance`` over every mode's f (1 +- ``relative``).
+
+    Parameters
+    ----------
+    move
+        What has to be done.
+    relative
+        Half width of the band, in [0, 1); one for all modes, or one each.
+    tolerance
+        Ringing allowed, as a fraction of that of one full step of acceleration; likewise.
+    intervals
+        Of constant level; the optimum found is an upper bound that falls as they grow finer.
+
+    Returns
+    -------
+    Command
+        Levels free within [-1, 1].
+
+    Raises
+    ------
+    OptionError
+        If a tolerance is not positive, or modes that both ring are too far apart for the grid.
+    ShaperError
+        If a linear program fails.
+    """
+    from scipy.optimize import brentq
+
+    for one in per_mode(tolerance, move.modes):
+        if not (math.isfinite(one) and one > 0.0):
+            raise OptionError(
+                f"robust move: tolerance must be positive and finite, got {one!r}",
+                remedy="Give the ringing allowed, of one full step's: 0.01.",
+            )
+    band, most = _Band(move, relative, tolerance), max(per_mode(tolerance, move.modes))
+    low = move.rigid_duration_s
+
+    def missing(duration: float) -> float:
+        return farthest(move, duration, most, band, intervals)[0] - move.distance_m
+
+    at_once, command = farthest(move, low, most, band, intervals)
+    if at_once >= move.distance_m * (1.0 - _ROUNDING):
+        return command  # a mode so slow that the rigid move hardly rings it
+    frequencies = [mode.frequency_hz for mode in move.modes]
+    if max(frequencies) > _APART * min(frequencies):
+        raise OptionError(
+            f"robust move: modes at {min(frequencies):g} Hz and {max(frequencies):g} Hz, and a "
+            f"grid for the slower follows no mode more than {_APART:g} times as fast",
+            remedy="Leave out --move, or the slower mode, or the faster.",
+        )
+    # Nothing beats the rigid body; from there on, half a period of the slowest mode at a time.
+    stride = max(0.5 * m.damped_period_s for m in move.modes)
+    high = low + stride
+    for _ in range(40):
+        if missing(high) >= 0.0:
+            break
+        low, high = high, high + stride
+    else:
+        raise ShaperError(
+            f"robust move: no command within {high:.4g} s keeps the ringing below {most:g} over "
+            f"{max(per_mode(relative, move.modes)) * 100:.4g}% of the frequency",
+            remedy="Narrow the band or allow more ringing.",
+        )
+    duration = float(brentq(missing, low, high, xtol=2e-6, rtol=2e-6))
+    return farthest(move, duration, most, band, intervals)[1]
+
+
+def least_ringing(
+    move: RestToRest,
+    *,
+    relative: PerMode,
+    tick_s: float,
+    ticks: int,
+    tolerance: PerMode = 1.0,
+) -> tuple[float, Command] | None:
+    """Command on a controller's tick, free levels, that covers the distance and rings least.
+
+    Where modes have tolerances of their own, least against these: the worst that is returned is
+    then that of the largest tolerance, to which the others are in proportion.
+
+    Returns
+    -------
+    tuple of float and Command, or None
+        The worst ringing over the band; None where the distance can't be covered in that time.
+    """
+    edges = np.arange(ticks + 1, dtype=np.float64) * tick_s
+    speed, distance = travel_rows(edges)
+    reach = move.distance_m / move.acceleration_m_s2
+    band = _Band(move, relative, tolerance)
+    cost = np.append(np.zeros(ticks), 1.0)
+    for _ in range(_ROUNDS):
+        rows = band.rows(edges)
+        try:
+            solved = minimise(
+                cost,
+                equal=(
+                    np.pad(np.array([speed / edges[-1], distance / reach]), ((0, 0), (0, 1))),
+                    [0.0, 1.0],
+                ),
+                below=(np.hstack((rows, -np.ones((len(rows), 1)))), np.zeros(len(rows))),
+                bounds=[(-1.0, 1.0)] * ticks + [(0.0, None)],
+                what="robust move",
+            )
+        except InfeasibleError:
+            return None
+        command = Command(edges, solved.x[:-1])
+        if not band.cut(command, max(float(solved.x[-1]), 1e-9)):
+            return band.worst(command), command
+    raise ShaperError(
+        f"robust move: the command that rings least is not found in {_ROUNDS} rounds of cutting "
+        "planes",
+        remedy="Narrow the band.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ShapedMove:
+    """One shaped move beside the bounds.
+
+    Parameters
+    ----------
+    name
+        The shaper's.
+    duration_s
+        Of the whole move.
+    over_optimal, over_robust
+        Duration over the time-optimal one (no robustness) and over the robust optimum (free
+        levels).
+    worst_step, worst_unshaped
+        Worst ringing over the band: as a fraction of one full step's, and of the unshaped
+        move's own worst over the same band.
+    """
+
+    name: str
+    duration_s: float
+    over_optimal: float
+    over_robust: float
+    worst_step: float
+    worst_unshaped: float
+
+
+def compare_shapers(
+    move: RestToRest, shapers: list[Shaper], *, relative: PerMode, tolerance: PerMode
+) -> list[ShapedMove]:
+    """Every shaped move's time over the time-optimal and the robust optimum, with its ringing.
+
+    Parameters are those of :func:`robust_optimum`; the shapers should be made for its modes.
+    """
+    optimal = time_optimal(move).command.duration_s
+    robust = robust_optimum(move, relative=relative, tolerance=tolerance).duration_s
+    return beside(move, shapers, relative=relative, optimal_s=optimal, robust_s=robust)
+
+
+def beside(
+    move: RestToRest, shapers: list[Shaper], *, relative: PerMode, optimal_s: float, robust_s: float
+) -> list[ShapedMove]:
+    """Return every shaped move beside optima whose durations, s, are known."""
+    unshaped = worst_ringing(
+        shaped_command(move, Shaper(amplitudes=np.ones(1), times_s=np.zeros(1))),
+        move.modes,
+        relative,
+    )
+    rows = []
+    for shaper in shapers:
+        command = shaped_command(move, shaper)
+        worst = worst_ringing(command, move.modes, relative)
+        time = command.duration_s
+        rows.append(
+            ShapedMove(
+                shaper.name, time, time / optimal_s, time / robust_s, worst, worst / unshaped
+            )
+        )
+    return rows

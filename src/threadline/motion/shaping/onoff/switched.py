@@ -1,0 +1,271 @@
+"""On/off commands on a controller's tick: levels -1, 0 and 1, nothing between.
+
+Which levels a robust command uses is a question of integers. The command is taken antisymmetric
+about its middle, u(T - t) = -u(t), as undamped optima are: speed ends at 0 by itself, the
+ringing has one quadrature, and half the unknowns are left. Every command returned is checked on
+a dense sweep with the machine's own damping; a search that ends without one proves nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError
+from threadline.motion.shaping.onoff.body_and_modes import (
+    Command,
+    PerMode,
+    RestToRest,
+    per_mode,
+    ringing_rows,
+    rings_within,
+    travel_rows,
+    worst_ringing,
+)
+from threadline.motion.shaping.onoff.robust import least_ringing
+
+DEFAULT_NODES = 3000
+_MORE_NODES = 4  # times as many where changes must keep apart: twice as many unknowns
+_SWEEP = 11
+_ROUNDS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class FrontPoint:
+    """Least worst ringing for one duration on the tick.
+
+    Parameters
+    ----------
+    duration_s
+        A whole number of ticks.
+    free
+        Worst ringing over the band with levels free in [-1, 1] (the global least), as a
+        fraction of one full step's; None where the distance can't be covered.
+    switched
+        That of the on/off command that was found within the tolerance; None where none was.
+    command
+        That command.
+    """
+
+    duration_s: float
+    free: float | None
+    switched: float | None
+    command: Command | None = None
+
+
+def switched_command(
+    move: RestToRest,
+    *,
+    relative: PerMode,
+    tolerance: PerMode,
+    tick_s: float,
+    ticks: int,
+    dwell_ticks: int = 1,
+    nodes: int = DEFAULT_NODES,
+) -> Command | None:
+    """On/off command of ``ticks`` whole ticks that rings at most ``tolerance`` over the band.
+
+    Parameters
+    ----------
+    move, relative, tolerance
+        As for :func:`threadline.motion.shaping.onoff.robust.robust_optimum`.
+    tick_s, ticks
+        The controller's tick, s, and the duration in ticks. The distance is met to 1e-9 of it,
+        so it must be a whole number of half acceleration x tick^2; else there is none.
+    dwell_ticks
+        Fewest ticks between two changes of the level: what the valves need.
+    nodes
+        Of the tree of each integer program, at most: the same on every machine, however loaded,
+        which a limit of time would not be.
+
+    Returns
+    -------
+    Command or None
+        None if none was found within the nodes given; that is no proof that there is none.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+
+    halves, allowed = per_mode(relative, move.modes), per_mode(tolerance, move.modes)
+    if ticks < 2 or not tick_s > 0.0 or not min(allowed) > 0.0:
+        raise OptionError(
+            f"on/off command: ticks {ticks!r}, tick_s {tick_s!r} and tolerance {tolerance!r} "
+            "must be positive, and at least 2 ticks"
+        )
+    edges = np.arange(ticks + 1, dtype=np.float64) * tick_s
+    half = ticks // 2
+    # Row of the first half minus its mirror image.
+    distance = travel_rows(edges)[1]
+    reach = (distance[:half] - distance[::-1][:half]) / tick_s**2
+    target = move.distance_m / (move.acceleration_m_s2 * tick_s**2)
+    share = 0.995
+    for _ in range(_ROUNDS):
+        rows = []
+        for mode, half_band, most in zip(move.modes, halves, allowed, strict=True):
+            f = mode.frequency_hz * np.linspace(1.0 - half_band, 1.0 + half_band, _SWEEP)
+            turned = ringing_rows(edges, f, 0.0) * np.exp(1j * np.pi * f * edges[-1])[:, None]
+            one_half = (turned[:, :half] - turned[:, ::-1][:, :half]) / most
+            rows += [one_half.real, one_half.imag]
+        band = np.vstack(rows)
+        band = band[np.abs(band).max(axis=1) * min(allowed) > 1e-9]
+        more, size = _apart(half, ticks, dwell_ticks)
+        empty = np.zeros((len(band), size - half))
+        found = milp(
+            np.zeros(size),
+            constraints=[
+                LinearConstraint(np.hstack((band, empty)), -share, share),
+                LinearConstraint(
+                    np.pad(reach[None, :], ((0, 0), (0, size - half))), target, target
+                ),
+                *([] if more is None else [LinearConstraint(more[0], -np.inf, more[1])]),
+            ],
+            integrality=np.ones(size, dtype=np.int64),
+            bounds=Bounds(np.repeat([-1.0, 0.0], [half, size - half]), np.ones(size)),
+            options={"node_limit": nodes},
+        )
+        if found.x is None:
+            return None
+        first = np.rint(found.x[:half])
+        middle = np.zeros(ticks % 2)
+        command = Command(edges, np.concatenate((first, middle, -first[::-1])))
+        reached = float(distance @ command.levels) * move.acceleration_m_s2
+        within = rings_within(command, move.modes, relative, tolerance)
+        if within and abs(reached - move.distance_m) <= 1e-9 * move.distance_m:
+            return command
+        # Between the swept frequencies, or through damping, it rings more: ask for less.
+        share *= 0.93
+    return None
+
+
+def _apart(half: int, ticks: int, dwell: int) -> tuple[tuple[FloatArray, FloatArray] | None, int]:
+    """Return rows and bounds that keep changes of the level apart, and how many unknowns there are.
+
+    Beside the levels of the first half stands, for each edge from the first to the one behind the
+    last of them, whether the level changes there. Of ``dwell`` edges in a row one may; about the
+    middle, where the command turns into its mirror image, an edge and its image count as two.
+    """
+    if dwell <= 1:
+        return None, half
+    size = 2 * half + 1
+    steps = np.zeros((half + 1, size))
+    steps[:half, :half] = np.eye(half) - np.eye(half, k=-1)
+    steps[half, half - 1] = 1.0  # to the mirror image, or to the 0 in the middle
+    marks = np.hstack((np.zeros((half + 1, half)), 2.0 * np.eye(half + 1)))
+    rows = [steps - marks, -steps - marks]
+    bounds = [np.zeros(2 * (half + 1))]
+    for first in range(half + 1):
+        window = np.zeros((1, size))
+        window[0, half + first : half + min(first + dwell, half + 1)] = 1.0
+        rows.append(window)
+        bounds.append(np.ones(1))
+    for back in range(half + 1):
+        # Its image is as far behind the middle; an odd command has a tick of 0 there.
+        between = 2 * back + ticks % 2
+        if 0 < between < dwell:
+            near = np.zeros((1, size))
+            near[0, size - 1 - back] = 1.0
+            rows.append(near)
+            bounds.append(np.zeros(1))
+    return (np.vstack(rows), np.concatenate(bounds)), size
+
+
+def residual_front(
+    move: RestToRest,
+    *,
+    relative: PerMode,
+    tolerance: PerMode,
+    tick_s: float,
+    ticks: Sequence[int],
+    dwell_ticks: int = 1,
+    nodes: int = DEFAULT_NODES,
+) -> list[FrontPoint]:
+    """Residual against time: for each duration the free least and an on/off command, if found."""
+    points = []
+    for count in ticks:
+        free = least_ringing(
+            move, relative=relative, tick_s=tick_s, ticks=count, tolerance=tolerance
+        )
+        # Free levels bound the on/off ones from below: no need to search where they fail.
+        command = None
+        if free is not None and free[0] <= max(per_mode(tolerance, move.modes)):
+            command = switched_command(
+                move,
+                relative=relative,
+                tolerance=tolerance,
+                tick_s=tick_s,
+                ticks=count,
+                dwell_ticks=dwell_ticks,
+                nodes=nodes if dwell_ticks <= 1 else _MORE_NODES * nodes,
+            )
+        points.append(
+            FrontPoint(
+                count * tick_s,
+                None if free is None else free[0],
+                None if command is None else worst_ringing(command, move.modes, relative),
+                command,
+            )
+        )
+    return points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Valves:
+    """The flow controls of one sense.
+
+    Parameters
+    ----------
+    flows
+        What each adds to the level, together 1.
+    opens, closes
+        From a command to the flow that follows it, in scans; what is common to both need not be in.
+    """
+
+    flows: tuple[float, ...]
+    opens: float = 0.0
+    closes: float = 0.0
+
+    @property
+    def longer(self) -> float:
+        """By how many scans each stretch of flow is longer than its command."""
+        return self.closes - self.opens
+
+    @property
+    def at_once(self) -> bool:
+        """Whether the flow follows each command at once."""
+        return self.opens == self.closes == 0.0
+
+    def switchings(
+        self, ticks: tuple[int, ...], levels: tuple[float, ...]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return when the level changes, in scans, and by how much, each flow control by itself.
+
+        Parameters
+        ----------
+        ticks, levels
+            Level from each scan on, the last 0.
+        """
+        if self.at_once:
+            return np.asarray(ticks, dtype=np.float64), np.diff(levels, prepend=0.0)
+        opened = np.array([self._opened(level) for level in levels], dtype=np.float64)
+        changes = np.diff(opened, axis=0, prepend=np.zeros((1, len(self.flows))))
+        row, flow = np.nonzero(changes)
+        height = changes[row, flow] * np.asarray(self.flows)[flow]
+        late = np.where(height > 0.0, self.opens, self.closes)
+        return np.asarray(ticks, dtype=np.float64)[row] + late, height
+
+    def _opened(self, level: float) -> tuple[bool, ...]:
+        """Return which of them are open for a level: the set that comes closest, the smaller."""
+        places = range(len(self.flows))
+        sets = [
+            chosen for size in range(len(self.flows) + 1) for chosen in combinations(places, size)
+        ]
+        best = min(sets, key=lambda chosen: abs(sum(self.flows[i] for i in chosen) - level))
+        return tuple(i in best for i in places)
+
+    def covered(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> float:
+        """Return the distance of a command, in scans of level 1."""
+        at, height = self.switchings(ticks, levels)
+        return float(-np.dot(at, height))

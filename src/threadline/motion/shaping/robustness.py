@@ -1,0 +1,218 @@
+"""How far a machine may differ from its model before a shaper stops working.
+
+Frequencies are undamped, V is normalised to one unit impulse, and the damping ratio is held
+while the frequency sweeps.
+
+A positive train never amplifies: V <= 1 everywhere. A switched one has 3 to 7 impulses of full
+size, and somewhere above its mode they add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from threadline.base.arrays import FloatArray, Locked, read_only
+from threadline.errors import OptionError
+from threadline.motion.shaping.response import crossing, residual_vibration, vibration_of
+from threadline.motion.shaping.types import FlexibleMode, Shaper
+
+_ROBUSTNESS_STRETCH = 16384  # points of a grid that are looked at together
+_SLACK = 1.0 + 1e-8
+"""Designed humps touch the tolerance; rounding must not make a gap of that."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensitivityMap(Locked):
+    """V over frequency and damping.
+
+    Parameters
+    ----------
+    frequency_hz, damping_ratio
+        Axes, shapes ``(m,)`` and ``(k,)``.
+    vibration
+        Shape ``(k, m)``: a row is a curve over frequency at one damping ratio.
+    """
+
+    frequency_hz: FloatArray
+    damping_ratio: FloatArray
+    vibration: FloatArray
+
+    def __post_init__(self) -> None:
+        for name, ndim in (("frequency_hz", 1), ("damping_ratio", 1), ("vibration", 2)):
+            object.__setattr__(self, name, read_only(getattr(self, name), name, ndim=ndim))
+
+
+def sensitivity_map(
+    shaper: Shaper, frequency_hz: ArrayLike, damping_ratio: ArrayLike
+) -> SensitivityMap:
+    """V of ``shaper`` on every pair of frequency (Hz, (m,)) and damping ratio ((k,)).
+
+    A curve is a map with one damping ratio, or with one frequency.
+    """
+    f = np.atleast_1d(np.asarray(frequency_hz, dtype=np.float64))
+    z = np.atleast_1d(np.asarray(damping_ratio, dtype=np.float64))
+    return SensitivityMap(f, z, residual_vibration(shaper, f[None, :], z[:, None]))
+
+
+@dataclass(frozen=True, slots=True)
+class Insensitivity:
+    """The interval of frequency around the mode in which V stays within the tolerance.
+
+    Parameters
+    ----------
+    low_hz, high_hz
+        Its ends; both the modelled frequency where V is above the tolerance even there.
+    frequency_hz
+        The modelled frequency.
+    tolerance
+        The V that is allowed.
+    """
+
+    low_hz: float
+    high_hz: float
+    frequency_hz: float
+    tolerance: float
+
+    @property
+    def value(self) -> float:
+        """(f_hi - f_lo) / f."""
+        return (self.high_hz - self.low_hz) / self.frequency_hz
+
+
+def insensitivity(shaper: Shaper, mode: FlexibleMode, tolerance: float = 0.05) -> Insensitivity:
+    """Interval around the mode in which V <= ``tolerance``, its ends to 1e-12 of f.
+
+    The upper end is looked for up to 10 f. Crossings are found on a grid of a hundredth of the
+    finest ripple that a train of this length can have, and every maximum near the tolerance
+    is refined, so that a hump above it isn't stepped over.
+
+    Raises
+    ------
+    OptionError
+        If ``tolerance`` is not in (0, 1).
+    """
+    if not 0.0 < tolerance < 1.0:
+        raise OptionError(f"insensitivity: tolerance must be in (0, 1), got {tolerance!r}")
+    f0, zeta, limit = mode.frequency_hz, mode.damping_ratio, tolerance * _SLACK
+
+    def excess(f: float) -> float:
+        return float(residual_vibration(shaper, f, zeta)) - limit
+
+    if vibration_of(shaper, mode) > limit:
+        return Insensitivity(f0, f0, f0, tolerance)
+    step = 0.01 * min(f0, 1.0 / max(shaper.duration_s, 0.1 / f0))
+    ends = []
+    for end in (0.0, 10.0 * f0):
+        count = max(2, int(np.ceil(abs(end - f0) / step)))
+        crossings = (
+            _first_crossing(excess, grid, residual_vibration(shaper, grid, zeta), limit)
+            for grid in _stretches(f0, end, count)
+        )
+        ends.append(next((f for f in crossings if f is not None), end))
+    return Insensitivity(ends[0], ends[1], f0, tolerance)
+
+
+def _stretches(begin: float, end: float, count: int) -> Iterator[FloatArray]:
+    """Yield the points of a grid of ``count`` steps, each stretch with a point of its neighbours.
+
+    The crossing is near the mode as a rule: of a long train beside a fast mode a grid of the whole
+    range would have millions of points.
+    """
+    for first in range(0, count, _ROBUSTNESS_STRETCH):
+        at = np.arange(max(first - 1, 0), min(first + _ROBUSTNESS_STRETCH + 1, count) + 1)
+        yield np.maximum(begin + (end - begin) / count * at, 0.0)  # a rounding below 0 is 0
+
+
+def _first_crossing(
+    excess: Callable[[float], float], grid: FloatArray, v: FloatArray, limit: float
+) -> float | None:
+    """Return where V, ``v`` on the (n,) ``grid``, first exceeds the limit; None if nowhere."""
+    from scipy.optimize import minimize_scalar
+
+    over = np.flatnonzero(v > limit)
+    stop = int(over[0]) if len(over) else len(grid) - 1
+    tops = np.flatnonzero((v[1:stop] >= v[: stop - 1]) & (v[1:stop] > v[2 : stop + 1])) + 1
+    for i in tops[v[tops] > 0.98 * limit]:
+        low, high = sorted((float(grid[i - 1]), float(grid[i + 1])))
+        found = minimize_scalar(
+            lambda f: -excess(f), bounds=(low, high), method="bounded", options={"xatol": 1e-12}
+        )
+        if -found.fun > 0.0:
+            return crossing(excess, float(grid[i - 1]), float(found.x), xtol=1e-14)
+    if not len(over):
+        return None
+    return crossing(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14)
+
+
+_HIGHER_MODES_STRETCH = 65536  # frequencies that are looked at together
+# An undamped train's V repeats: of peaks alike but for rounding the lowest is told, everywhere.
+_ALIKE = 1.0 + 1e-9
+SEARCHED_RATIO = (1.5, 10.0)
+"""Range of f / f_mode that is searched."""
+
+
+@dataclass(frozen=True, slots=True)
+class HigherModes:
+    """Excitation above the shaped mode.
+
+    Parameters
+    ----------
+    peak
+        Largest V over 1.5 to 10 times the shaped frequency, at the mode's damping.
+    peak_hz
+        Where; the lowest of peaks alike.
+    excited
+        The machine's known modes that the shaper amplifies, each with its V.
+    warnings
+        Sentences for the user; empty when nothing is amplified.
+    """
+
+    peak: float
+    peak_hz: float
+    excited: tuple[tuple[FlexibleMode, float], ...]
+    warnings: tuple[str, ...]
+
+
+def check_higher_modes(
+    shaper: Shaper, mode: FlexibleMode, known: Sequence[FlexibleMode] = ()
+) -> HigherModes:
+    """Find how much ``shaper``, made for ``mode``, excites everything above it.
+
+    Parameters
+    ----------
+    shaper
+        Any train.
+    mode
+        The mode that it was made for.
+    known
+        Other modes of the machine; those above ``mode`` are judged one by one.
+    """
+    ripple = 0.02 / max(shaper.duration_s * mode.frequency_hz, 0.1)
+    low, high = SEARCHED_RATIO
+    peak, peak_hz = 0.0, low * mode.frequency_hz
+    count = int(np.ceil((high - low) / ripple)) + 1
+    for first in range(0, count, _HIGHER_MODES_STRETCH):
+        at = np.arange(first, min(first + _HIGHER_MODES_STRETCH, count))
+        f = mode.frequency_hz * (low + ripple * at)
+        v = residual_vibration(shaper, f, mode.damping_ratio)
+        most = float(v.max())
+        if most > peak * _ALIKE:
+            peak, peak_hz = most, float(f[int(np.argmax(v * _ALIKE >= most))])
+    judged = ((m, vibration_of(shaper, m)) for m in known if m.frequency_hz > mode.frequency_hz)
+    excited = tuple((m, gain) for m, gain in judged if gain > 1.0 + 1e-9)
+    warnings = [
+        f"shaper '{shaper.name}' excites the mode at {m.frequency_hz:.4g} Hz {gain:.2f} times "
+        "as much as the unshaped command"
+        for m, gain in excited
+    ]
+    if peak > 1.0 + 1e-9:
+        warnings.append(
+            f"shaper '{shaper.name}' amplifies up to {peak:.2f} times between {low:g} and "
+            f"{high:g} times {mode.frequency_hz:.4g} Hz, worst at {peak_hz:.4g} Hz: "
+            "make sure that no mode lies there"
+        )
+    return HigherModes(peak, peak_hz, excited, tuple(warnings))

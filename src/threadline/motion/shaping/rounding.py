@@ -1,0 +1,376 @@
+"""A train on whole ticks that keeps what its kind was chosen for.
+
+A kind is chosen for the band of frequency in which it stays within its tolerance: a zero of V, its
+slope and its humps are all seen there. What is searched for are therefore trains on the grid with
+the least worst V over that band, and of trains that do alike those with the least mean square,
+which is what tells a zero or a flat foot from a hump. The search starts from the nearest ticks and,
+of short trains, from the best of the ticks to either side; it moves impulses one by one and in
+pairs by one or two ticks, and makes no train longer than two ticks beyond its design. Of short
+trains every one within a few ticks is looked at. A hump that rises a little above its tolerance at
+the modelled frequency leaves no band around it at all, so that trains without such a hump are kept
+beside the best.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import ComplexArray, FloatArray, IntArray
+from threadline.motion.shaping.response import pole
+from threadline.motion.shaping.types import FlexibleMode
+
+_SHIFTS = np.array([-2, -1, 1, 2])
+_ROUNDING_ROUNDS = 60
+_MEAN_WEIGHTS = (0.2, 1.0)
+"""Weights of the root mean square beside the worst V: each leads the search to other trains."""
+_EITHER_SIDE = 11  # impulses: 2**10 choices of the tick to the left or right of each
+_STARTS = 8
+_PAIRS_OF = 40  # impulses: beyond it one impulse at a time is moved, not two
+_LONGER = 2  # ticks that a train may end later than designed
+_KEPT = 40
+_EVERY = 20000  # trains about the start of which every one is looked at
+_FARTHEST = 8  # ticks from the start, at most, for trains of two or three impulses
+_AT_ONCE = 2000
+_FEWEST, _MOST = 17, 257
+_PER_RIPPLE = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """Frequencies of one mode that count, Hz, its damping ratio held, and the V that is allowed."""
+
+    mode: FlexibleMode
+    low_hz: float
+    high_hz: float
+    tolerance: float
+
+    def samples_hz(self, duration_s: float, finer: int = 1) -> FloatArray:
+        """Return frequencies over the band, (n,), finer than any ripple of so long a train."""
+        width = self.high_hz - self.low_hz
+        if width <= 0.0:
+            return np.array([self.mode.frequency_hz])
+        wanted = int(np.ceil(_PER_RIPPLE * width * duration_s))
+        count = finer * min(max(wanted, _FEWEST), _MOST)
+        return np.linspace(self.low_hz, self.high_hz, count)
+
+
+class TickGrid:
+    """V over the bands of trains whose impulses lie on whole ticks.
+
+    Where bands have tolerances of their own, V of a mode counts in proportion to the largest.
+
+    Parameters
+    ----------
+    bands
+        At least one.
+    tick_s
+        The controller's, s.
+    last
+        Tick about which the trains end: decays are counted from there, so that nothing overflows.
+    """
+
+    def __init__(self, bands: Sequence[Band], tick_s: float, last: int) -> None:
+        duration_s = last * tick_s
+        samples = [band.samples_hz(duration_s) for band in bands]
+        self.frequency_hz = np.concatenate(samples)
+        self.damping_ratio = np.concatenate(
+            [np.full(len(f), b.mode.damping_ratio) for f, b in zip(samples, bands, strict=True)]
+        )
+        poles = np.concatenate(
+            [
+                np.full(len(f), pole(b.mode.damping_ratio))
+                for f, b in zip(samples, bands, strict=True)
+            ]
+        )
+        self._turn: ComplexArray = np.asarray(poles * self.frequency_hz * tick_s, np.complex128)
+        self._last = last
+        largest = max(band.tolerance for band in bands)
+        self._share = np.concatenate(
+            [np.full(len(f), b.tolerance / largest) for f, b in zip(samples, bands, strict=True)]
+        )
+
+        # The sample of each band that is nearest to the modelled frequency, and its tolerance.
+        begins = np.cumsum([0, *(len(f) for f in samples)])
+        self._own = np.array(
+            [
+                begin + int(np.argmin(np.abs(f - band.mode.frequency_hz)))
+                for begin, f, band in zip(begins[:-1], samples, bands, strict=True)
+            ]
+        )
+        self._allowed = largest
+
+    def keeps_its_mode(self, vibration: FloatArray) -> NDArray[np.bool_]:
+        """Return whether V (..., frequencies) is within the tolerance at the modelled ones."""
+        found: NDArray[np.bool_] = np.all(vibration[..., self._own] <= self._allowed, axis=-1)
+        return found
+
+    def impulses(self, ticks: IntArray) -> ComplexArray:
+        """Return what a unit impulse at each of ``ticks`` (...,) leaves, (..., frequencies)."""
+        found: ComplexArray = np.exp(self._turn * (np.asarray(ticks)[..., None] - self._last))
+        return found
+
+    def vibration(self, response: ComplexArray, last: IntArray) -> FloatArray:
+        """Return V of sums of impulses, (..., frequencies), of trains that end at ``last``."""
+        decay = np.exp(-self._turn.real * (np.asarray(last)[..., None] - self._last))
+        found: FloatArray = np.abs(response) * decay / self._share
+        return found
+
+
+def seconds(ticks: IntArray, tick_s: float) -> FloatArray:
+    """Return the times of whole ticks, s."""
+    return ticks.astype(np.float64) * tick_s
+
+
+def cost(vibration: FloatArray, mean_weight: float = _MEAN_WEIGHTS[0]) -> FloatArray:
+    """Return the worst V over (..., frequencies) plus a share of its root mean square."""
+    mean_square = np.mean(vibration**2, axis=-1)
+    found: FloatArray = vibration.max(axis=-1) + mean_weight * np.sqrt(mean_square)
+    return found
+
+
+def on_ticks(
+    amplitudes: FloatArray, start: IntArray, exact: FloatArray, gap: int, grid: TickGrid
+) -> list[IntArray]:
+    """Return trains of these amplitudes on whole ticks, the best by the cost first.
+
+    Parameters
+    ----------
+    amplitudes
+        (n,), each kept at its impulse.
+    start
+        Ticks (n,), at least ``gap`` apart.
+    exact
+        The times that were designed, (n,), in ticks.
+    gap
+        Fewest ticks between two impulses.
+    """
+    seen: dict[tuple[int, ...], None] = {}
+    for weight in _MEAN_WEIGHTS:
+        latest = max(int(start[-1]), int(np.ceil(exact[-1] - 1e-9)) + _LONGER)
+        search = _Search(amplitudes, gap, grid, weight, latest)
+        for begin in itertools.chain([start], search.either_side(exact)):
+            search.improve(begin)
+        search.every_one_about(start)
+        ranked = sorted(search.seen.items(), key=lambda pair: (pair[1], pair[0]))
+        seen |= dict.fromkeys(ticks for ticks, _ in ranked[:_KEPT])
+        sound = (ticks for ticks, _ in ranked if ticks in search.sound)
+        seen |= dict.fromkeys(itertools.islice(sound, _KEPT))
+    return [np.array(ticks, dtype=np.int64) for ticks in seen]
+
+
+class _Search:
+    """Descends from one start after the other; ``seen`` has what it passed, by cost.
+
+    ``sound`` are those of them that leave no more than the tolerance at the modelled frequencies.
+    """
+
+    def __init__(
+        self, amplitudes: FloatArray, gap: int, grid: TickGrid, mean_weight: float, latest: int
+    ) -> None:
+        self._amplitudes, self._gap, self._grid = amplitudes, gap, grid
+        self._weight, self._latest = mean_weight, latest
+        self.seen: dict[tuple[int, ...], float] = {}
+        self.sound: set[tuple[int, ...]] = set()
+
+    def every_one_about(self, start: IntArray) -> None:
+        """Look at every train with each impulse within a few ticks of its start."""
+        free = len(start) - 1
+        if not free:  # a train of one impulse: its start is time 0
+            return
+        reach = (
+            _FARTHEST if free == 1 else min(int((_EVERY ** (1.0 / free) - 1.0) / 2.0), _FARTHEST)
+        )
+        if reach < 1:
+            return
+        shifts = np.array(list(itertools.product(range(-reach, reach + 1), repeat=free)))
+        trains = start + np.pad(shifts, ((0, 0), (1, 0)))
+        fits = np.all(np.diff(trains, axis=1) >= self._gap, axis=1)
+        trains = trains[fits & (trains[:, -1] <= self._latest)]
+        best: list[tuple[float, bool, tuple[int, ...]]] = []
+        for some in np.array_split(trains, max(1, len(trains) // _AT_ONCE)):
+            response = np.zeros((len(some), len(self._grid.frequency_hz)), dtype=np.complex128)
+            for amplitude, at in zip(self._amplitudes, some.T, strict=True):
+                of_one, place = np.unique(at, return_inverse=True)
+                response += (amplitude * self._grid.impulses(of_one))[place]
+            vibration = self._grid.vibration(response, some[:, -1])
+            values, keeps = cost(vibration, self._weight), self._grid.keeps_its_mode(vibration)
+            for chosen in (keeps, ~keeps):
+                of_these = np.flatnonzero(chosen)
+                for k in of_these[np.argsort(values[of_these], kind="stable")[:_KEPT]]:
+                    best.append((float(values[k]), bool(keeps[k]), tuple(some[k].tolist())))
+        for value, keeps_its_mode, ticks in best:
+            self.seen.setdefault(ticks, value)
+            if keeps_its_mode:
+                self.sound.add(ticks)
+
+    def _cost(self, response: ComplexArray, last: IntArray) -> FloatArray:
+        return cost(self._grid.vibration(response, last), self._weight)
+
+    def either_side(self, exact: FloatArray) -> Iterator[IntArray]:
+        """Yield the best trains with each impulse at the tick to the left or right of its time."""
+        n = len(exact)
+        if n > _EITHER_SIDE:
+            return
+        low = np.floor(exact).astype(np.int64)
+        choices = low + np.array([(0, *c) for c in itertools.product((0, 1), repeat=n - 1)])
+        choices = choices[np.all(np.diff(choices, axis=1) >= self._gap, axis=1)]
+        if not len(choices):
+            return
+        response = np.einsum("i,cif->cf", self._amplitudes, self._grid.impulses(choices))
+        values = self._cost(response, choices[:, -1])
+        yield from choices[np.argsort(values, kind="stable")[:_STARTS]]
+
+    def improve(self, start: IntArray) -> None:
+        """Follow the best shift of one impulse or two until none is better."""
+        response = self._amplitudes @ self._grid.impulses(start)
+        ticks, value = start, float(self._cost(response, start[-1]))
+        self._note(ticks, value)
+        for _ in range(_ROUNDING_ROUNDS):
+            better = self._one_by_one(ticks, value)
+            if better is None and len(ticks) <= _PAIRS_OF:
+                better = self._pair(ticks, value)
+            if better is None:
+                return
+            ticks, value = better
+            self._note(ticks, value)
+
+    def _note(self, ticks: IntArray, value: float) -> None:
+        self.seen[tuple(ticks.tolist())] = value
+
+    def _shifted(self, ticks: IntArray, index: int) -> ComplexArray:
+        """Return what the response gains by each shift of an impulse, (4, frequencies)."""
+        moved = self._grid.impulses(ticks[index] + _SHIFTS) - self._grid.impulses(ticks[index])
+        found: ComplexArray = self._amplitudes[index] * moved
+        return found
+
+    def _one_by_one(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
+        """Go through the impulses once, each to its best place; None where all stay."""
+        now, best = ticks.copy(), value
+        response = self._amplitudes @ self._grid.impulses(now)
+        for i in range(1, len(now)):
+            gains = self._shifted(now, i)
+            last = now[-1] + (_SHIFTS if i == len(now) - 1 else 0 * _SHIFTS)
+            values = self._cost(response + gains, last)
+            values[~self._fits(now, i)] = np.inf
+            k = int(np.argmin(values))
+            if values[k] < best * (1.0 - 1e-12):
+                now[i] += _SHIFTS[k]
+                response, best = response + gains[k], float(values[k])
+                self._note(now, best)
+        return None if best == value else (now, best)
+
+    def _fits(self, ticks: IntArray, i: int) -> NDArray[np.bool_]:
+        moved = ticks[i] + _SHIFTS
+        fits: NDArray[np.bool_] = (moved - ticks[i - 1] >= self._gap) & (moved <= self._latest)
+        if i + 1 < len(ticks):
+            fits &= ticks[i + 1] - moved >= self._gap
+        return fits
+
+    def _pair(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
+        """Return the best shift of two impulses at once; None where none is better."""
+        n = len(ticks)
+        gains = np.array([self._shifted(ticks, i) for i in range(1, n)])  # (n - 1, 4, f)
+        response = self._amplitudes @ self._grid.impulses(ticks)
+        best, found = value * (1.0 - 1e-12), None
+        for i in range(1, n - 1):
+            both = response + gains[i - 1][:, None, None, :] + gains[None, i:]  # (4, rest, 4, f)
+            last = np.full(both.shape[:-1], ticks[-1])
+            last[:, -1, :] += _SHIFTS
+            values = self._cost(both, last)
+            for flat in np.argsort(values, axis=None)[:64]:
+                a, rest, b = np.unravel_index(int(flat), values.shape)
+                if values[a, rest, b] >= best:
+                    break
+                trial = ticks.copy()
+                trial[i] += _SHIFTS[a]
+                trial[i + 1 + rest] += _SHIFTS[b]
+                if np.diff(trial).min() >= self._gap and trial[-1] <= self._latest:
+                    best, found = float(values[a, rest, b]), trial
+                    self._note(trial, best)
+                    break
+        return None if found is None else (found, best)
+
+
+_AMPLITUDES_ROUNDS = 40
+_SILENCE_WEIGHT, _SUM_WEIGHT = 1e4, 1e7
+
+
+def with_amplitudes(
+    starts: Sequence[IntArray],
+    gap: int,
+    grid: TickGrid,
+    silent: Sequence[FlexibleMode],
+    tick_s: float,
+    *,
+    positive: bool,
+) -> tuple[FloatArray, IntArray]:
+    """Return amplitudes and ticks, the amplitudes solved anew.
+
+    Parameters
+    ----------
+    starts
+        Ticks (n,) to begin with; the best of them is followed.
+    gap
+        Fewest ticks between two impulses.
+    silent
+        Modes that the design silences: they stay silent where the impulses are enough for it.
+    positive
+        No amplitude may be negative.
+    """
+
+    def fit(ticks: IntArray) -> FloatArray:
+        return _amplitudes(seconds(ticks, tick_s), grid, silent, positive=positive)
+
+    def value(ticks: IntArray) -> float:
+        response = fit(ticks) @ grid.impulses(ticks)
+        return float(cost(grid.vibration(response, ticks[-1])))
+
+    ticks = _descend(min(starts, key=value), gap, value)
+    return fit(ticks), ticks
+
+
+def _descend(ticks: IntArray, gap: int, value: Callable[[IntArray], float]) -> IntArray:
+    best, least = ticks, value(ticks)
+    singles = [(i,) for i in range(1, len(ticks))]
+    pairs = list(itertools.pairwise(range(1, len(ticks))))
+    for _ in range(_AMPLITUDES_ROUNDS):
+        found = None
+        for moved in [*singles, *pairs]:
+            for shift in itertools.product((-2, -1, 1, 2), repeat=len(moved)):
+                trial = best.copy()
+                trial[list(moved)] += shift
+                if np.diff(trial).min() < gap:
+                    continue
+                tried = value(trial)
+                if tried < least * (1.0 - 1e-12):
+                    found, least = trial, tried
+        if found is None:
+            break
+        best = found
+    return best
+
+
+def _amplitudes(
+    times_s: FloatArray, grid: TickGrid, silent: Sequence[FlexibleMode], *, positive: bool
+) -> FloatArray:
+    """Amplitudes of sum 1 with the least sum of V squared over the bands for given times."""
+    from scipy.optimize import lsq_linear
+
+    delay = times_s - times_s[-1]
+    f = np.append(grid.frequency_hz, [m.frequency_hz for m in silent])
+    z = np.append(grid.damping_ratio, [m.damping_ratio for m in silent])
+    rows = np.array([np.exp(pole(b) * a * delay) for a, b in zip(f, z, strict=True)])
+    rows[len(grid.frequency_hz) :] *= _SILENCE_WEIGHT
+    matrix = np.vstack((rows.real, rows.imag, _SUM_WEIGHT * np.ones((1, len(times_s)))))
+    target = np.append(np.zeros(2 * len(rows)), _SUM_WEIGHT)
+    if positive:
+        found = lsq_linear(matrix, target, bounds=(0.0, np.inf), method="bvls").x
+    else:
+        found = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    solved: FloatArray = found / found.sum()
+    return solved

@@ -1,0 +1,177 @@
+"""Laws made by a shaper: a law convolved with an impulse train, as one law of the whole window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.errors import OptionError, UnitError
+from threadline.motion.laws import Law, law, measured_law
+from threadline.motion.shaping.designs import ShaperKind, design, parse_shaper
+from threadline.motion.shaping.law_residual import residual_m
+from threadline.motion.shaping.mode_law import Demand
+from threadline.motion.shaping.response import residual_vibration
+from threadline.motion.shaping.types import FlexibleMode, Shaper
+from threadline.units import parse_quantity
+
+SHAPED = (ShaperKind.ZV, ShaperKind.ZVD, ShaperKind.EI)
+_STEP_S = 1e-3
+_BAND = 9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShapedWindow:
+    """A shaped law in the shortest window that keeps a demand."""
+
+    law: Law
+    window_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shifted:
+    """The rise ``sum(shares[i] s((t - delays[i]) / length))``, from one of its ends on."""
+
+    law: Law
+    shares: tuple[float, ...]
+    delays: tuple[float, ...]
+    length: float
+    from_end: bool
+
+    @property
+    def breaks(self) -> tuple[float, ...]:
+        edges = self.law.edges * self.length
+        if self.from_end:
+            edges = self.length - edges[::-1]
+        found = np.unique(np.add.outer(np.array(self.delays), edges))
+        return tuple(found[(found > 0.0) & (found < 1.0)].tolist())
+
+    def value(self, t: FloatArray, derivative: int) -> FloatArray:
+        out = np.zeros_like(t)
+        for share, delay in zip(self.shares, self.delays, strict=True):
+            inside = t > delay
+            since = (t[inside] - delay) / self.length
+            if self.from_end:
+                part = _left(self.law, since, derivative)
+            else:
+                part = self.law(since, derivative)
+            out[inside] += share * part / self.length**derivative
+        return out
+
+
+def _left(law: Law, since: FloatArray, derivative: int) -> FloatArray:
+    """Return 1 minus the rise at the times 1 - ``since``, or a derivative of it by ``since``.
+
+    ``since`` (n,) counts back from the end of the law; above 1, before the law begins, it is 1.
+    """
+    near = since <= 1.0 - law.meets
+    out = np.empty_like(since)
+    out[near] = law.left(since[near], derivative)
+    early = 1.0 - since[~near]
+    value = law(early, derivative)
+    out[~near] = 1.0 - value if derivative == 0 else value if derivative % 2 else -value
+    return out
+
+
+def shaped_law(law: Law, shaper: Shaper, window_s: float) -> Law:
+    """Return ``law`` shaped by ``shaper``, so that both together take ``window_s``.
+
+    Parameters
+    ----------
+    law
+        Runs in what the shaper leaves of the window.
+    shaper
+        Impulses that sum to 1. With negative ones the law may go back, and has no inverse then.
+    window_s
+        The whole window; a shaped law is one of shape, so another window needs another.
+
+    Raises
+    ------
+    OptionError
+        If the shaper takes the whole window, or does not sum to 1.
+    """
+    length = 1.0 - shaper.duration_s / window_s
+    if length <= 0.0:
+        raise OptionError(
+            f"law {law.name}: the shaper {shaper.name} takes {shaper.duration_s * 1e3:.4g} ms, the "
+            f"window is {window_s * 1e3:.4g} ms",
+            remedy="Give a longer window or a shorter shaper.",
+        )
+    total = float(shaper.amplitudes.sum())
+    if abs(total - 1.0) > 1e-9:
+        raise OptionError(f"shaper {shaper.name}: its impulses sum to {total:g}, not to 1")
+    shares = tuple((shaper.amplitudes / total).tolist())
+    delays = tuple((shaper.times_s / window_s).tolist())
+    last = delays[-1]
+    opening = _Shifted(law, shares, delays, length, from_end=False)
+    closing = _Shifted(law, shares[::-1], tuple(last - d for d in delays[::-1]), length, True)
+    return measured_law(f"{law.name}*{shaper.name}", opening, closing, 0.5)
+
+
+def shaped_windows(law: Law, demand: Demand) -> list[ShapedWindow]:
+    """Return ``law`` with a shaper of each kind, in the shortest window that keeps ``demand``.
+
+    Windows are tried in steps of a millisecond, up to four rigid windows behind the shaper. Kinds
+    that keep the demand in none of them are left out. The jerk is free.
+    """
+    d = demand
+    found = []
+    ratios = np.array([1.0]) if d.band == 0.0 else np.linspace(1.0 - d.band, 1.0 + d.band, _BAND)
+    frequencies, zeta = ratios * d.mode.frequency_hz, d.mode.damping_ratio
+    own = np.arange(0.5 * d.rigid_s, 4.0 * d.rigid_s, _STEP_S)
+    left = np.array([residual_m(law, FlexibleMode(f, zeta), d.move_m, own) for f in frequencies])
+    for kind in SHAPED:
+        shaper = design(kind, d.mode)
+        # What the law leaves is turned by the shaper as one impulse is.
+        share = residual_vibration(shaper, frequencies, zeta)
+        for length in own[(left * share[:, None] <= d.residual_m).all(axis=0)].tolist():
+            # To whole microseconds, so that its name says all of it.
+            window = ceil((length + shaper.duration_s) * 1e6) / 1e6
+            words = f"{law.name}*{kind.value}:{d.mode.frequency_hz!r}Hz:{zeta!r}"
+            name = f"{words} in {round(window * 1e3, 3)!r} ms"
+            made = replace(shaped_law(law, shaper, window), name=name)
+            if made.acceleration * d.move_m / window**2 <= d.acceleration_m_s2:
+                found.append(ShapedWindow(law=made, window_s=window))
+                break
+    return found
+
+
+_EXAMPLE = 'Write it like "modified-sine*zv:12Hz:0.02 in 160 ms".'
+
+
+def law_named(text: str) -> Law:
+    """Return the law called ``text``: of the catalogue, or one that a shaper makes of it.
+
+    ``"modified-sine"`` and what else ``threadline.motion.laws.law`` knows;
+    ``"modified-sine*zv:12Hz:0.02 in 160 ms"`` is a law convolved with a shaper so that both
+    together take the window. Played in another window it keeps its shape, and silences
+    the frequency scaled by the ratio of the windows.
+
+    Raises
+    ------
+    OptionError
+        If there is no such law, the shaper cannot be made, or it takes the whole window.
+
+    >>> law_named("cycloidal*zv:12Hz in 160 ms").name
+    'cycloidal*zv:12Hz in 160 ms'
+    """
+    base, star, rest = text.partition("*")
+    if not star or text.lower().endswith(".csv"):
+        return law(text)
+    words, within, window = rest.rpartition(" in ")
+    if not within:
+        raise OptionError(f"motion law {text!r}: it does not say its window", remedy=_EXAMPLE)
+    try:
+        window_s = parse_quantity(window.strip(), "s")
+    except UnitError as error:
+        raise OptionError(f"motion law {text!r}: {error.message}", remedy=_EXAMPLE) from error
+    shaper = parse_shaper(words.strip())
+    if not isinstance(shaper, Shaper):
+        raise OptionError(
+            f"motion law {text!r}: a law has one shaper, not one for each axis", remedy=_EXAMPLE
+        )
+    if not 0.0 < window_s < float("inf"):
+        raise OptionError(f"motion law {text!r}: the window must be longer than 0", remedy=_EXAMPLE)
+    return replace(shaped_law(law(base.strip()), shaper, window_s), name=text)

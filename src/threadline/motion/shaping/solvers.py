@@ -1,0 +1,159 @@
+"""Newton's method for square systems, and linear programs with failure as an error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from threadline.base.arrays import FloatArray
+from threadline.base.linear_programs import Bounds, solved
+from threadline.motion.shaping.types import ShaperError
+
+System: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Unknowns (n,) -> residuals (m,) and Jacobian (m, n)."""
+
+RESIDUAL = 1e-11
+"""Largest residual of a solved system: ten times below the 1e-10 that designs promise."""
+
+
+def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30) -> FloatArray:
+    """Solve ``system`` from ``seed``; the step is the least-squares one where it isn't square.
+
+    Parameters
+    ----------
+    system
+        Residuals and Jacobian.
+    seed
+        Shape ``(n,)``.
+    what
+        Subject of the error.
+
+    Raises
+    ------
+    ShaperError
+        If the residual does not fall below 1e-11.
+    """
+    x = np.array(seed, dtype=np.float64)
+    worst = np.inf
+    for _ in range(iterations):
+        try:
+            # A step that went astray overflows: that is failure to converge, not a warning.
+            with np.errstate(over="ignore", invalid="ignore"):
+                residual, jacobian = system(x)
+        except OverflowError:
+            break
+        if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+            break
+        previous, worst = worst, float(np.abs(residual).max())
+        # One more step after convergence costs little and polishes to rounding.
+        if worst < RESIDUAL and previous < 1e-6:
+            return x
+        # Symmetric trains make some of more constraints than unknowns repeat one another: those
+        # directions are left alone where the system is not square.
+        cutoff = 1e-14 if jacobian.shape[0] == jacobian.shape[1] else 1e-8
+        x = x - np.linalg.lstsq(jacobian, residual, rcond=cutoff)[0]
+    raise ShaperError(
+        f"{what}: the design did not converge (worst residual {worst:.1e}, wanted {RESIDUAL:.0e})",
+        remedy="Change the tolerance, the damping or the kind of shaper.",
+    )
+
+
+def follow(
+    system_at: Callable[[float], System],
+    seed: FloatArray,
+    *,
+    start: float,
+    end: float,
+    step: float,
+    what: str,
+) -> FloatArray:
+    """Follow a solution as a parameter goes from ``start`` to ``end``.
+
+    Parameters
+    ----------
+    system_at
+        Parameter -> system.
+    seed
+        Approximate solution at ``start``.
+    step
+        Largest step of the parameter; halved where Newton fails.
+
+    Raises
+    ------
+    ShaperError
+        If the solution is lost: 2**-12 of a step was too far.
+    """
+    x = newton(system_at(start), seed, what)
+    at, tangent = start, np.zeros_like(x)
+    size = float(np.copysign(step, end - start))
+    smallest = step * 2.0**-12
+    while at != end:
+        size = end - at if abs(end - at) <= abs(size) else size
+        try:
+            moved = newton(system_at(at + size), x + tangent * size, what, iterations=12)
+            # A jump is another branch, not the solution that is being followed.
+            if np.abs(moved - x - tangent * size).max() > 0.1:
+                raise ShaperError(f"{what}: the followed solution was lost")
+        except ShaperError:
+            size *= 0.5
+            if abs(size) < smallest:
+                raise
+            continue
+        at, tangent, x = at + size, (moved - x) / size, moved
+        size *= 1.5
+        size = float(np.copysign(min(abs(size), step), end - start))
+        if abs(end - at) < 1e-15 * max(1.0, abs(end)):
+            break
+    return x
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Minimiser, minimum and the duals of the equalities."""
+
+    x: FloatArray
+    value: float
+    duals: FloatArray
+
+
+class InfeasibleError(ShaperError):
+    """No point meets the constraints."""
+
+
+def minimise(
+    cost: FloatArray,
+    *,
+    equal: tuple[FloatArray, ArrayLike],
+    below: tuple[FloatArray, ArrayLike] | None = None,
+    bounds: Bounds | Sequence[Bounds],
+    what: str,
+    seconds: float | None = None,
+) -> Solution:
+    """Minimise ``cost`` @ x under rows @ x = values and rows @ x <= values.
+
+    Parameters
+    ----------
+    seconds
+        How long the solver may take, each time that it is asked.
+
+    Raises
+    ------
+    InfeasibleError
+        If no x meets the constraints.
+    ShaperError
+        If the solver fails otherwise.
+    """
+    found = solved(cost, equal=equal, below=below, bounds=bounds, seconds=seconds)
+    if found.status == 2:
+        raise InfeasibleError(f"{what}: no command meets the constraints")
+    if found.status != 0 or found.x is None or found.fun is None:
+        raise ShaperError(f"{what}: the linear program failed: {found.message}")
+    return Solution(
+        np.asarray(found.x, dtype=np.float64),
+        float(found.fun),
+        np.asarray(found.eqlin.marginals, dtype=np.float64),
+    )

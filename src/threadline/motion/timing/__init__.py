@@ -1,0 +1,35 @@
+"""Planned path + limits -> time, and the dense check of every limit."""
+
+from threadline.motion.timing.averaged import (
+    Averages,
+    averaged_trajectory,
+    even_averages,
+    held_trajectory,
+)
+from threadline.motion.timing.by_law import Leads, leads_of, with_steps
+from threadline.motion.timing.limits import Peak, check_limits, limit_peaks
+from threadline.motion.timing.limits_used import Retimed, check_budget
+from threadline.motion.timing.path_to_trajectory import Pace, plan_trajectory
+from threadline.motion.timing.retime import retime
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock, TrajectoryReader
+
+__all__ = [
+    "Averages",
+    "Leads",
+    "Pace",
+    "Peak",
+    "Retimed",
+    "Trajectory",
+    "TrajectoryBlock",
+    "TrajectoryReader",
+    "averaged_trajectory",
+    "check_budget",
+    "check_limits",
+    "even_averages",
+    "held_trajectory",
+    "leads_of",
+    "limit_peaks",
+    "plan_trajectory",
+    "retime",
+    "with_steps",
+]

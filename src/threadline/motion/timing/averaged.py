@@ -1,0 +1,414 @@
+r"""Trajectories smooth enough for an inverse: averages over time as a spline of fifth degree.
+
+The motion is sampled every ``step_s``; weighted averages of its samples are the control points of a
+uniform quintic B-spline, so that four derivatives are continuous. Weights of the sum 1 that lie
+evenly about their middle make nothing late.
+
+Unless weights are given, four moving averages of nine samples each are taken one after the other.
+All of that is one kernel of the width ``38 step_s``, the same for all axes: straight paths stay
+straight. The motion passes a corner of angle ``turn`` taken at speed v within
+:math:`v\,E|t|\sin(turn/2)`, where E\|t\| of the kernel is 0.111 of its width.
+
+The motion is sampled every ``step_s``; every sample is averaged with those before it over
+``count`` samples; the averages are the control points of a uniform cubic B-spline in time.
+Means of means: where the motion keeps |v| <= V and |a| <= A, so do its averages and the spline,
+and the jerk, which is the change of the acceleration over the width of the average, is at most
+2 A / (count step_s). No sampling enters these bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import ceil, floor
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray, Locked, read_only
+from threadline.errors import OptionError
+from threadline.files import Stream
+from threadline.jobs.operations import Dwell, Job, Move
+from threadline.motion.path.bspline import bspline_coefficients
+from threadline.motion.path.durations import Smoothing
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
+
+DEGREE = 5
+_AVERAGES, _SAMPLES = 4, 9
+STEPS = _AVERAGES * (_SAMPLES - 1) + DEGREE + 1
+"""Width of the kernel in sampling steps."""
+_CHUNK = 8192
+_KEPT = 1 << 16
+_STILL = 1e-9  # of the fastest speed so far
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Averages(Locked):
+    """Weights of the samples of a motion in the control points of its spline.
+
+    Parameters
+    ----------
+    weights
+        (2 m + 1, axes), or (2 m + 1, 1) for all axes alike; each column has the sum 1.
+    step_s
+        Time between samples.
+    starts, stops
+        Weights of steps from rest and to rest, of the same shape and first moment; None where they
+        are those of the rest of the motion.
+    """
+
+    weights: FloatArray
+    step_s: float
+    starts: FloatArray | None = None
+    stops: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("weights", "starts", "stops"):
+            given = getattr(self, name)
+            if given is None:
+                continue
+            object.__setattr__(self, name, read_only(given, name, ndim=2))
+            if len(given) % 2 == 0:
+                raise ValueError(f"the number of weights must be odd, got {len(given)}")
+            if given.shape != self.weights.shape:
+                raise ValueError(f"{name} must have the shape of weights, got {given.shape}")
+
+    @property
+    def width_s(self) -> float:
+        """How long a motion that is at rest elsewhere is touched by one of its instants."""
+        return (len(self.weights) + DEGREE) * self.step_s
+
+    @property
+    def before(self) -> int:
+        """Number of samples before an interval that have a part in it."""
+        return len(self.weights) // 2 + DEGREE // 2
+
+    @property
+    def after(self) -> int:
+        """Number of samples after the beginning of an interval that have a part in it."""
+        return self.before + 1
+
+
+def even_averages(width_s: float) -> Averages:
+    """Return the four moving averages whose kernel has the width ``width_s``.
+
+    Raises
+    ------
+    OptionError
+        If the width is not above zero.
+    """
+    if not (np.isfinite(width_s) and width_s > 0.0):
+        raise OptionError(f"the width of the averages must be above 0 s, got {width_s!r}")
+    return Averages(weights=averaging_weights()[:, None], step_s=width_s / STEPS)
+
+
+def averaging_weights() -> FloatArray:
+    """Return the (2 m + 1,) weights of the samples in a control point; they sum to 1."""
+    weights = np.ones(1)
+    for _ in range(_AVERAGES):
+        weights = np.convolve(weights, np.full(_SAMPLES, 1.0 / _SAMPLES))
+    return weights
+
+
+def spline_basis() -> FloatArray:
+    """Return the (DEGREE + 1, DEGREE + 1) matrix from control points to powers of u in [0, 1]."""
+    from scipy.interpolate import BSpline, PPoly
+
+    element = BSpline.basis_element(np.arange(DEGREE + 2.0))
+    pieces = PPoly.from_spline((element.t, element.c, element.k))
+    start = int(np.searchsorted(pieces.x, 0.0))
+    part = pieces.c[::-1, start : start + DEGREE + 1]
+    return np.asarray(part[:, ::-1])
+
+
+def held_trajectory(
+    trajectory: Trajectory, job: Job, width_s: float, before_s: float, after_s: float
+) -> Trajectory:
+    """Return ``trajectory`` with the rests that averages over ``width_s`` need.
+
+    Parameters
+    ----------
+    job
+        Where something other than a move or an empty dwell comes between two moves, the motion
+        rests for ``width_s`` more, so that it is really at rest when that happens.
+    before_s, after_s
+        How long the motion stands before it begins, and after its end, s.
+    """
+    return Trajectory(
+        axes=trajectory.axes,
+        historical=trajectory.historical,
+        blocks=Stream(_held, trajectory, job, width_s, before_s, after_s),
+    )
+
+
+def averaged_trajectory(held: Trajectory, averages: Averages) -> Trajectory:
+    """Return the averages of a trajectory.
+
+    Parameters
+    ----------
+    held
+        It must stand for half of the width of ``averages`` at both ends.
+    """
+    if held.duration_s / averages.step_s <= _KEPT:
+        # A short motion is worked out once and kept: it will be read many times.
+        return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, averages))))
+    return Trajectory(axes=held.axes, blocks=Stream(_averaged, held, averages))
+
+
+def _rests(job: Job) -> Iterator[int]:
+    """Yield the index of the first operation of every group that needs the machine at rest."""
+    due: int | None = None
+    for index, operation in enumerate(job):
+        if isinstance(operation, Move):
+            if due is not None:
+                yield due
+            due = None
+        elif due is None and not (isinstance(operation, Dwell) and operation.duration_s == 0.0):
+            due = index
+
+
+def _held(
+    trajectory: Trajectory, job: Job, width_s: float, before_s: float, after_s: float
+) -> Iterator[TrajectoryBlock]:
+    rests = _rests(job)
+    rest = next(rests, None)
+    now = 0.0
+    last: tuple[FloatArray, int] | None = None  # where it stood, and the operation
+    for block in trajectory:
+        if not len(block):
+            continue
+        if last is None:
+            last = (block.coefficients[0, 0], int(block.operation[0]))
+            yield _still(*last, now, before_s)
+            now += before_s
+        before = np.concatenate([[last[1]], block.operation[:-1]])
+        begin = 0
+        # Only where operations are skipped can there be anything between two moves.
+        for at in np.flatnonzero(block.operation > before + 1).tolist():
+            due = False
+            while rest is not None and rest < block.operation[at]:
+                due |= rest > before[at]
+                rest = next(rests, None)
+            if not due:
+                continue
+            if at > begin:
+                yield _moved(block, begin, at, now)
+                now += float(block.start_s[at] - block.start_s[begin])
+                last = (block.coefficients[at - 1].sum(axis=0), int(block.operation[at - 1]))
+            begin = at
+            yield _still(*last, now, 0.5 * width_s)
+            yield _still(last[0], int(block.operation[at]), now + 0.5 * width_s, 0.5 * width_s)
+            now += width_s
+        yield _moved(block, begin, len(block), now)
+        now += block.end_s - float(block.start_s[begin])
+        last = (block.coefficients[-1].sum(axis=0), int(block.operation[-1]))
+    if last is not None:
+        yield _still(*last, now, after_s)
+
+
+def _moved(block: TrajectoryBlock, begin: int, end: int, start_s: float) -> TrajectoryBlock:
+    part = slice(begin, end)
+    return TrajectoryBlock(
+        start_s=block.start_s[part] - block.start_s[begin] + start_s,
+        duration_s=block.duration_s[part],
+        coefficients=block.coefficients[part],
+        operation=block.operation[part],
+    )
+
+
+def _still(place: FloatArray, operation: int, start_s: float, duration_s: float) -> TrajectoryBlock:
+    return TrajectoryBlock(
+        start_s=np.array([start_s]),
+        duration_s=np.array([duration_s]),
+        coefficients=np.asarray(place, dtype=np.float64)[None, None],
+        operation=np.array([operation]),
+    )
+
+
+def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]:
+    basis, step_s = spline_basis(), averages.step_s
+    ahead, behind = averages.before, averages.after
+    raw: FloatArray | None = None  # samples from that of number ``done - ahead`` on
+    labels: IntArray = np.empty(0, dtype=np.int64)
+    done = sampled = labelled = 0
+    end_s = 0.0
+    final: FloatArray = np.empty(0)
+    ends = _EndsOfSpeed(averages)
+    for block in held:
+        ends.read(block)
+        if raw is None:
+            raw = np.tile(block.coefficients[0, 0], (ahead, 1))
+        end_s = block.end_s
+        while True:
+            fresh = np.arange(sampled, sampled + _CHUNK)
+            inside = int(np.searchsorted(fresh * step_s, end_s))
+            if inside:
+                raw = np.concatenate([raw, block.evaluate(np.asarray(fresh[:inside] * step_s))])
+                sampled += inside
+            middle = (np.arange(labelled, sampled + 1) + 0.5) * step_s
+            middle = middle[: np.searchsorted(middle, end_s)]
+            piece = np.searchsorted(block.start_s, middle, side="right") - 1
+            labels = np.concatenate([labels, block.operation[np.maximum(piece, 0)]])
+            labelled += len(middle)
+            ready = min(sampled - done - behind, labelled - done)
+            if ready > 0:
+                yield _spline(raw, labels, done, ready, averages, basis, ends)
+                raw, labels = raw[ready:], labels[ready:]
+                done += ready
+            if inside < _CHUNK:
+                break
+        final = block.coefficients[-1].sum(axis=0)
+    if raw is None:
+        return
+    count = ceil(end_s / step_s - 1e-9) - done
+    missing = count + ahead + behind - len(raw)
+    raw = np.concatenate([raw, np.tile(final, (max(missing, 0), 1))])
+    labels = np.concatenate([labels, np.repeat(labels[-1:], max(count - len(labels), 0))])
+    if count > 0:
+        yield _spline(raw, labels, done, count, averages, basis, ends)
+
+
+def _spline(
+    raw: FloatArray,
+    labels: IntArray,
+    done: int,
+    count: int,
+    averages: Averages,
+    basis: FloatArray,
+    ends: _EndsOfSpeed,
+) -> TrajectoryBlock:
+    """Return pieces ``done`` to ``done + count``; ``raw`` begins ``before`` samples earlier."""
+    step_s = averages.step_s
+    controls = np.zeros((count + DEGREE, raw.shape[1]))
+    # About the first sample, so that rest is exactly rest.
+    away = raw[: count + averages.before + averages.after] - raw[0]
+    for shift, weight in enumerate(averages.weights):
+        controls += weight * away[shift : shift + len(controls)]
+    ends.add_to(controls, done - DEGREE // 2)
+    windows = np.stack([controls[i : i + count] for i in range(DEGREE + 1)], axis=1)
+    coefficients = np.einsum("ki,nia->nka", basis, windows)
+    coefficients[:, 0] += raw[0]
+    still = (np.ptp(windows, axis=1) == 0.0).all(axis=1)
+    coefficients[still, 1:] = 0.0
+    return TrajectoryBlock(
+        start_s=np.asarray((done + np.arange(count)) * step_s),
+        duration_s=np.full(count, step_s),
+        coefficients=coefficients,
+        operation=labels[:count],
+    )
+
+
+class _EndsOfSpeed:
+    """What weights of their own change of the control points about steps from rest and to rest.
+
+    A step of the velocity by dv at the time t adds ``dv max(0, s - t)`` to every sample s. Two sets
+    of weights of one sum and one first moment differ by that only near the step.
+    """
+
+    def __init__(self, averages: Averages) -> None:
+        self._step_s = averages.step_s
+        own = (averages.starts, averages.stops)
+        self._more = [None if weights is None else weights - averages.weights for weights in own]
+        self._half = len(averages.weights) // 2
+        self._still = True  # at the end of what was read
+        self._last: FloatArray = np.zeros(1)
+        self._fastest = 0.0
+        self._due: list[tuple[int, FloatArray]] = []  # first control point, and the changes
+
+    def read(self, block: TrajectoryBlock) -> None:
+        """Find the steps of the next block."""
+        if all(more is None for more in self._more) or not len(block):
+            return
+        lasts_s = block.duration_s[:, None]
+        power = np.arange(block.coefficients.shape[1])[:, None]
+        slope = block.coefficients * power
+        begin = (slope[:, 1] if len(power) > 1 else 0.0 * slope[:, 0]) / lasts_s
+        end = slope.sum(axis=1) / lasts_s
+        fast, ended = np.linalg.norm(begin, axis=1), np.linalg.norm(end, axis=1)
+        self._fastest = max(self._fastest, float(fast.max()), float(ended.max()))
+        least = _STILL * self._fastest
+        rests_before = np.append(self._still, ended[:-1] <= least)
+        for k in np.flatnonzero(rests_before & (fast > least)).tolist():
+            self._step(0, float(block.start_s[k]), begin[k])
+        rests_after = np.append(fast[1:] <= least, False)
+        for k in np.flatnonzero(rests_after & (ended > least)).tolist():
+            self._step(1, float(block.start_s[k + 1]), -end[k])
+        if not self._still and not rests_before[0] and fast[0] <= least:
+            self._step(1, float(block.start_s[0]), -self._last)
+        self._still, self._last = bool(ended[-1] <= least), end[-1]
+
+    def _step(self, kind: int, at_s: float, by: FloatArray) -> None:
+        more = self._more[kind]
+        if more is None:
+            return
+        first = floor(at_s / self._step_s) - self._half
+        sample = np.arange(first - self._half, first + 3 * self._half + 2) * self._step_s
+        ramp = np.maximum(sample - at_s, 0.0)
+        change = np.stack(
+            [
+                np.correlate(ramp, column)
+                for column in np.broadcast_to(more, (len(more), len(by))).T
+            ],
+            axis=1,
+        )
+        self._due.append((first, change * by))
+
+    def add_to(self, controls: FloatArray, first: int) -> None:
+        """Add what is due to control points, of which the first is that about sample ``first``."""
+        end = first + len(controls)
+        self._due = [(at, change) for at, change in self._due if at + len(change) > first]
+        for at, change in self._due:
+            begin, stop = max(at, first), min(at + len(change), end)
+            if begin < stop:
+                controls[begin - first : stop - first] += change[begin - at : stop - at]
+
+
+def denser(weights: FloatArray, times: int) -> FloatArray:
+    """Return the weights of the same averages, of samples ``times`` as dense; one column an axis.
+
+    A uniform B-spline of degree d is a sum of narrower ones: those of d + 1 moving averages over
+    their steps (the two-scale relation of splines).
+    """
+    mask = np.ones(1)
+    for _ in range(DEGREE + 1):
+        mask = np.convolve(mask, np.full(times, 1.0 / times))
+    spread = np.zeros(((len(weights) - 1) * times + 1, weights.shape[1]))
+    spread[::times] = weights
+    return np.stack([np.convolve(column, mask) for column in spread.T], axis=1)
+
+
+class Smoother:
+    """Turns the samples of one motion from rest to rest, in pieces, into spline pieces."""
+
+    def __init__(self, smoothing: Smoothing, start: FloatArray, operation: int) -> None:
+        self._count = smoothing.count
+        self._lag = (smoothing.count - 1) // 2
+        # Before the first sample the axes stand still.
+        self._raw = np.tile(start, (self._count - 1, 1))
+        self._controls = np.tile(start, (2, 1))
+        self._labels = np.full(self._lag + 2, operation, dtype=np.int64)
+
+    def extend(self, samples: FloatArray, operation: IntArray) -> tuple[FloatArray, IntArray]:
+        """Return the (n, 4, axes) coefficients and (n,) operations that ``samples`` settle."""
+        raw = np.concatenate([self._raw, samples])
+        fresh = len(samples)
+        mean = np.zeros_like(samples)
+        for shift in range(self._count):
+            mean += raw[shift : shift + fresh]
+        controls = np.concatenate([self._controls, mean / self._count])
+        labels = np.concatenate([self._labels, operation])
+        self._raw = raw[len(raw) - (self._count - 1) :]
+        pieces = len(controls) - 3
+        if pieces <= 0:
+            self._controls, self._labels = controls, labels
+            return np.zeros((0, 4, samples.shape[1])), np.zeros(0, dtype=np.int64)
+        self._controls = controls[-3:]
+        # Control j averages samples that lie half the width earlier; piece j is between controls
+        # j + 1 and j + 2.
+        out = labels[2 : 2 + pieces]
+        self._labels = labels[pieces:]
+        return bspline_coefficients(controls), out
+
+    def finish(self, end: FloatArray, operation: int) -> tuple[FloatArray, IntArray]:
+        """Return what is left once the axes stand still at ``end``."""
+        count = self._count + 2
+        return self.extend(np.tile(end, (count, 1)), np.full(count, operation, dtype=np.int64))

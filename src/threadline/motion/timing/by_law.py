@@ -1,0 +1,420 @@
+"""Chords timed one by one: by a motion law, at programmed times, or with steps of speed.
+
+A trajectory is of polynomial pieces (decision 0003): a law of sines goes in as quintic pieces that
+have its rise, velocity and acceleration at their ends. The peaks that the limits are held by are
+those of the pieces, so that nothing is lost between the two.
+
+Velocity steps at every vertex, as in the linear interpolation of the 1994 controller, but no
+travel time is rounded to ticks: a needle of constant speed stays one. Rapid moves, which have no
+programmed time, go from rest to rest.
+
+A leg that starts from rest takes longer for its first stitches, as its run-up asks for, but along
+chords at programmed times every stitch has one mean speed, which steps at its ends. Here the leg
+rests for as long as the run-up costs, and then has its speed; a stop is the same backwards. What
+smooths the motion gives the one step its shape. Times, places and the way of the whole leg stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.eccentric import current_needed
+from threadline.files import Stream
+from threadline.machine import Machine
+from threadline.motion.laws import Law, refuse_descent
+from threadline.motion.path.types import PieceBlock, PlannedPath
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
+
+_MISSED = 1e-9  # of a move: a micrometre in a kilometre
+_PARTS = (1, 2, 4, 8, 16, 32)
+_MOVES = 4096  # at once: each becomes as many pieces as its law has
+
+
+@lru_cache(maxsize=32)
+def law_pieces(law: Law) -> tuple[FloatArray, FloatArray, tuple[float, float, float]]:
+    """Return a law as quintic pieces.
+
+    Returns
+    -------
+    ends : (n + 1,)
+        From 0 to 1.
+    powers : (n, 6)
+        Of the time since a piece began over its length.
+    peaks
+        Of velocity, acceleration and jerk of the pieces.
+    """
+    looks = np.linspace(0.0, 1.0, 9)[1:-1]
+    ends, powers = law.edges, np.zeros((0, 6))
+    for parts in _PARTS:
+        at = np.arange(parts) / parts
+        ends = np.append((law.edges[:-1, None] + np.diff(law.edges)[:, None] * at).ravel(), 1.0)
+        powers = _quintic(law, ends)
+        where = ends[:-1, None] + np.diff(ends)[:, None] * looks
+        found = np.polynomial.polynomial.polyval(looks, powers.T)
+        if np.abs(found - law(where.ravel()).reshape(where.shape)).max() <= _MISSED:
+            break
+    length = np.diff(ends)[:, None]
+    peaks = []
+    for order in (1, 2, 3):
+        derived = np.polynomial.polynomial.polyder(powers, order, axis=1)
+        peaks.append(_largest(derived / length**order))
+    return ends, powers, (peaks[0], peaks[1], peaks[2])
+
+
+def _quintic(law: Law, ends: FloatArray) -> FloatArray:
+    """Return the (n, 6) powers of the pieces with the law's values and slopes at their ends."""
+    h = np.diff(ends)
+    s, v = law(ends), h * law(ends, 1)[:-1]
+    w = h * law(ends, 1)[1:]
+    # Between two stretches the acceleration may step: each piece has that of its own side.
+    a = h**2 * law(ends[:-1] + 1e-9 * h, 2)
+    b = h**2 * law(ends[1:] - 1e-9 * h, 2)
+    gained, speed, bend = np.diff(s) - v - 0.5 * a, w - v - a, b - a
+    return np.stack(
+        [
+            s[:-1], v, 0.5 * a, 10.0 * gained - 4.0 * speed + 0.5 * bend,
+            -15.0 * gained + 7.0 * speed - bend, 6.0 * gained - 3.0 * speed + 0.5 * bend,
+        ],
+        axis=1,
+    )  # fmt: skip
+
+
+def _largest(powers: FloatArray) -> float:
+    """Return the largest magnitude of polynomials (n, k) on [0, 1]: at ends or at roots."""
+    looks = np.linspace(0.0, 1.0, 17)
+    peak = 0.0
+    seen = np.abs(np.polynomial.polynomial.polyval(looks, powers.T)).max(axis=1)
+    for k in np.flatnonzero(seen >= 0.9 * seen.max()).tolist():
+        slope = np.trim_zeros(np.polynomial.polynomial.polyder(powers[k]), "b")
+        roots = np.polynomial.polynomial.polyroots(slope) if len(slope) > 1 else np.zeros(0)
+        real = roots[np.abs(roots.imag) < 1e-9].real
+        tried = np.concatenate((looks, real[(real > 0.0) & (real < 1.0)]))
+        peak = max(peak, float(np.abs(np.polynomial.polynomial.polyval(tried, powers[k])).max()))
+    return peak
+
+
+def by_law(path: PlannedPath, machine: Machine, law: Law) -> Iterator[PieceBlock]:
+    """Yield the timed pieces of every chord: from rest to rest, as fast as limits and feed allow.
+
+    The peak of the velocity meets the programmed feed; the time of a move is the least that keeps
+    it and, for every axis, the limits of velocity, acceleration and jerk. Where the jerk of the law
+    is infinite, its limit does not bind.
+
+    Raises
+    ------
+    OptionError
+        If the law goes back: an axis would turn where none was programmed.
+    """
+    refuse_descent(law)
+    ends, powers, found = law_pieces(law)
+    shares = np.diff(ends)
+    count = len(shares)
+    peaks = (found[0], found[1], None if law.jerk is None else found[2])
+    column = [machine.axis_names.index(axis) for axis in path.axes]
+    limits = [
+        getattr(machine, f"{name}_limit")[column] for name in ("velocity", "acceleration", "jerk")
+    ]
+    for block in path:
+        for begin in range(0, len(block), _MOVES):
+            rows = slice(begin, begin + _MOVES)
+            start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
+            time_s = peaks[0] * block.nominal_s[rows]
+            for order, (peak, limit) in enumerate(zip(peaks, limits, strict=True), start=1):
+                if peak is not None:
+                    needed = (peak * np.abs(way) / limit).max(axis=1) ** (1.0 / order)
+                    time_s = np.maximum(time_s, needed)
+            time_s[~way.any(axis=1)] = 0.0
+            coefficients = powers[None, :, :, None] * way[:, None, None, :]
+            coefficients[:, :, 0] += start[:, None]
+            moves = len(start)
+            last = np.zeros((moves, count), dtype=np.int64)
+            last[:, -1] = 1
+            dwell = np.zeros((moves, count))
+            dwell[:, -1] = block.dwell_s[rows]
+            yield PieceBlock(
+                coefficients=coefficients.reshape(moves * count, 6, -1),
+                operation=np.repeat(block.operation[rows], count),
+                nominal_s=(time_s[:, None] * shares).ravel(),
+                rest_after=last.ravel(),
+                dwell_s=dwell.ravel(),
+                line=np.repeat(block.line[rows], count),
+            )
+
+
+def breaks_jerk(law: Law, axes: tuple[str, ...], machine: Machine) -> bool:
+    """Say whether the law asks for infinite jerk where an axis has a limit."""
+    column = [machine.axis_names.index(axis) for axis in axes]
+    return law.jerk is None and bool(np.isfinite(machine.jerk_limit[column]).any())
+
+
+# The law 10 u^3 - 15 u^4 + 6 u^5: its peaks, and where it is looked at for current.
+_PEAKS = (1.875, 10.0 / np.sqrt(3.0), 60.0)
+_U = np.linspace(0.0, 1.0, 65)
+_SPEED = 30.0 * _U**2 * (1.0 - _U) ** 2
+_ACCELERATION = 60.0 * _U * (1.0 - _U) * (1.0 - 2.0 * _U)
+_CURRENT_SHARE = 0.8  # the rest is for what bends on the way
+
+
+def as_programmed(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
+    """Yield one timed piece per chord: straight at its programmed time, quintic where it is rapid.
+
+    Parameters
+    ----------
+    path
+        Chords, their nominal time 0 where they are rapid.
+    machine
+        Its limits are those of rapid moves.
+    """
+    for block in path:
+        start, displacement = block.coefficients[:, 0], block.coefficients[:, 1]
+        coefficients = np.zeros((len(block), 6, displacement.shape[1]))
+        coefficients[:, 0] = start
+        timed = block.nominal_s > 0
+        coefficients[timed, 1] = displacement[timed]
+        for power, factor in ((3, 10.0), (4, -15.0), (5, 6.0)):
+            coefficients[~timed, power] = factor * displacement[~timed]
+        duration = np.array(block.nominal_s)
+        if not timed.all():
+            duration[~timed] = rapid_time_s(displacement[~timed], path.axes, machine)
+        yield PieceBlock(
+            coefficients=coefficients,
+            operation=block.operation,
+            nominal_s=duration,
+            rest_after=block.rest_after,
+            dwell_s=block.dwell_s,
+            line=block.line,
+        )
+
+
+def rapid_time_s(displacement: FloatArray, axes: tuple[str, ...], machine: Machine) -> FloatArray:
+    """Return the (n,) least time of moves from rest to rest along the law 10 u^3 - 15 u^4 + 6 u^5.
+
+    Within the limits of velocity, acceleration and jerk of every axis, and with four fifths of
+    the current of its motor, all links taken as rigid.
+
+    Parameters
+    ----------
+    displacement
+        (n, axes) m or rad.
+    """
+    needed = np.zeros(len(displacement))
+    for column, name in enumerate(axes):
+        way = np.abs(displacement[:, column])
+        axis = machine.axes[name]
+        needed = np.maximum(needed, _PEAKS[0] * way / axis.velocity.si)
+        needed = np.maximum(needed, np.sqrt(_PEAKS[1] * way / axis.acceleration.si))
+        if axis.jerk is not None:
+            needed = np.maximum(needed, np.cbrt(_PEAKS[2] * way / axis.jerk.si))
+        needed = np.maximum(needed, _current_time_s(way, name, machine))
+    return needed
+
+
+def _current_time_s(way: FloatArray, axis: str, machine: Machine) -> FloatArray:
+    """Return (n,) times at which the current of a rigid axis stays within its share.
+
+    At each u the current is f + c v/T + k a/T^2, so that 1/T is bounded by a quadratic equation.
+    """
+    if machine.axes[axis].drive:  # told positions: its torque is judged
+        return np.zeros(len(way))
+    drive = machine.drive_of(axis)
+    most = drive.amplifier.current_limit
+    if most is None:
+        return np.zeros(len(way))
+    per_speed = current_needed(machine, axis, 2.0, 0.0) - current_needed(machine, axis, 1.0, 0.0)
+    friction = current_needed(machine, axis, 1.0, 0.0) - per_speed
+    spare = max(_CURRENT_SHARE * most.si - friction, 0.05 * most.si)
+    a = current_needed(machine, axis, 0.0, 1.0) * way[:, None] * _ACCELERATION
+    b = per_speed * way[:, None] * _SPEED
+    # Where the motor brakes the curve may stay below its bound at any speed.
+    root = np.sqrt(np.maximum(b * b + 4.0 * a * spare, 0.0))
+    bound = np.where(b * b + 4.0 * a * spare >= 0.0, b + root, 0.0)
+    return np.asarray((bound / (2.0 * spare)).max(axis=1))
+
+
+_ALIKE = 1e-9
+_MOST = 4  # pieces in which a leg comes to its speed
+_AROUND = _MOST + 1  # pieces before and after one that say to which group it belongs
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Leads:
+    """How long legs rest at their ends in place of their run-ups: the least and the most, s."""
+
+    starts_s: tuple[float, float]
+    stops_s: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Group:
+    """Slower pieces ``first`` to ``end`` at one end of a leg of the velocity ``full``."""
+
+    first: int
+    end: int
+    full: FloatArray
+    rest_s: float
+    stop: bool
+
+
+def with_steps(planned: Trajectory) -> Trajectory:
+    """Return ``planned`` with one step of speed where its legs come to their speed, and leave it.
+
+    Only straight pieces are changed: up to four at either end of a leg, each faster than the one
+    before it (after it, at a stop) and slower than the leg. A leg goes from rest to rest: there is
+    an operation between two moves, or it is at rest.
+    """
+    return Trajectory(
+        axes=planned.axes,
+        historical=planned.historical,
+        blocks=Stream(_stepped, planned),
+    )
+
+
+def leads_of(planned: Trajectory) -> Leads:
+    """Return how long the legs of ``planned`` rest in :func:`with_steps`, 0 where they do not."""
+    found: dict[bool, list[float]] = {False: [], True: []}
+    for whole, done, ready in _windows(planned):
+        for group in _groups(whole):
+            if done <= group.first < ready:
+                found[group.stop].append(group.rest_s)
+    starts, stops = ((min(rests, default=0.0), max(rests, default=0.0)) for rests in found.values())
+    return Leads(starts_s=starts, stops_s=stops)
+
+
+def _windows(planned: Trajectory) -> Iterator[tuple[TrajectoryBlock, int, int]]:
+    """Yield pieces ``done`` to ``ready`` of blocks, with enough around them."""
+    whole: TrajectoryBlock | None = None
+    done = 0
+    for block in planned:
+        if not len(block):
+            continue
+        whole = block if whole is None else _joined(whole, block)
+        ready = len(whole) - _AROUND
+        if ready > done:
+            yield whole, done, ready
+            kept = max(ready - _AROUND, 0)
+            whole, done = _rows(whole, kept), ready - kept
+    if whole is not None:
+        yield whole, done, len(whole)
+
+
+def _groups(whole: TrajectoryBlock) -> list[_Group]:
+    velocity = _velocity(whole)
+    speed = np.linalg.norm(velocity, axis=1)
+    on = np.zeros(len(whole) + 1, dtype=np.bool_)  # a leg goes on from the piece before
+    on[1:-1] = _alike(velocity[:-1], velocity[1:])
+    # Between moves that follow each other the motion does not rest, even where it turns.
+    rests = np.ones(len(whole) + 1, dtype=np.bool_)
+    rests[1:-1] = (np.diff(whole.operation) > 1) | (speed[:-1] == 0.0) | (speed[1:] == 0.0)
+    found = []
+    for stop in (False, True):
+        step = -1 if stop else 1
+        ends = np.flatnonzero((speed > 0.0) & (rests[1:] if stop else rests[:-1]))
+        for end in ends.tolist():
+            at = end
+            while (
+                abs(at - end) <= _MOST
+                and on[at if stop else at + 1]
+                and not rests[at if stop else at + 1]
+                and speed[at + step] > speed[at] * (1.0 + _ALIKE)
+            ):
+                at += step
+            if not 0 < abs(at - end) <= _MOST:
+                continue
+            first, after = (at + 1, end + 1) if stop else (end, at)
+            part = slice(first, after)
+            lasts_s = whole.duration_s[part]
+            rest_s = float(lasts_s.sum() - speed[part] @ lasts_s / speed[at])
+            found.append(
+                _Group(first=first, end=after, full=velocity[at], rest_s=rest_s, stop=stop)
+            )
+    return found
+
+
+def _stepped(planned: Trajectory) -> Iterator[TrajectoryBlock]:
+    for whole, done, ready in _windows(planned):
+        parts: list[TrajectoryBlock] = []
+        at = done
+        for group in sorted(_groups(whole), key=lambda group: group.first):
+            first, end = max(group.first, at), min(group.end, ready)
+            if first >= end:
+                continue
+            parts += [_rows(whole, at, first), _changed(whole, group, first, end)]
+            at = end
+        parts.append(_rows(whole, at, ready))
+        yield from (part for part in parts if len(part))
+
+
+def _changed(whole: TrajectoryBlock, group: _Group, first: int, end: int) -> TrajectoryBlock:
+    """Return pieces ``first`` to ``end`` of a group: still, at full speed, or cut into both."""
+    last = group.end - 1
+    if group.stop:
+        step_s = float(whole.start_s[last] + whole.duration_s[last]) - group.rest_s
+        origin, from_s = whole.coefficients[group.first, 0], float(whole.start_s[group.first])
+    else:
+        step_s = float(whole.start_s[group.first]) + group.rest_s
+        origin, from_s = whole.coefficients[group.first, 0], step_s
+    rows: list[tuple[float, float, int]] = []
+    for k in range(first, end):
+        begin, lasts = float(whole.start_s[k]), float(whole.duration_s[k])
+        cut = min(max(step_s - begin, 0.0), lasts)
+        label = int(whole.operation[k])
+        for at, span in ((begin, cut), (begin + cut, lasts - cut)):
+            if span > _ALIKE * lasts:
+                rows.append((at, span, label))
+    start = np.array([row[0] for row in rows])
+    duration = np.array([row[1] for row in rows])
+    moves = (start + 0.5 * duration < step_s) == group.stop
+    coefficients = np.zeros((len(rows), max(whole.coefficients.shape[1], 2), len(origin)))
+    ran_s = np.minimum(start, step_s) - from_s if group.stop else np.maximum(start - from_s, 0.0)
+    coefficients[:, 0] = origin + ran_s[:, None] * group.full
+    coefficients[moves, 1] = duration[moves, None] * group.full
+    return TrajectoryBlock(
+        start_s=start,
+        duration_s=duration,
+        coefficients=coefficients,
+        operation=np.array([row[2] for row in rows], dtype=np.int64),
+    )
+
+
+def _rows(block: TrajectoryBlock, first: int, end: int | None = None) -> TrajectoryBlock:
+    part = slice(first, end)
+    return TrajectoryBlock(
+        start_s=block.start_s[part],
+        duration_s=block.duration_s[part],
+        coefficients=block.coefficients[part],
+        operation=block.operation[part],
+    )
+
+
+def _joined(one: TrajectoryBlock, other: TrajectoryBlock) -> TrajectoryBlock:
+    size = max(one.coefficients.shape[1], other.coefficients.shape[1])
+    padded = [
+        np.pad(block.coefficients, ((0, 0), (0, size - block.coefficients.shape[1]), (0, 0)))
+        for block in (one, other)
+    ]
+    return TrajectoryBlock(
+        start_s=np.concatenate([one.start_s, other.start_s]),
+        duration_s=np.concatenate([one.duration_s, other.duration_s]),
+        coefficients=np.concatenate(padded),
+        operation=np.concatenate([one.operation, other.operation]),
+    )
+
+
+def _velocity(block: TrajectoryBlock) -> FloatArray:
+    """Return the (n, axes) velocity of straight pieces, and 0 of others."""
+    straight = (block.coefficients[:, 2:] == 0.0).all(axis=(1, 2))
+    if block.coefficients.shape[1] < 2:
+        return np.zeros((len(block), block.coefficients.shape[2]))
+    return np.where(straight[:, None], block.coefficients[:, 1] / block.duration_s[:, None], 0.0)
+
+
+def _alike(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
+    """Say where two velocities, neither of them 0, have one direction."""
+    size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    return np.asarray((size > 0.0) & (np.sum(first * second, axis=1) >= (1.0 - _ALIKE) * size))

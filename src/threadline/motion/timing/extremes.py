@@ -1,0 +1,149 @@
+"""Exact extremes of many polynomial pieces, of which only the promising are solved.
+
+The planner checks its limits with it and the judge measures with it: it is mathematics of the
+pieces and knows neither limit nor criterion. Tests hold both against dense sampling.
+
+Polynomials are (order, n) arrays, one row per power of u in [0, 1]: long rows, which numpy goes
+through several times as fast as through many short ones.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import comb
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.motion.timing.types import TrajectoryBlock
+
+_ROUNDED = 1.0 + 1e-12
+"""A bound is taken to be so much further: it is rounded otherwise than the value that it bounds."""
+_TURNED = 1e-12
+"""Of the largest coefficient of a velocity: by so much it is no motion back."""
+_NOTHING = 1e-14  # leading coefficients that are nothing beside the others would spoil the roots
+
+
+def derivatives(block: TrajectoryBlock, column: int, highest: int) -> list[FloatArray]:
+    """Return the (order, n) polynomials of one axis' time derivatives 0 to ``highest``."""
+    found = [np.ascontiguousarray(block.coefficients[:, :, column].T)]
+    rate = 1.0 / block.duration_s
+    for _ in range(highest):
+        last = found[-1]
+        powers = np.arange(1.0, len(last))[:, None]
+        found.append(last[1:] * powers * rate if len(last) > 1 else np.zeros_like(last))
+    return found
+
+
+def hull_of(poly: FloatArray) -> FloatArray:
+    """Return Bernstein's coefficients of (order, n) polynomials, between which each stays."""
+    return _bernstein(len(poly)) @ poly
+
+
+@cache
+def _bernstein(order: int) -> FloatArray:
+    """Return the (order, order) change to Bernstein's basis, whose hull holds the polynomial."""
+    return np.array([[comb(i, k) / comb(order - 1, k) for k in range(order)] for i in range(order)])
+
+
+def highest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
+    """Return the highest value of (order, n) polynomials on [0, 1], its piece and its place.
+
+    None where no piece rises above ``above``. Pieces are solved in the order of their bounds,
+    until no bound is above the highest value found.
+    """
+    ends = np.maximum(poly[0], poly.sum(axis=0))
+    first = int(np.argmax(ends))
+    best: tuple[float, int, float] | None = None
+    if ends[first] > above:
+        above = float(ends[first])
+        best = (above, first, 0.0 if poly[0, first] >= above else 1.0)
+    bounds = hull_of(poly).max(axis=0)
+    candidates = np.flatnonzero(bounds > above)
+    for piece in candidates[np.argsort(-bounds[candidates], kind="stable")].tolist():
+        if bounds[piece] <= above:
+            break
+        value, where = _highest_of(poly[:, piece])
+        if value > above:
+            above, best = value, (value, piece, where)
+    return best
+
+
+def farthest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
+    """Return the largest absolute value of polynomials, as ``highest`` does the highest."""
+    hull = hull_of(poly)
+    above_hull, below_hull = float(hull.max()), -float(hull.min())
+    up = None if above_hull * _ROUNDED <= above else highest(poly, above)
+    best = above if up is None else up[0]
+    down = None if below_hull * _ROUNDED <= best else highest(-poly, best)
+    return up if down is None else down
+
+
+def in_direction(
+    velocity: FloatArray, push: FloatArray
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
+    """Return accelerations in the direction of the motion, of parts on which that does not turn.
+
+    Parameters
+    ----------
+    velocity, push
+        (order, n) polynomials of the velocities and accelerations of one axis.
+
+    Returns
+    -------
+    tuple
+        (order, m) polynomials over [0, 1] of each part, above 0 where the axis becomes faster; the
+        (m,) pieces that the parts are of, and where in these they begin and how wide they are.
+    """
+    hull = hull_of(velocity)
+    rounding = _TURNED * np.abs(hull).max(axis=0)
+    forward, back = (hull >= -rounding).all(axis=0), (hull <= rounding).all(axis=0)
+    sign = np.where(forward, 1.0, -1.0)
+    one = np.flatnonzero(forward | back)
+    parts = [push[:, one] * sign[one]]
+    piece, begin, width = [one], [np.zeros(len(one))], [np.ones(len(one))]
+    for k in np.flatnonzero(~(forward | back)).tolist():
+        edges = np.array([0.0, *_turns(velocity[:, k]), 1.0])
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        speed = np.polynomial.polynomial.polyval(middle, velocity[:, k])
+        wide = np.diff(edges)
+        parts.append(_parts(push[:, k], edges[:-1], wide) * np.sign(speed))
+        piece.append(np.full(len(wide), k))
+        begin.append(edges[:-1])
+        width.append(wide)
+    return (
+        np.concatenate(parts, axis=1),
+        np.concatenate(piece),
+        np.concatenate(begin),
+        np.concatenate(width),
+    )
+
+
+def _turns(poly: FloatArray) -> list[float]:
+    """Return the places inside [0, 1] at which one polynomial may change its sign, in order."""
+    kept = np.flatnonzero(np.abs(poly) > _NOTHING * np.abs(poly).max())[-1]
+    roots = np.atleast_1d(np.roots(poly[kept::-1]))
+    return sorted({float(root.real) for root in roots if 0.0 < root.real < 1.0})
+
+
+def _parts(poly: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArray:
+    """Return (order, m) one polynomial on m parts, each over [0, 1]."""
+    out = np.zeros((len(poly), len(begin)))
+    for power, factor in enumerate(poly.tolist()):
+        for k in range(power + 1):
+            out[k] += factor * comb(power, k) * begin ** (power - k) * width**k
+    return out
+
+
+def _highest_of(poly: FloatArray) -> tuple[float, float]:
+    slope = poly[1:] * np.arange(1, len(poly))
+    places = [0.0, 1.0]
+    if slope.any():
+        kept = np.flatnonzero(np.abs(slope) > _NOTHING * np.abs(slope).max())[-1]
+        for root in np.atleast_1d(np.roots(slope[kept::-1])):
+            # Any place may be tried: the real part of a pair that rounding drove apart is near.
+            if 0.0 < root.real < 1.0:
+                places.append(float(root.real))
+    values = np.polynomial.polynomial.polyval(np.array(places), poly)
+    at = int(np.argmax(values))
+    return float(values[at]), places[at]

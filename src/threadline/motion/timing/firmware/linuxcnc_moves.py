@@ -1,0 +1,328 @@
+"""Arcs of G2 and G3, found again among the chords that the reader made of them.
+
+The chords of one block have its line, follow each other, are alike and turn alike, and their arc is
+at most 2 um away from them. LinuxCNC runs such an arc as one move. As the ends of arcs are rounded
+in programs, the radius may change a little on the way.
+
+With Q of G64 (P where Q is not given) a move of X, Y and Z alone goes on from those before it when
+each of their ends is within Q of the straight way from the start of the first to its own end
+(LinuxCNC 2.9, documents, "G64 Path Blending"; ``emccanon.cc``). At most 101 become one.
+"""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.motion.timing.firmware.linuxcnc_corners import ACROSS
+from threadline.motion.timing.firmware.rules import LINEAR, Rules, along_axes
+
+_ALIKE = 2e-3  # share of a chord
+_OFF_MM = 2e-3
+_SAG_MM = 2.001e-3  # the reader's own 2 um
+
+
+@njit()
+def ends_of_bows(way, line, alone):
+    """Return the (n,) first move of the arc or line that each of n moves is of.
+
+    Parameters
+    ----------
+    way : (n, axes)
+        Of the moves, mm.
+    line : (n,)
+        Of the file.
+    alone : (n,) bool
+        Whether X, Y and Z alone move.
+    """
+    count = len(way)
+    found = np.arange(count)
+    first, sure, cosine = 0, 0.0, 1.0
+    for i in range(1, count):
+        size, last, both, off = 0.0, 0.0, 0.0, 0.0
+        for k in range(way.shape[1]):
+            size += way[i, k] ** 2
+            last += way[i - 1, k] ** 2
+            both += way[i, k] * way[i - 1, k]
+        size, last = np.sqrt(size), np.sqrt(last)
+        goes = line[i] == line[i - 1] and alone[i] and alone[i - 1] and both > 0.0
+        if not goes:
+            first = found[i] = i
+            continue
+        if i - first == 1:
+            sure, cosine = last, min(1.0, max(-1.0, both / (size * last)))
+        else:
+            for k in range(way.shape[1]):
+                off = max(off, abs(way[i, k] - 2.0 * cosine * way[i - 1, k] + way[i - 2, k]))
+        # From a chord c of the angle h an arc is c tan(h / 4) / 2 away.
+        sag = 0.5 * size * np.tan(0.25 * np.arccos(cosine))
+        goes = 0.0 < sag < _SAG_MM and max(abs(size - sure), off) <= _ALIKE * size
+        if not goes:
+            first = i
+        found[i] = first
+    return found
+
+
+def circle(points: FloatArray) -> tuple[float, FloatArray, FloatArray, float] | None:
+    """Return radius, first direction, direction to the centre and angle of an arc; None for none.
+
+    Parameters
+    ----------
+    points
+        (k, axes) ends of its chords, alike, k > 2; mm.
+    """
+    count = len(points) - 1
+    a, b, c = points[0], points[max(1, count // 3)], points[max(2, 2 * count // 3)]
+    u, v = b - a, c - a
+    uu, vv, uv = u @ u, v @ v, u @ v
+    down = 2.0 * (uu * vv - uv**2)
+    centre = (vv * (uu - uv) * u + uu * (vv - uv) * v) / down
+    radius = float(np.sqrt(centre @ centre))
+    inward = centre / radius
+    along = u - (u @ inward) * inward
+    along /= np.sqrt(along @ along)
+    away = points - a - centre
+    if np.abs(np.sqrt((away**2).sum(axis=1)) - radius).max() > _OFF_MM:
+        return None
+    over = away[-1]
+    angle = np.arctan2(over @ along, -(over @ inward)) % (2.0 * np.pi)
+    chord = points[1] - a
+    each = 2.0 * np.arcsin(min(1.0, float(np.sqrt(chord @ chord)) / (2.0 * radius)))
+    turns = np.round((each * count - angle) / (2.0 * np.pi))
+    # The curve ends where the last chord does: its radius changes a little.
+    return radius, along, inward, float(angle + 2.0 * np.pi * turns)
+
+
+def rows_of(first: IntArray) -> list[tuple[int, int]]:
+    """Return first and last move of each run of two or more that have the same ``first``."""
+    begins = np.flatnonzero(first == np.arange(len(first)))
+    stops = np.append(begins[1:], len(first)) - 1
+    return [(int(a), int(b)) for a, b in zip(begins, stops, strict=True) if b > a]
+
+
+_MOST = 101
+_SAME = 1e-9  # share of a feed
+
+
+@njit()
+def joined(start, way, feed, alone, tolerance):
+    """Return which of n moves end a single one, (n,) 1 or 0.
+
+    Parameters
+    ----------
+    start, way : (n, axes)
+        Of the moves, mm.
+    feed : (n,)
+        Speed that F asks for; 0 of a rapid move.
+    alone : (n,) bool
+        Whether X, Y and Z alone move.
+    tolerance : float
+        Q.
+    """
+    count, axes = way.shape
+    found = np.ones(count, np.int64)
+    first = 0
+    for i in range(1, count):
+        goes = i - first < _MOST and alone[i] and alone[first] and feed[i] > 0.0
+        goes = goes and abs(feed[i] - feed[first]) <= _SAME * feed[first]
+        if goes:
+            size = 0.0
+            for k in range(axes):
+                size += (start[i, k] + way[i, k] - start[first, k]) ** 2
+            goes = size > 0.0
+        j = first
+        while goes and j < i:
+            share, off = 0.0, 0.0
+            for k in range(axes):
+                over = start[i, k] + way[i, k] - start[first, k]
+                share += over * (start[j, k] + way[j, k] - start[first, k])
+            share = min(1.0, max(0.0, share / size))
+            for k in range(axes):
+                over = start[i, k] + way[i, k] - start[first, k]
+                off += (start[j, k] + way[j, k] - start[first, k] - share * over) ** 2
+            goes = off <= tolerance * tolerance
+            j += 1
+        if goes:
+            found[i - 1] = 0
+        else:
+            first = i
+    return found
+
+
+Bow = tuple[float, FloatArray, FloatArray, float]
+"""Radius, first direction, direction to the centre and angle of an arc."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """Lines and arcs, in mm and degrees.
+
+    Parameters
+    ----------
+    start
+        (n, axes) where each begins.
+    way
+        (n, axes) to its end.
+    along, inward, onward
+        (n, axes) its first direction over its length; of an arc the direction to its centre; its
+        last direction.
+    bow, length
+        (n,) radius of an arc, 0 of a line; length.
+    nominal_s
+        (n,) time at the programmed feed, 0 for a rapid move.
+    operation, last
+        (n,) operation, and last move in hand.
+    """
+
+    start: FloatArray
+    way: FloatArray
+    along: FloatArray
+    inward: FloatArray
+    onward: FloatArray
+    bow: FloatArray
+    length: FloatArray
+    nominal_s: FloatArray
+    operation: IntArray
+    last: IntArray
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    def limits(self, rules: Rules) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return (n,) speeds that the axes allow, that are asked for, too, and accelerations.
+
+        On an arc both axes of its plane have to be as fast as any, and sqrt(3)/2 of what they
+        have of acceleration is for going round.
+        """
+        direction = self.along
+        arcs = self.bow > 0.0
+        if arcs.any():
+            direction = np.where(arcs[:, None], np.hypot(self.along, self.inward), self.along)
+            flat = np.where(direction > 1e-9, 1.0, 0.0)
+            direction = np.where(arcs[:, None], flat, self.along)
+        fastest = along_axes(rules.velocity, direction)
+        rate = along_axes(rules.acceleration, direction)
+        fastest = np.where(arcs, np.minimum(fastest, np.sqrt(ACROSS * rate * self.bow)), fastest)
+        with np.errstate(divide="ignore"):
+            asked = np.where(self.nominal_s > 0.0, self.length / self.nominal_s, np.inf)
+        return fastest, np.minimum(asked, fastest), rate
+
+
+def course(
+    rules: Rules, start: FloatArray, way: FloatArray, nominal_s: FloatArray, operation: IntArray,
+    line: IntArray, cam_tolerance: float,
+) -> Course:  # fmt: skip
+    """Return the moves that LinuxCNC makes of n in hand, of (n, axes) mm and degrees.
+
+    Parameters
+    ----------
+    line
+        (n,) line of the file.
+    cam_tolerance
+        Q of G64, mm; 0 for none.
+    """
+    linear = np.array([axis in LINEAR for axis in rules.axes])
+    alone = (way[:, ~linear] == 0.0).all(axis=1)
+    length = rules.moves(way / rules.scale, nominal_s).length
+    rows = _Rows(
+        start.copy(), way.copy(), length, nominal_s.copy(), operation, np.arange(len(way)), alone
+    )
+    bows: dict[int, Bow] = {}
+    along = np.ascontiguousarray(way[:, linear])
+    found = rows_of(ends_of_bows(along, line, alone & (nominal_s > 0.0)))
+    if found:
+        beside = np.array([axis not in "XY" for axis in rules.axes])
+        bows = rows.bend(found, beside, cam_tolerance)
+    if cam_tolerance > 0.0:
+        bows = rows.join(linear, bows, cam_tolerance)
+    start, way, length, nominal_s = rows.start, rows.way, rows.length, rows.nominal_s
+    along = way / length[:, None]
+    inward, onward, bow = np.zeros_like(along), along.copy(), np.zeros(len(way))
+    for row, (radius, first, centre, angle) in bows.items():
+        along[row], inward[row], bow[row] = first, centre, radius
+        onward[row] = np.cos(angle) * first + np.sin(angle) * centre
+    return Course(
+        start, way, along, inward, onward, bow, length, nominal_s, rows.operation,
+        rows.last,
+    )  # fmt: skip
+
+
+@dataclass(slots=True, eq=False)
+class _Rows:
+    """Columns of moves; what they are is in ``Course``."""
+
+    start: FloatArray
+    way: FloatArray
+    length: FloatArray
+    nominal_s: FloatArray
+    operation: IntArray
+    last: IntArray
+    alone: NDArray[np.bool_]
+
+    def bend(
+        self, found: list[tuple[int, int]], beside: NDArray[np.bool_], cam_tolerance: float
+    ) -> dict[int, Bow]:
+        """Put one row for the chords of every arc; two in X and Y alone, if that is within Q.
+
+        ``beside`` tells the other axes.
+        """
+        kept = np.ones(len(self.way), np.bool_)
+        bows: dict[int, Bow] = {}
+        for first, end in found:
+            chords = self.way[first : end + 1]
+            begin, stop = self.start[first].copy(), self.start[end] + self.way[end]
+            bow = circle(np.vstack([self.start[first : end + 1], stop]))
+            if bow is None:
+                continue
+            radius, along, inward, angle = bow
+            pace = self.length[first] / self.nominal_s[first]
+            kept[first : end + 1] = False
+            off = radius * (1.0 - np.cos(0.5 * angle))
+            if off < cam_tolerance and not chords[:, beside].any():
+                middle = np.sin(0.5 * angle) * along + (1.0 - np.cos(0.5 * angle)) * inward
+                middle = begin + radius * middle
+                for row, one, other in ((first, begin, middle), (end, middle, stop)):
+                    self.start[row], self.way[row], kept[row] = one, other - one, True
+                    self.length[row] = np.linalg.norm(other - one)
+                    self.nominal_s[row] = self.length[row] / pace
+            else:
+                kept[first], self.alone[first], self.last[first] = True, False, end
+                self.length[first] = radius * angle
+                self.nominal_s[first] = self.length[first] / pace
+                bows[first] = bow
+                self.way[first] = stop - begin
+        rows = np.flatnonzero(kept)
+        self._take(rows)
+        return {int(np.searchsorted(rows, row)): bow for row, bow in bows.items()}
+
+    def join(
+        self, linear: NDArray[np.bool_], bows: dict[int, Bow], cam_tolerance: float
+    ) -> dict[int, Bow]:
+        """Put one row for moves that are joined within Q; return ``bows`` by their new rows."""
+        timed = self.nominal_s > 0.0
+        feed = np.where(timed, self.length / np.where(timed, self.nominal_s, 1.0), 0.0)
+        # In the same order always: each order would have machine code of its own.
+        begun, along = (np.ascontiguousarray(of[:, linear]) for of in (self.start, self.way))
+        ends = joined(begun, along, feed, self.alone, cam_tolerance)
+        last = np.flatnonzero(ends)
+        first = np.concatenate(([0], last[:-1] + 1))
+        many = np.flatnonzero(last > first)
+        stop = self.start[last[many]] + self.way[last[many]]
+        way = stop - self.start[first[many]]
+        start, pace = self.start[first], feed[last[many]]
+        self._take(last)
+        self.start = start
+        self.way[many] = way
+        self.length[many] = np.linalg.norm(way, axis=1)
+        self.nominal_s[many] = self.length[many] / pace
+        return {int(np.searchsorted(last, row)): bow for row, bow in bows.items()}
+
+    def _take(self, rows: IntArray) -> None:
+        self.start, self.way, self.length = self.start[rows], self.way[rows], self.length[rows]
+        self.nominal_s, self.operation = self.nominal_s[rows], self.operation[rows]
+        self.last, self.alone = self.last[rows], self.alone[rows]

@@ -1,0 +1,406 @@
+"""Speeds along the pieces that LinuxCNC runs, and the motion of each as polynomials in time.
+
+A piece that goes on is left as fast as the pieces behind it allow, of which 50 are looked at
+(``[TRAJ]ARC_BLEND_OPTIMIZATION_DEPTH``); the last one may yet lose half of its length, so that
+the way to a stop at its end counts half. A piece of less than 10 ms changes its speed evenly
+(``ARC_BLEND_RAMP_FREQ``).
+
+Moves in which a rotary axis turns overlap: the next sets out while the one before still brakes, so
+that their speeds add up, and both have half of their acceleration. Between moves of X, Y and Z
+alone every corner is taken in the fastest of three ways (``corner_choice``), and what is fast at
+the end of a piece is found 50 pieces ahead (``linked_speeds``). After G61 moves stop, where they do
+not go straight on.
+"""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.machine.motion_planner import LinuxCncPlanner
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.firmware.linuxcnc_corners import CYCLE_S, GOES_ON, OVERLAPS, overlap
+from threadline.motion.timing.firmware.linuxcnc_moves import Course, course
+from threadline.motion.timing.firmware.look_ahead import MovesInHand
+from threadline.motion.timing.firmware.piece_curves import Links, link, polynomials
+from threadline.motion.timing.firmware.rules import LINEAR, MM, Rules, along_axes
+from threadline.motion.timing.types import TrajectoryBlock
+
+AHEAD = 51  # pieces that are looked at, the last one included
+_RAMP_S = 0.01
+_INSTANT_S = 1e-12  # takes no time
+_BEND = 0.05  # rad of an arc in one polynomial: 0.8 um of a radius of 10 mm, where it sets out
+
+
+@njit()
+def speeds_at_ends(extent, most, speed, rate, limit, ends):
+    """Return the (m,) greatest speed at the end of each of m pieces.
+
+    What F asks for does not count here, but where the next piece begins: where it falls, LinuxCNC
+    is faster for a moment.
+    """
+    count = len(extent)
+    found = np.zeros(count)
+    for i in range(count - 1):
+        if ends[i] != GOES_ON:
+            continue
+        newest = min(count - 1, i + AHEAD)
+        able = 0.0
+        for j in range(newest - 1, i - 1, -1):
+            if ends[j] != GOES_ON:
+                able = 0.0
+                continue
+            n = j + 1
+            gain = 1.0 if n == newest else 2.0
+            able = np.sqrt(able * able + gain * rate[n] * extent[n])
+            here = speed[n] if n == newest else most[n]
+            able = min(able, limit[j], most[j], here)
+        found[i] = able
+    return found
+
+
+@njit()
+def _phases(length, enter, top, leave, rate, evenly, time_s, change):
+    """Write time and acceleration of three phases, and return the speed at the end.
+
+    Parameters
+    ----------
+    length, enter, top, leave, rate : float
+        Of a piece: length, first, greatest and last speed, acceleration.
+    evenly : bool
+        Whether the speed changes in one go.
+    time_s, change : (3,)
+        What is written.
+    """
+    time_s[:], change[:] = 0.0, 0.0
+    longest = 2.0 * rate * length
+    if leave * leave > enter * enter + longest:
+        leave = np.sqrt(enter * enter + longest)
+        evenly = True
+    elif leave * leave < enter * enter - longest:
+        leave = np.sqrt(enter * enter - longest)
+        evenly = True
+    if evenly and enter + leave > 0.0:
+        time_s[0] = 2.0 * length / (enter + leave)
+        change[0] = (leave - enter) / time_s[0]
+        return leave
+    peak = min(top, np.sqrt(0.5 * (enter * enter + leave * leave + longest)))
+    peak = max(peak, leave)
+    up, down = abs(peak * peak - enter * enter), peak * peak - leave * leave
+    time_s[0], time_s[2] = abs(peak - enter) / rate, (peak - leave) / rate
+    change[0], change[2] = (rate if peak > enter else -rate), -rate
+    time_s[1] = max(0.0, length - (up + down) / (2.0 * rate)) / peak
+    return leave
+
+
+@njit()
+def motion(
+    move, radius, lead, extent, most, speed, rate, limit, ends, bow, cosine, rapid, tolerance, out,
+    enter, entered, lasted, since,
+):  # fmt: skip
+    """Return rows of motion of the first ``out`` of m pieces.
+
+    Parameters
+    ----------
+    move, radius, lead, extent, most, speed, rate, limit, ends : (m,)
+        As in ``Links``.
+    bow : (n,)
+        Radius of each move, 0 of a line.
+    cosine : (n - 1,)
+        cos(theta) of the corners.
+    rapid : (n,) bool
+        Which moves are rapid.
+    tolerance : float
+        P of G64, 0 for none.
+    out : int
+        How many pieces.
+    enter : float
+        Speed at the start of the first piece, where the one before goes on.
+    entered, lasted : float
+        Speed that the first piece has by the time when the one before ends, and for how long both
+        moved; 0 where they do not overlap.
+    since : float
+        Time since the last rest.
+
+    Returns
+    -------
+    piece : (r,) int
+        The piece of each row.
+    row : (r, 7)
+        Its time; where on the piece it begins, with what speed, and its acceleration; the same
+        along the next piece, which may move too.
+    enter, entered, lasted, since : float
+        As above, of the piece behind.
+    """
+    leaves = speeds_at_ends(extent, most, speed, rate, limit, ends)
+    round_ = np.where(radius > 0.0, radius, bow[move])
+    bends = np.where(round_ > 0.0, (extent - lead) / np.where(round_ > 0.0, round_, 1.0), 0.0)
+    room = 9 * out + int(np.ceil(bends[:out] / _BEND).sum())
+    piece, row = np.zeros(room, np.int64), np.zeros((room, 7))
+    time_s, change = np.zeros(3), np.zeros(3)
+    r = 0
+    for j in range(out):
+        a = rate[j]
+        place = 0.0
+        if lasted > 0.0:
+            enter, place = entered, entered * lasted - entered * entered / (2.0 * a)
+        entered, lasted = 0.0, 0.0
+        leave = min(leaves[j], speed[j])
+        if ends[j] == GOES_ON:
+            leave = min(leave, speed[j + 1])
+        evenly = (
+            ends[j] == GOES_ON
+            and not rapid[move[j]]
+            and leave > 1e-8
+            and 2.0 * (extent[j] - place) < _RAMP_S * (enter + leave)
+        )
+        tail, rises, slope = 0.0, 0.0, 0.0
+        if ends[j] == OVERLAPS and j + 1 < len(extent):
+            n = j + 1
+            slope = rate[n]
+            reach = 0.5 * extent[n] if n == len(extent) - 1 else extent[n]
+            slow, _ = overlap(
+                a, extent[j], extent[j], speed[j], slope, extent[n], reach, speed[n],
+                cosine[move[j]], tolerance,
+            )  # fmt: skip
+            left = extent[j] - place
+            leave = min(slow, max(enter, min(speed[j], np.sqrt(a * left + 0.5 * enter * enter))))
+            lasted, tail = leave / a, leave * leave / (2.0 * a)
+            # The next speeds up as any move, and its own way to rest has room behind that.
+            follow = min(speed[n], np.sqrt(slope * extent[n]))
+            entered = min(follow, slope * lasted, extent[n] / lasted)
+            rises = min(entered / slope, lasted)
+        v = enter
+        enter = _phases(extent[j] - place - tail, v, speed[j], leave, a, evenly, time_s, change)
+        begin = r
+        r, place = _alone(row, r, time_s, change, place, v, lead[j], round_[j])
+        if lasted > 0.0:
+            r = _together(row, r, place, enter, a, rises, lasted, slope)
+            enter = 0.0
+        piece[begin:r] = j
+        since += time_s.sum() + lasted
+        if ends[j] != GOES_ON and lasted == 0.0:
+            # At rest to the end of the cycle.
+            wait = CYCLE_S * np.ceil(since / CYCLE_S - 1e-6) - since
+            since = 0.0
+            if wait > _INSTANT_S:
+                piece[r], row[r, 0], row[r, 1] = j, wait, place
+                r += 1
+    return piece[:r], row[:r], enter, entered, lasted, since
+
+
+@njit()
+def _alone(row, r, time_s, change, place, v, lead, radius):
+    """Write the phases of a piece from row ``r`` on; return the row and the place behind them.
+
+    Of an arc of ``radius`` behind a line ``lead`` they end with each bend.
+    """
+    for q in range(3):
+        left_s = time_s[q]
+        while left_s > _INSTANT_S:
+            t = left_s
+            if radius > 0.0:
+                t = _until(place, v, change[q], lead, radius)
+                if t > left_s - _INSTANT_S:
+                    t = left_s
+            row[r, 0], row[r, 1], row[r, 2], row[r, 3] = t, place, v, change[q]
+            r += 1
+            place += v * t + 0.5 * change[q] * t * t
+            v += change[q] * t
+            left_s -= t
+    return r, place
+
+
+@njit()
+def _together(row, r, place, v, rate, rises, lasts, slope):
+    """Write how a piece brakes to rest while the next speeds up; return the row behind."""
+    for q in range(2):
+        t = rises if q == 0 else lasts - rises
+        if t > _INSTANT_S:
+            row[r, 0], row[r, 1], row[r, 2], row[r, 3] = t, place, v, -rate
+            if q == 0:
+                row[r, 6] = slope
+            else:
+                row[r, 4], row[r, 5] = 0.5 * slope * rises * rises, slope * rises
+            r += 1
+            place += v * t - 0.5 * rate * t * t
+            v -= rate * t
+    return r
+
+
+@njit()
+def _until(place, v, change, lead, radius):
+    """Return when a motion along an arc comes to the end of its line, or has gone by a bend."""
+    if place < lead - 1e-9:
+        way = lead - place
+    else:
+        step = radius * _BEND
+        done = np.floor((place - lead) / step + 1e-6)
+        way = lead + (done + 1.0) * step - place
+    inside = v * v + 2.0 * change * way
+    if inside <= 0.0:
+        return np.inf
+    return 2.0 * way / (v + np.sqrt(inside))
+
+
+_BACK = np.radians(2.0) ** 2  # squared sum of unit vectors: a corner goes back
+_BEHIND = 2 * AHEAD  # moves behind those that are settled
+
+
+class Corners(NamedTuple):
+    """What LinuxCNC measures of n - 1 corners; see ``linked_moves.link``."""
+
+    apart: NDArray[np.bool_]
+    plain: NDArray[np.bool_]
+    back: NDArray[np.bool_]
+    turns: FloatArray
+    theta: FloatArray
+    cosine: FloatArray
+    plane_rate: FloatArray
+    plane_speed: FloatArray
+    side: FloatArray
+    side_2: FloatArray
+
+
+def corners(rules: Rules, moves: Course) -> Corners:
+    """Return the corners of moves.
+
+    A move that leaves X, Y and Z at rest counts as one along X.
+    """
+    linear = np.array([axis in LINEAR for axis in rules.axes])
+    alone = (moves.along[:, ~linear] == 0.0).all(axis=1)
+    columns = [LINEAR.index(axis) for axis in rules.axes if axis in LINEAR]
+    rate, speed = np.full(len(LINEAR), np.inf), np.full(len(LINEAR), np.inf)
+    rate[columns], speed[columns] = rules.acceleration[linear], rules.velocity[linear]
+    first = _tangents(moves.onward[:-1, linear], columns)
+    second = _tangents(moves.along[1:, linear], columns)
+    along = np.clip((first * second).sum(axis=1), -1.0, 1.0)
+    aside = second - along[:, None] * first
+    size = np.linalg.norm(aside, axis=1)
+    aside /= np.where(size > 0.0, size, 1.0)[:, None]
+    reach = np.hypot(first, aside)  # of each axis in the plane of the corner
+    # Where an arc bends as its corner does, its centre lies on the same side.
+    angle = moves.length[:-1] / np.where(moves.bow[:-1] > 0.0, moves.bow[:-1], 1.0)
+    last = np.cos(angle)[:, None] * moves.inward[:-1] - np.sin(angle)[:, None] * moves.along[:-1]
+    ahead = np.zeros_like(aside)
+    ahead[:, columns] = last[:, linear]
+    behind = np.zeros_like(aside)
+    behind[:, columns] = moves.inward[1:, linear]
+    left = along[:, None] * aside - np.sqrt(np.maximum(1.0 - along**2, 0.0))[:, None] * first
+    rapid = moves.nominal_s == 0.0
+    return Corners(
+        rapid[1:] != rapid[:-1],
+        alone[1:] & alone[:-1],
+        ((first + second) ** 2).sum(axis=1) < _BACK,
+        (np.abs(second - first) / rate).max(axis=1),
+        0.5 * np.arccos(-along),
+        np.sqrt(np.maximum(0.5 * (1.0 - along), 0.0)),
+        along_axes(rate, reach),
+        along_axes(speed, reach),
+        np.sign((ahead * aside).sum(axis=1)),
+        np.sign((behind * left).sum(axis=1)),
+    )
+
+
+def _tangents(way: FloatArray, columns: list[int]) -> FloatArray:
+    """Return (n, 3) unit vectors along X, Y, Z."""
+    found = np.zeros((len(way), len(LINEAR)))
+    found[:, columns] = way
+    length = np.linalg.norm(found, axis=1)
+    found[length == 0.0, 0] = 1.0
+    return np.asarray(found / np.where(length == 0.0, 1.0, length)[:, None])
+
+
+@dataclass(slots=True, kw_only=True)
+class LinkedRun(MovesInHand):
+    """Moves that LinuxCNC links.
+
+    Attributes
+    ----------
+    line
+        Of the file, of the moves in hand.
+    cut, takes, over
+        What the corner before the first move in hand took from its length and acceleration, and
+        whether it overlaps the move before.
+    enter, entered, lasted, since
+        How it begins, as in ``linked_speeds.motion``.
+    """
+
+    planner: LinuxCncPlanner
+    line: list[IntArray] = field(default_factory=list)
+    cut: float = 0.0
+    takes: float = 0.0
+    over: int = 0
+    enter: float = 0.0
+    entered: float = 0.0
+    lasted: float = 0.0
+    since: float = 0.0
+
+    def _rest(self) -> None:
+        self.cut, self.takes, self.over = 0.0, 0.0, 0
+        self.enter, self.entered, self.lasted, self.since = 0.0, 0.0, 0.0, 0.0
+
+    def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
+        """Take in moves with their lines."""
+        moves = block.coefficients[rows, 1].any(axis=1)
+        self.line.append(block.line[rows][moves])
+        yield from MovesInHand.extend(self, block, rows, ends=ends)
+
+    def _join(self) -> None:
+        MovesInHand._join(self)
+        self.line[:] = [np.concatenate(self.line)]
+
+    def _keep(self, done: int) -> None:
+        MovesInHand._keep(self, done)
+        self.line[:] = [self.line[0][done:]]
+
+    def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
+        scale = self.rules.scale
+        moves = course(
+            self.rules,
+            self.start[0] * scale,
+            self.way[0] * scale,
+            self.nominal_s[0],
+            self.operation[0],
+            self.line[0],
+            self.planner.cam_tolerance_m * MM,
+        )
+        done = len(moves) if ends else len(moves) - _BEHIND
+        if done <= 0:
+            return
+        tolerance = self.planner.tolerance_m * MM
+        at = corners(self.rules, moves)
+        links = Links(
+            *link(
+                moves.length,
+                *moves.limits(self.rules),
+                *at,
+                moves.bow,
+                tolerance,
+                self.planner.exact_stop,
+                self.cut,
+                self.takes,
+                self.over,
+            )
+        )
+        out = len(links.move) if ends else int(links.first[done])
+        piece, row, self.enter, self.entered, self.lasted, self.since = motion(
+            links.move, links.radius, links.lead, links.extent, links.most, links.speed,
+            links.rate, links.limit, links.ends, moves.bow, at.cosine, moves.nominal_s == 0.0,
+            tolerance, out, self.enter, self.entered, self.lasted, self.since,
+        )  # fmt: skip
+        if len(piece):
+            coefficients = polynomials(links, moves, piece, row) / scale
+            operation = moves.operation[links.move[piece]]
+            yield self._timed(row[:, :1], coefficients[:, None], operation)
+        if not ends:
+            self.cut, self.takes = float(links.cut[done]), float(links.takes[done])
+            self.over = int(links.over[done])
+        self._keep(int(moves.last[done - 1]) + 1)

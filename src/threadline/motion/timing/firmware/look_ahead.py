@@ -1,0 +1,257 @@
+"""What a firmware knows of the moves ahead: the squares of speed at the start of every move.
+
+Grbl and Marlin hold a number of blocks and always could stop at the end of the last (grbl wiki,
+"Grbl v1.1 Overview", planner). Klipper looks as far as its plan could still change
+(docs/Kinematics.md, "Look-ahead" and "Minimum cruise ratio").
+"""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.firmware.rules import Rules, standing
+from threadline.motion.timing.types import TrajectoryBlock
+
+
+@njit()
+def entries_of_ring(most, gain, ring, begin):
+    """Return the (n + 1,) squares of speed at the ends of n moves, for a ring of blocks.
+
+    Parameters
+    ----------
+    most : (n,)
+        Greatest v^2 at the start of each move.
+    gain : (n,)
+        2 a s: how much v^2 can change along each move.
+    ring : int
+        Moves that are planned together; the machine could stop at the end of the last of them.
+    begin : float
+        v^2 at the start of the first move.
+    """
+    count = len(most)
+    found = np.zeros(count + 1)
+    found[0] = begin
+    for i in range(count - 1):
+        end = min(count, i + ring)
+        able = 0.0
+        for j in range(end - 1, i, -1):
+            able = min(most[j], able + gain[j])
+        found[i + 1] = min(able, found[i] + gain[i])
+    return found
+
+
+@njit()
+def entries_in_marlin(most, least, gain, ring, goes_on, begin):
+    """Return the (n + 1,) squares of speed at the ends of n moves, as Marlin comes to them.
+
+    With every move that is added it looks back as far as speeds can rise, and not behind a move
+    that stays as it is, even if that would let those before it begin faster; then it looks forward.
+    The move that is under way and the start of the one behind it are left as they are.
+
+    Parameters
+    ----------
+    most, least : (n,)
+        Greatest and least v^2 at the start of each move.
+    gain : (n,)
+        2 a s: how much v^2 can change along each move.
+    ring : int
+        Moves that are held, without the one under way.
+    goes_on : bool
+        Whether moves are under way before the first; else the ring is filled before anything moves.
+    begin : float
+        v^2 at the start of the first move.
+    """
+    count = len(most)
+    found = np.zeros(count + 1)
+    sure, bound = np.copy(least), np.copy(most)
+    changed = np.zeros(count, np.bool_)
+    found[0] = sure[0] = bound[0] = begin
+    for new in range(1, count):
+        busy = new - ring
+        if busy < 0 or (busy == 0 and not goes_on):
+            busy = -1
+        found[new] = behind = least[new]
+        i = new
+        while i > busy + 1:
+            able = min(behind + gain[i], bound[i])
+            if found[i] == bound[i] or found[i] == able:
+                break
+            found[i], changed[i] = able, True
+            behind = able
+            i -= 1
+        changed[new] = True
+        for i in range(max(busy, 0) + 1, new + 1):
+            if not changed[i]:
+                continue
+            changed[i] = False
+            if i - 1 == busy:
+                found[i] = sure[i]
+            elif found[i] != sure[i]:
+                able = found[i - 1] + gain[i - 1]
+                if able < found[i]:
+                    found[i] = bound[i] = max(able, sure[i])
+                sure[i] = found[i]
+    found[count] = least[count - 1]
+    return found
+
+
+@njit()
+def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
+    """Plan moves so that none speeds up only to slow down at once.
+
+    A second plan with the lower acceleration of ``smooth`` says which greatest speed a stretch of
+    moves is worth: half way between what it can come from and what it can go to. No move of
+    the stretch is faster.
+
+    Parameters
+    ----------
+    most : (n,)
+        Greatest v^2 at the start of each move, from the corners.
+    top : (n,)
+        Greatest v^2 of each move.
+    gain, smooth : (n,)
+        How much v^2 can change along each move, in the plan and in the second plan.
+    start, smooth_start : float
+        v^2 at the start of the first move, in both.
+    cruise : float
+        Greatest v^2 of the move before.
+
+    Returns
+    -------
+    enter, leave, peak : (n,)
+        v^2 at both ends of each move and its greatest.
+    fixed : int
+        So many of the first moves stay as they are, whatever comes after the last.
+    first, second : (n,)
+        The greatest v^2 at each start when nothing has to stop ahead, in both plans.
+    """
+    count = len(most)
+    first, second = np.empty(count), np.empty(count)
+    first[0], second[0] = start, smooth_start
+    for i in range(1, count):
+        first[i] = min(most[i], top[i], top[i - 1], first[i - 1] + gain[i - 1])
+        second[i] = min(first[i], second[i - 1] + smooth[i - 1])
+    enter, leave, peak = np.empty(count), np.empty(count), np.empty(count)
+    worth, waiting, fixed = 0.0, 0, 0
+    ahead, smooth_ahead = 0.0, 0.0
+    free = False  # whether what comes after the last move does not count any more
+    for i in range(count - 1, -1, -1):
+        able, smooth_able = ahead + gain[i], smooth_ahead + smooth[i]
+        enter[i], leave[i], peak[i] = min(first[i], able), ahead, -1.0
+        here = min(second[i], smooth_able)
+        waiting += 1
+        if here < smooth_able:
+            if here + smooth[i] > smooth_ahead or waiting > 1:
+                if not free and worth > 0.0:
+                    free, fixed = True, i + waiting
+                worth = 0.5 * (here + smooth_able)
+            peak[i] = min(0.5 * (enter[i] + able), top[i], worth)
+            waiting = 0
+        ahead, smooth_ahead = enter[i], here
+    for i in range(count):
+        if peak[i] < 0.0:
+            peak[i] = min(cruise, enter[i])
+        cruise = peak[i]
+        enter[i], leave[i] = min(enter[i], cruise), min(leave[i], cruise)
+    return enter, leave, peak, fixed, first, second
+
+
+AT_ONCE = 16_384  # moves in hand before some are planned; more where fewer are not settled
+
+Taken = tuple[FloatArray, FloatArray, FloatArray, IntArray]
+"""Of n moves: (n, axes) starts, (n, axes) ways, (n,) times at the feed and (n,) operations."""
+
+
+@dataclass(slots=True)
+class MovesInHand(ABC):
+    """The moves since the last rest whose speeds may still change.
+
+    Attributes
+    ----------
+    begin_s
+        When the first of them begins.
+    begun
+        Whether it goes on from one that is out.
+    """
+
+    rules: Rules
+    begin_s: float = 0.0
+    start: list[FloatArray] = field(default_factory=list)
+    way: list[FloatArray] = field(default_factory=list)
+    nominal_s: list[FloatArray] = field(default_factory=list)
+    operation: list[IntArray] = field(default_factory=list)
+    waiting: int = 0
+    begun: bool = False
+
+    def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
+        """Take in moves and yield what they settle; all, and the dwell, where the run ends."""
+        start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
+        moves = way.any(axis=1)
+        nominal_s, operation = block.nominal_s[rows][moves], block.operation[rows][moves]
+        taken = self._made((start[moves], way[moves], nominal_s, operation), ends)
+        self.start.append(taken[0])
+        self.way.append(taken[1])
+        self.nominal_s.append(taken[2])
+        self.operation.append(taken[3])
+        self.waiting += len(taken[0])
+        if self.waiting and (ends or self.waiting >= AT_ONCE):
+            self._join()
+            yield from self._settle(ends)
+        if not ends:
+            return
+        dwell = float(block.dwell_s[rows][-1])
+        if dwell > 0.0:
+            yield standing(self.begin_s, start[-1] + way[-1], dwell, block.operation[rows][-1:])
+            self.begin_s += dwell
+        self._keep(self.waiting)
+        self.begun = False
+        self._rest()
+
+    def _made(self, taken: Taken, ends: bool) -> Taken:  # noqa: ARG002 - Marlin's moves may wait
+        """Return the moves that are made of those taken; ``ends`` where the machine rests then."""
+        return taken
+
+    @abstractmethod
+    def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
+        """Yield the moves that are settled, each list in hand being of one array, and drop them."""
+
+    @abstractmethod
+    def _rest(self) -> None:
+        """Forget what the first move in hand goes on from."""
+
+    def _timed(
+        self, time_s: FloatArray, coefficients: FloatArray, operation: IntArray
+    ) -> TrajectoryBlock:
+        """Return (n, k) parts of n moves, one behind the other, those without duration left out."""
+        count, parts = time_s.shape
+        lasts = time_s.reshape(-1) > 0.0
+        duration = time_s.reshape(-1)[lasts]
+        begin = self.begin_s + np.concatenate(([0.0], np.cumsum(duration)))
+        self.begin_s = float(begin[-1])
+        return TrajectoryBlock(
+            start_s=begin[:-1],
+            duration_s=duration,
+            coefficients=coefficients.reshape(parts * count, *coefficients.shape[2:])[lasts],
+            operation=np.repeat(operation, parts)[lasts],
+        )
+
+    def _join(self) -> None:
+        for kept in (self.start, self.way, self.nominal_s):
+            kept[:] = [np.concatenate(kept)]
+        self.operation[:] = [np.concatenate(self.operation)]
+
+    def _keep(self, done: int) -> None:
+        """Let go of the moves that are out."""
+        self._join()
+        for kept in (self.start, self.way, self.nominal_s):
+            kept[:] = [kept[0][done:]]
+        self.operation[:] = [self.operation[0][done:]]
+        self.waiting -= done

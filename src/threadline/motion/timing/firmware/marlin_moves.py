@@ -1,0 +1,180 @@
+"""What Marlin makes of moves before it plans them: whole steps, none of a few steps, least speeds.
+
+Sources: Marlin 2.1 (bugfix-2.1.x, planned for 2.1.3), marlinfw.org/docs/configuration,
+``MIN_STEPS_PER_SEGMENT``, ``SLOWDOWN`` and ``MINIMUM_PLANNER_SPEED``, and what its ``planner.cpp``
+does, told here in other words.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray
+from threadline.motion.timing.firmware.rules import Moves
+
+_LEAST_STEPS = 6  # of the axis that makes most: a shorter move waits for the next
+_FEW = (2, 7)  # moves in hand: up to half of the ring
+_ROUNDING, _EXACT = 1e-6, 1e-12  # of its numbers of 24 bits, and of ours
+
+
+def kept_moves(ends: FloatArray, begin: FloatArray, *, last: bool) -> NDArray[np.bool_]:
+    """Return (n,) whether a move is made where it ends, and not together with the next.
+
+    Parameters
+    ----------
+    ends
+        (n, axes) where the moves end, steps.
+    begin
+        (axes,) where the last one ended that was made.
+    last
+        Whether the machine rests after these moves: there it stands where the program has it, if
+        necessary by leaving out the end before.
+    """
+    whole = np.rint(ends)
+    found = np.ones(len(ends), dtype=bool)
+    way = np.diff(whole, axis=0, prepend=np.rint(begin)[None])
+    if np.all(np.abs(way).max(axis=1) >= _LEAST_STEPS):
+        return found
+    at, kept = np.rint(begin), -1
+    for row, end in enumerate(whole):
+        found[row] = np.abs(end - at).max() >= _LEAST_STEPS
+        if found[row]:
+            at, kept = end, row
+    if last and not found[-1]:
+        found[-1] = True
+        if kept >= 0:
+            found[kept] = False
+    return found
+
+
+def whole_steps(start: FloatArray, way: FloatArray, steps: FloatArray) -> FloatArray:
+    """Return (n, axes) moves between whole steps; those of less than one as they are.
+
+    Parameters
+    ----------
+    start, way
+        (n, axes), mm or degrees.
+    steps
+        (axes,) in a mm or degree.
+    """
+    count = np.rint((start + way) * steps) - np.rint(start * steps)
+    # As it computes, in numbers of 24 bits.
+    size = np.float32(1.0) / steps.astype(np.float32)
+    rounded = (count.astype(np.float32) * size).astype(float)
+    return np.where(np.any(rounded, axis=1)[:, None], rounded, way)
+
+
+def least_squares(moves: Moves, steps: FloatArray) -> FloatArray:
+    """Return the (n,) least v^2 of each move: half of what it has gained after its first step.
+
+    No move is so slow that its own speed is below.
+    """
+    per_length = _per_length(moves, steps)
+    return np.asarray(np.minimum(0.5 * moves.acceleration / per_length, moves.speed**2))
+
+
+def held_back(length: FloatArray, asked: FloatArray, first: int, short_s: float) -> FloatArray:
+    """Return the (n,) speeds that moves are read with, while few are in hand slower than asked.
+
+    Parameters
+    ----------
+    length
+        (n,) of the moves.
+    asked
+        (n,) speed that F asks for, infinite for rapid moves without.
+    first
+        How many moves came before them since the machine rested.
+    short_s
+        Time (``M205 B``) below which a move takes longer while few are in hand.
+    """
+    ahead = np.arange(first, first + len(length))
+    takes_s = length / asked
+    short = (ahead >= _FEW[0]) & (ahead <= _FEW[1]) & (takes_s < short_s)
+    slow_s = takes_s + 2.0 * (short_s - takes_s) / np.maximum(ahead, 1)
+    return np.where(short, length / np.where(short, slow_s, 1.0), asked)
+
+
+def whole_rates(moves: Moves, asked: FloatArray, most: float, steps: FloatArray) -> FloatArray:
+    """Return (2, n) whole steps in a second, and in a second squared, of moves at their own speed.
+
+    What is asked for is rounded upwards, what axes allow of it downwards.
+
+    Parameters
+    ----------
+    moves
+        The moves, with the speed and the acceleration that their axes allow.
+    asked
+        (n,) speed that they are read with.
+    most
+        Acceleration that is asked for, infinite for none.
+    steps
+        (axes,) in a mm or degree.
+    """
+    # As it computes: a product that is a whole number may become one more.
+    one = np.float32(1.0)
+    count = np.rint(moves.length * _per_length(moves, steps)).astype(np.float32)
+    inverse = one / moves.length.astype(np.float32)
+    allowed = np.stack([moves.speed, moves.acceleration])
+    slower = np.floor(allowed * _per_length(moves, steps) * (1.0 + _EXACT))
+    with np.errstate(over="ignore", invalid="ignore"):
+        rate = np.ceil(count * (inverse * asked.astype(np.float32)))
+        gain = np.ceil(np.float32(most) * (count * inverse))
+    goals = np.stack([asked, np.full(len(moves), most)])
+    limited = allowed < goals * (1.0 - _ROUNDING)
+    return np.maximum(np.where(limited, slower, np.stack([rate, gain]).astype(float)), 1.0)
+
+
+def in_steps(
+    moves: Moves, rates: FloatArray, enter: FloatArray, leave: FloatArray, steps: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return (n, 4) times in s, beginnings, speeds and accelerations of the parts of n moves.
+
+    A move speeds up for so many whole steps, keeps its speed, slows down for so many, and goes on
+    as slowly for what is left of a step. All but the times are shares of the move.
+
+    Parameters
+    ----------
+    rates
+        (2, n) as ``whole_rates`` has them.
+    enter, leave
+        (n,) v^2 at both ends.
+    steps
+        (axes,) in a mm or degree.
+    """
+    per_length = _per_length(moves, steps)
+    count = np.maximum(np.rint(moves.length * per_length), 1.0)
+    nominal, rate = rates
+    first, last = (np.maximum(np.rint(np.sqrt(v) * per_length), 1.0) for v in (enter, leave))
+    # As it computes, for a step more or less at the end may be a long one.
+    half = np.float32(0.5) * (np.float32(1.0) / rate.astype(np.float32))
+    square, *ends = (v.astype(np.float32) ** 2 for v in (nominal, first, last))
+    rises, falls = (half * (square - v) for v in ends)
+    whole = count.astype(np.float32)
+    up, down = np.maximum(np.ceil(rises), 0.0), np.ceil(falls)
+    short = count < up + down
+    up = np.where(short, np.floor(np.float32(0.5) * ((whole + rises) - falls) + 0.5), up)
+    up = np.clip(up.astype(float), 0.0, count)
+    down = np.where(short, count - up, np.clip(down, 0.0, count - up))
+    level = count - up - down
+    top = np.minimum(np.sqrt(first**2 + 2.0 * rate * up), nominal)
+    top = np.where(level > 0.0, nominal, np.maximum(top, 1.0))
+    first = np.minimum(first, top)
+    rising = 0.5 * (top**2 - first**2) / rate
+    level += np.maximum(up - rising, 0.0)
+    end = np.sqrt(np.maximum(top**2 - 2.0 * rate * down, np.minimum(last, top) ** 2))
+    falling = 0.5 * (top**2 - end**2) / rate
+    left = np.maximum(down - falling, 0.0)
+    zero = np.zeros(len(moves))
+    lengths = np.stack([rising, level, falling, left], axis=1)
+    way = lengths.sum(axis=1)
+    time_s = np.stack([(top - first) / rate, level / top, (top - end) / rate, left / end], axis=1)
+    begin = np.concatenate((zero[:, None], np.cumsum(lengths, axis=1)[:, :-1]), axis=1)
+    speed = np.stack([first, top, top, end], axis=1)
+    bend = np.stack([rate, zero, -rate, zero], axis=1)
+    return time_s, *(one / way[:, None] for one in (begin, speed, bend))
+
+
+def _per_length(moves: Moves, steps: FloatArray) -> FloatArray:
+    """Return the (n,) steps in a length of each move, of the axis that makes most."""
+    return np.asarray((np.abs(moves.direction) * steps).max(axis=1))

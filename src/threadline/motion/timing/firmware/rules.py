@@ -1,0 +1,384 @@
+"""The moves of a program in a firmware's own terms: lengths, directions, speeds, accelerations.
+
+Sources: grbl 1.1, "Improving Grbl's cornering algorithm" (S. Jeon, 2011) and its wiki, "Configuring
+Grbl", $11; Marlin 2.1, marlinfw.org/docs/configuration, Junction Deviation and Jerk; Klipper,
+docs/Kinematics.md, "Look-ahead"; RepRapFirmware, ``DDA::MatchSpeeds`` and its documents of M566.
+
+A circle touches both moves of a corner and passes it at the junction deviation d. With the angle
+theta between the moves (pi where the path goes straight on) its radius is
+r = d sin(theta/2) / (1 - sin(theta/2)), and the speed at the corner is that at which the circle
+needs the acceleration a that there is: v^2 = a r.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.machine import Machine
+from threadline.machine.motion_planner import (
+    FirmwarePlanner,
+    GrblPlanner,
+    KlipperPlanner,
+    MarlinPlanner,
+    RepRapPlanner,
+)
+from threadline.machine.quantity import Quantity
+from threadline.motion.timing.types import TrajectoryBlock
+
+
+def standing(
+    begin_s: float, position: FloatArray, duration_s: float, operation: IntArray
+) -> TrajectoryBlock:
+    """Return a pause at (axes,) ``position``."""
+    held = np.zeros((1, 3, len(position)))
+    held[0, 0] = position
+    return TrajectoryBlock(
+        start_s=np.array([begin_s]),
+        duration_s=np.array([duration_s]),
+        coefficients=held,
+        operation=operation,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moves:
+    """Moves in mm and degrees, as firmwares count.
+
+    Parameters
+    ----------
+    length
+        (n,) > 0, by the firmware's own rule: of all axes together, or of X Y Z alone.
+    direction
+        (n, axes) the way of each axis over the length.
+    speed
+        (n,) that the program asks for, as far as the axes allow, per second.
+    acceleration
+        (n,) that the axes allow.
+    most_acceleration
+        The greatest that any move may have; Klipper's ``max_accel``.
+    """
+
+    length: FloatArray
+    direction: FloatArray
+    speed: FloatArray
+    acceleration: FloatArray
+    most_acceleration: float = np.inf
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    def part(self, rows: slice) -> Moves:
+        """Return some of the moves."""
+        return Moves(
+            self.length[rows],
+            self.direction[rows],
+            self.speed[rows],
+            self.acceleration[rows],
+            self.most_acceleration,
+        )
+
+
+_STRAIGHT = 0.999999  # of the cosine: grbl and Marlin call a corner straight, or a full turn, here
+_SMALL = 1.0  # mm: shorter moves of a bend count as an arc, in Marlin
+_OCTAGON = -0.7071067812
+_TABLE = 16  # intervals, each half as wide as the one before
+_CENTRED = 1.00751495
+"""By what Marlin's table of arc cosines multiplies them, for errors of both signs."""
+
+
+def along_axes(limits: FloatArray, directions: FloatArray) -> FloatArray:
+    """Return the (n,) most along (n, axes) directions that keeps the (axes,) limits."""
+    size = np.abs(directions)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(size > 0.0, limits / size, np.inf).min(axis=1, initial=np.inf))
+
+
+def by_junction_deviation(
+    moves: Moves,
+    acceleration: FloatArray,
+    deviation: float,
+    *,
+    most: FloatArray | None = None,
+    arcs: bool = False,
+) -> FloatArray:
+    """Return the (n - 1,) greatest v^2 between the moves, as grbl and Marlin have it.
+
+    Parameters
+    ----------
+    moves
+        n moves.
+    acceleration
+        (axes,) limits of the axes.
+    deviation
+        In the length of the moves.
+    most
+        (n,) acceleration of each move, no more than which counts at the corner that it begins
+        at; None for the limits of the axes alone.
+    arcs
+        Whether short moves that bend by less than 45 degrees count as chords of an arc.
+    """
+    before, after = moves.direction[:-1], moves.direction[1:]
+    cosine = -(before * after).sum(axis=1)
+    bend = after - before
+    size = np.linalg.norm(bend, axis=1)
+    size[size == 0.0] = 1.0
+    limit = along_axes(acceleration, bend / size[:, None]) if most is None else most[1:]
+    # Marlin keeps the cosine from -1; grbl takes any speed there.
+    half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -_STRAIGHT, 1.0)))
+    square = limit * deviation * half / (1.0 - half)
+    if most is None:
+        square[cosine < -_STRAIGHT] = np.inf
+    if arcs:
+        short = (moves.length[1:] < _SMALL) & (cosine < _OCTAGON)
+        angle = _arc_cosine(np.clip(-cosine, 0.0, _STRAIGHT))
+        square = np.where(short, np.minimum(square, moves.length[1:] * limit / angle), square)
+    square[cosine > _STRAIGHT] = 0.0
+    return np.asarray(square)
+
+
+def _arc_cosine(cosine: FloatArray) -> FloatArray:
+    """Return (n,) angles as Marlin has them, on chords between the ends of its table's intervals.
+
+    The ends are 1 - 2^-k, and the last is ``_STRAIGHT``; but for the two outermost their angles are
+    by ``_CENTRED`` too large.
+    """
+    ends = np.append(1.0 - 0.5 ** np.arange(_TABLE), _STRAIGHT)
+    angle = np.arccos(ends)
+    angle[1:-1] *= _CENTRED
+    return np.asarray(np.interp(cosine, ends, angle))
+
+
+def by_jumps(moves: Moves, jumps: FloatArray) -> FloatArray:
+    """Return the (n,) greatest v^2 at the start of each move by the (axes,) jumps of speed.
+
+    The first move sets out from rest with a jump; Marlin's "classic jerk".
+    """
+    speed = moves.direction * moves.speed[:, None]
+    shared = np.minimum(moves.speed[1:], moves.speed[:-1])
+    change = shared[:, None] * (moves.direction[1:] - moves.direction[:-1])
+    first = along_axes(jumps, speed[:1])
+    share = np.concatenate((np.minimum(first, 1.0), np.minimum(along_axes(jumps, change), 1.0)))
+    return np.asarray((np.append(moves.speed[0], shared) * share) ** 2)
+
+
+def by_shared_speed(moves: Moves, jumps: FloatArray) -> FloatArray:
+    """Return the (n - 1,) greatest squares of the speed at the corners between n moves.
+
+    By how much the speed of each axis may jump there is given by the (axes,) ``jumps``. Both
+    moves have the same speed at the corner, as RepRapFirmware has it.
+    """
+    return along_axes(jumps, np.diff(moves.direction, axis=0)) ** 2
+
+
+def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> FloatArray:
+    """Return the (n - 1,) greatest v^2 between the moves, as Klipper has it.
+
+    A corner of 90 degrees is passed at ``corner_speed``; the circle of no corner reaches beyond
+    the middle of its moves.
+
+    Parameters
+    ----------
+    moves
+        n moves.
+    plane
+        (axes,) 1 for X, Y, Z, whose angle counts, 0 for others.
+    corner_speed
+        The square corner velocity.
+    """
+    before, after = moves.direction[:-1] * plane, moves.direction[1:] * plane
+    cosine = -(before * after).sum(axis=1)
+    half = np.sqrt(np.maximum(0.5 * (1.0 - cosine), 0.0))
+    other = np.sqrt(np.maximum(0.5 * (1.0 + cosine), 0.0))
+    bends = (half < 1.0) & (other > 0.0)
+    safe_half, safe_other = np.where(bends, half, 0.0), np.where(bends, other, 1.0)
+    # The deviation of a circle that passes 90 degrees at that speed is v^2 (sqrt 2 - 1) / a: the
+    # acceleration of the move falls out where it is that of all moves, and counts where it is less.
+    radius = safe_half / (1.0 - safe_half) * (np.sqrt(2.0) - 1.0) * corner_speed**2
+    ratio = moves.acceleration / moves.most_acceleration
+    square = radius * np.minimum(ratio[1:], ratio[:-1])
+    gain = 2.0 * moves.acceleration * moves.length
+    square = np.minimum(square, 0.25 * safe_half / safe_other * np.minimum(gain[1:], gain[:-1]))
+    return np.asarray(np.where(bends, square, np.inf))
+
+
+MM = 1e3  # firmwares count in mm and degrees
+LINEAR, _SECOND, _TURNING = "XYZ", "UVW", "ABC"
+_SHORT_S = 0.02  # Marlin's own default of M205 B
+_INSTANT = 1.0  # mm/s or deg/s: Klipper's own default for axes beside X Y Z
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rules:
+    """A firmware's planner on the axes of a path.
+
+    Parameters
+    ----------
+    planner
+        What the machine file says of it.
+    axes
+        Names, in the order of all columns.
+    scale
+        (axes,) mm or degrees in a m or rad.
+    velocity, acceleration
+        (axes,) limits in mm and degrees.
+    steps
+        (axes,) in a mm or degree; None for so many that they do not count.
+    """
+
+    planner: FirmwarePlanner
+    axes: tuple[str, ...]
+    scale: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    steps: FloatArray | None = None
+
+    @classmethod
+    def of(cls, planner: FirmwarePlanner, machine: Machine, axes: tuple[str, ...]) -> Rules:
+        """Return the rules of ``planner`` on ``axes`` of ``machine``."""
+        column = [machine.axis_names.index(axis) for axis in axes]
+        turns = np.array([axis in machine.rotary for axis in axes])
+        scale = np.where(turns, np.degrees(1.0), MM)
+        return cls(
+            planner,
+            axes,
+            scale,
+            machine.velocity_limit[column] * scale,
+            machine.acceleration_limit[column] * scale,
+            machine.counts_per_unit[column] / scale,
+        )
+
+    def moves(self, way: FloatArray, nominal_s: FloatArray) -> Moves:
+        """Return (n, axes) displacements, m and rad, as the firmware's moves.
+
+        ``nominal_s`` is the time at the programmed feed, 0 for a rapid move.
+        """
+        length = self.length(way)
+        way = way * self.scale
+        direction = way / length[:, None]
+        fastest = along_axes(self.velocity, direction)
+        acceleration = along_axes(self.acceleration, direction)
+        most = self.most_acceleration
+        planner = self.planner
+        if isinstance(planner, KlipperPlanner):
+            plain = (direction * self._plane != 0.0).any(axis=1)
+            fastest = np.where(plain, np.minimum(fastest, planner.velocity.si * MM), fastest)
+            alone = along_axes(self._of_axes(planner.alone), direction)
+            acceleration = np.minimum(acceleration, np.where(plain, most, alone))
+        elif isinstance(planner, MarlinPlanner):
+            acceleration = np.minimum(acceleration, most)
+        elif isinstance(planner, RepRapPlanner) and planner.acceleration is not None:
+            travel = np.where(self._across(direction), planner.acceleration.si * MM, np.inf)
+            acceleration = np.minimum(acceleration, travel)
+        with np.errstate(divide="ignore"):
+            asked = np.where(nominal_s > 0.0, length / nominal_s, np.inf)
+        asked = np.maximum(asked, self.least_speed)
+        return Moves(length, direction, np.minimum(asked, fastest), acceleration, most)
+
+    @property
+    def most_acceleration(self) -> float:
+        """What Klipper's and Marlin's settings give every move, infinite for none."""
+        planner = self.planner
+        if isinstance(planner, KlipperPlanner | MarlinPlanner) and planner.acceleration is not None:
+            return planner.acceleration.si * MM
+        return np.inf
+
+    @property
+    def least_speed(self) -> float:
+        """What Marlin raises the speed of a slower move to, 0 for none."""
+        planner = self.planner
+        if isinstance(planner, MarlinPlanner) and planner.least_speed is not None:
+            return planner.least_speed.si * MM
+        return 0.0
+
+    @property
+    def short_time_s(self) -> float:
+        """Time below which Marlin makes a move slower while few are in hand."""
+        planner = self.planner
+        if isinstance(planner, MarlinPlanner) and planner.short_time is not None:
+            return planner.short_time.si
+        return _SHORT_S
+
+    def corners(self, moves: Moves) -> FloatArray:
+        """Return the (n,) greatest v^2 at the start of each of n moves, the first from rest."""
+        planner = self.planner
+        if isinstance(planner, MarlinPlanner) and planner.jump:
+            return by_jumps(moves, self._of_axes(planner.jump))
+        if isinstance(planner, KlipperPlanner):
+            between = by_square_corner(moves, self._plane, planner.square_corner_velocity.si * MM)
+            plain = (moves.direction * self._plane != 0.0).any(axis=1)
+            between = np.minimum(between, self._beside(moves))
+            between = np.where(plain[1:] & plain[:-1], between, 0.0)
+        elif isinstance(planner, RepRapPlanner):
+            between = by_shared_speed(moves, self._of_axes(planner.jump))
+            if not planner.joins_all:
+                across = self._across(moves.direction)
+                between = np.where(across[1:] == across[:-1], between, 0.0)
+        elif isinstance(planner, GrblPlanner):
+            deviation = planner.junction_deviation.si * MM
+            between = by_junction_deviation(moves, self.acceleration, deviation)
+        else:
+            assert isinstance(planner, MarlinPlanner) and planner.junction_deviation is not None
+            between = by_junction_deviation(
+                moves,
+                self.acceleration,
+                planner.junction_deviation.si * MM,
+                most=moves.acceleration,
+                arcs=True,
+            )
+        top = np.minimum(moves.speed[1:], moves.speed[:-1]) ** 2
+        return np.concatenate(([0.0], np.minimum(between, top)))
+
+    def _of_axes(self, said: Mapping[str, Quantity], default: float = np.inf) -> FloatArray:
+        """Return the (axes,) values of ``said``; ``default`` where it has none."""
+        return np.array(
+            [
+                said[axis].si * scale if axis in said else default
+                for axis, scale in zip(self.axes, self.scale, strict=True)
+            ]
+        )
+
+    def _across(self, direction: FloatArray) -> NDArray[np.bool_]:
+        """Return (n,) whether X or Y takes part in each move."""
+        bed = np.array([axis in "XY" for axis in self.axes])
+        return np.asarray((direction[:, bed] != 0.0).any(axis=1))
+
+    @property
+    def _plane(self) -> FloatArray:
+        return np.array([float(axis in LINEAR) for axis in self.axes])
+
+    def _beside(self, moves: Moves) -> FloatArray:
+        """Return the (n - 1,) greatest v^2 at which the axes beside X Y Z may change their share.
+
+        Klipper, docs/Config_Reference.md, ``instantaneous_corner_velocity``.
+        """
+        assert isinstance(self.planner, KlipperPlanner)
+        jumps = self._of_axes(self.planner.jump, _INSTANT)
+        change = np.diff(moves.direction, axis=0) * (1.0 - self._plane)
+        return along_axes(jumps, change) ** 2
+
+    @property
+    def _counted(self) -> list[str]:
+        """Axes whose length counts, in turn: the first group of which one moves."""
+        if isinstance(self.planner, KlipperPlanner):
+            return [LINEAR]
+        if isinstance(self.planner, RepRapPlanner):
+            return [LINEAR + _SECOND, _TURNING]
+        return [LINEAR, _SECOND, _TURNING]
+
+    def length(self, way: FloatArray) -> FloatArray:
+        """Return the (n,) lengths of (n, axes) displacements, m and rad, as the firmware counts."""
+        way = way * self.scale
+        if isinstance(self.planner, GrblPlanner):
+            return np.asarray(np.linalg.norm(way, axis=1))
+        found = np.zeros(len(way))
+        for group in self._counted:
+            column = [axis in group for axis in self.axes]
+            here = np.linalg.norm(way[:, column], axis=1)
+            found = np.where(found > 0.0, found, here)
+        # Klipper: a move of other axes alone is as long as the longest of them.
+        return np.where(found > 0.0, found, np.abs(way).max(axis=1))

@@ -1,0 +1,247 @@
+"""Chords and their corners -> the motion that the firmware makes of them by itself.
+
+Every move is sped up, held and braked at the acceleration that its axes allow. At a corner the
+speed of an axis steps: that is what these planners do, and the twin shows what comes of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.machine import Machine
+from threadline.machine.motion_planner import (
+    FirmwarePlanner,
+    KlipperPlanner,
+    LinuxCncPlanner,
+    MarlinPlanner,
+)
+from threadline.motion.path.types import PlannedPath
+from threadline.motion.timing.firmware.linuxcnc_run import LinkedRun
+from threadline.motion.timing.firmware.look_ahead import (
+    MovesInHand,
+    Taken,
+    entries_in_marlin,
+    entries_of_ring,
+    speeds_with_cruise,
+)
+from threadline.motion.timing.firmware.marlin_moves import (
+    held_back,
+    in_steps,
+    kept_moves,
+    least_squares,
+    whole_rates,
+    whole_steps,
+)
+from threadline.motion.timing.firmware.rules import Moves, Rules
+from threadline.motion.timing.types import TrajectoryBlock
+
+
+def firmware_blocks(
+    path: PlannedPath, machine: Machine, planner: FirmwarePlanner
+) -> Iterator[TrajectoryBlock]:
+    """Yield the motion along the chords of ``path`` as ``planner`` of ``machine`` times it.
+
+    The firmware is taken to have as many blocks in hand as it can: its link keeps up.
+    """
+    under_way = moves_of(Rules.of(planner, machine, path.axes))
+    for block in path:
+        edges = [0, *(np.flatnonzero(block.rest_after) + 1).tolist()]
+        for first, stop in zip(edges, [*edges[1:], len(block)], strict=True):
+            if first < stop:
+                ends = bool(block.rest_after[stop - 1])
+                yield from under_way.extend(block, slice(first, stop), ends=ends)
+
+
+def moves_of(rules: Rules) -> MovesInHand:
+    """Return what takes in the moves of a path and plans them as the firmware of ``rules`` does."""
+    if isinstance(rules.planner, LinuxCncPlanner):
+        return LinkedRun(rules, planner=rules.planner)
+    return _MarlinRun(rules) if isinstance(rules.planner, MarlinPlanner) else _Run(rules)
+
+
+@dataclass(slots=True)
+class _Run(MovesInHand):
+    """Moves that follow each other in trapezoids of speed."""
+
+    speed: float = 0.0  # v^2 at which the first move in hand begins
+    smooth: float = 0.0  # the same in Klipper's second plan
+    cruise: float = 0.0  # the greatest v^2 of the move that is out
+
+    def _rest(self) -> None:
+        self.speed, self.smooth, self.cruise = 0.0, 0.0, 0.0
+
+    def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
+        moves, least = self._counted()
+        most = np.maximum(self.rules.corners(moves), least)
+        if not self.begun:
+            self.speed = least[0]
+        gain = 2.0 * moves.acceleration * moves.length
+        planner = self.rules.planner
+        if isinstance(planner, KlipperPlanner):
+            slow = (1.0 - planner.cruise_ratio) * moves.most_acceleration
+            smooth = np.minimum(2.0 * slow * moves.length, gain)
+            enter, leave, peak, fixed, first, second = speeds_with_cruise(
+                most, moves.speed**2, gain, smooth, self.speed, self.smooth, self.cruise
+            )
+        else:
+            assert not isinstance(planner, LinuxCncPlanner)  # it has a run of its own
+            ends_at = self._ends_at(most, least, gain, planner.look_ahead)
+            enter, leave = ends_at[:-1], ends_at[1:]
+            peak = np.minimum(moves.speed**2, 0.5 * (enter + leave + gain))
+            fixed = len(moves) - planner.look_ahead
+            first = second = ends_at
+        out = len(moves) if ends else min(fixed, len(moves) - 1)
+        if out <= 0:
+            return
+        yield from self._trapezoids(moves, enter, leave, peak, out)
+        self.begun = True
+        if out < len(moves):
+            self.speed, self.smooth = float(first[out]), float(second[out])
+        self.cruise = float(peak[out - 1])
+        self._keep(out)
+
+    def _ends_at(
+        self,
+        most: FloatArray,
+        least: FloatArray,  # noqa: ARG002 - of Marlin alone
+        gain: FloatArray,
+        ring: int,
+    ) -> FloatArray:
+        """Return the (n + 1,) v^2 at the ends of the moves in hand."""
+        return np.asarray(entries_of_ring(most, gain, ring, self.speed))
+
+    def _counted(self) -> tuple[Moves, FloatArray]:
+        """Return the moves in hand as the firmware counts them, and the (n,) least v^2 of each."""
+        moves = self.rules.moves(self.way[0], self.nominal_s[0])
+        return moves, np.zeros(len(moves))
+
+    def _trapezoids(
+        self, moves: Moves, enter: FloatArray, leave: FloatArray, peak: FloatArray, count: int
+    ) -> Iterator[TrajectoryBlock]:
+        rows = slice(0, count)
+        length, rate = moves.length[rows], moves.acceleration[rows]
+        v0, v1, top = (np.sqrt(v[rows]) for v in (enter, leave, peak))
+        up = (peak[rows] - enter[rows]) / (2.0 * rate)
+        down = (peak[rows] - leave[rows]) / (2.0 * rate)
+        level = np.maximum(length - up - down, 0.0)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            time_s = np.stack(
+                [
+                    np.where(up > 0.0, (top - v0) / rate, 0.0),
+                    np.where(level > 0.0, level / top, 0.0),
+                    np.where(down > 0.0, (top - v1) / rate, 0.0),
+                ],
+                axis=1,
+            )
+        # Along the move, as shares of its way: where each part begins, its speed and acceleration.
+        ends = np.stack([np.zeros(count), up, up + level], axis=1) / length[:, None]
+        speed = np.stack([v0, top, top], axis=1) / length[:, None]
+        bend = np.stack([rate, np.zeros(count), -rate], axis=1) / length[:, None]
+        yield self._parts(time_s, ends, speed, bend)
+
+    def _parts(
+        self, time_s: FloatArray, begin: FloatArray, speed: FloatArray, bend: FloatArray
+    ) -> TrajectoryBlock:
+        """Return the first moves in hand, n of them in k parts each.
+
+        Parameters
+        ----------
+        time_s
+            (n, k) of the parts.
+        begin, speed, bend
+            (n, k) where each begins, its speed there and its acceleration, as shares of the way.
+        """
+        rows = slice(0, len(time_s))
+        way, start = self.way[0][rows], self.start[0][rows]
+        shares = np.stack([begin, speed * time_s, 0.5 * bend * time_s**2], axis=2)
+        coefficients = shares[:, :, :, None] * way[:, None, None, :]
+        coefficients[:, :, 0] += start[:, None]
+        return self._timed(time_s, coefficients, self.operation[0][rows])
+
+
+@dataclass(slots=True)
+class _MarlinRun(_Run):
+    """Moves between whole steps, of which those of a few steps wait for the next.
+
+    Attributes
+    ----------
+    gone
+        How many moves are out since the machine rested.
+    held
+        Starts, ways, times and operations of the moves that wait for others; None for none.
+    rates
+        (2, n) steps in a second, and in a second squared, of the moves in hand.
+    """
+
+    gone: int = 0
+    held: Taken | None = None
+    rates: FloatArray = field(default_factory=lambda: np.zeros((2, 0)))
+
+    def _made(self, taken: Taken, ends: bool) -> Taken:
+        start, way, nominal_s, operation = taken
+        if self.held is not None:
+            start = np.concatenate((self.held[0], start))
+            way = np.concatenate((self.held[1], way))
+            nominal_s = np.concatenate((self.held[2], nominal_s))
+            operation = np.concatenate((self.held[3], operation))
+            self.held = None
+        if self.rules.steps is None or not len(way):
+            return start, way, nominal_s, operation
+        ends_at, steps = start + way, self.rules.scale * self.rules.steps
+        kept = kept_moves(ends_at * steps, start[0] * steps, last=ends)
+        wait = len(kept) - int(kept[::-1].argmax()) if kept.any() else 0
+        if wait < len(kept):
+            self.held = start[wait:], way[wait:], nominal_s[wait:], operation[wait:]
+        begin = np.concatenate((start[:1], ends_at[kept]))[: kept.sum()]
+        own = self.rules.length(way[kept])
+        way = ends_at[kept] - begin
+        nominal_s = nominal_s[kept] * self.rules.length(way) / own
+        goes = way.any(axis=1)  # where all that waited leads back, nothing is left of it
+        return begin[goes], way[goes], nominal_s[goes], operation[kept][goes]
+
+    def _counted(self) -> tuple[Moves, FloatArray]:
+        way, nominal_s, steps = self.way[0], self.nominal_s[0], self.rules.steps
+        if steps is None:
+            return super(_MarlinRun, self)._counted()
+        scale = self.rules.scale
+        whole = whole_steps(self.start[0] * scale, way * scale, steps) / scale
+        nominal_s = nominal_s * self.rules.length(whole) / self.rules.length(way)
+        moves = self.rules.moves(whole, nominal_s)
+        with np.errstate(divide="ignore"):
+            asked = np.where(nominal_s > 0.0, moves.length / nominal_s, np.inf)
+        asked = held_back(
+            moves.length,
+            np.maximum(asked, self.rules.least_speed),
+            self.gone,
+            self.rules.short_time_s,
+        )
+        moves = replace(moves, speed=np.minimum(moves.speed, asked))
+        self.rates = whole_rates(moves, asked, self.rules.most_acceleration, steps)
+        return moves, least_squares(moves, steps)
+
+    def _ends_at(
+        self, most: FloatArray, least: FloatArray, gain: FloatArray, ring: int
+    ) -> FloatArray:
+        return np.asarray(entries_in_marlin(most, least, gain, ring, self.begun, self.speed))
+
+    def _trapezoids(
+        self, moves: Moves, enter: FloatArray, leave: FloatArray, peak: FloatArray, count: int
+    ) -> Iterator[TrajectoryBlock]:
+        if self.rules.steps is None:
+            yield from super(_MarlinRun, self)._trapezoids(moves, enter, leave, peak, count)
+            return
+        rows = slice(0, count)
+        ends = enter[rows], leave[rows]
+        yield self._parts(*in_steps(moves.part(rows), self.rates[:, rows], *ends, self.rules.steps))
+
+    def _keep(self, done: int) -> None:
+        self.gone += done
+        super(_MarlinRun, self)._keep(done)
+
+    def _rest(self) -> None:
+        self.gone = 0
+        super(_MarlinRun, self)._rest()

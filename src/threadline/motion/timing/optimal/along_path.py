@@ -1,0 +1,327 @@
+"""Limits along the path and across it: speed, its derivatives, and centripetal acceleration.
+
+The length of the way gone is one more axis: a polynomial of fifth degree on each part of a piece,
+with the length, its slope and its bend at both ends. What limits an axis limits it too. Centripetal
+acceleration at the rate u' of the path is ``u'^2`` times the part of q_uu across the path; that is
+at most ``q_uu - l q_u`` for any l, and the control points of such a polynomial bound it everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.extremes import hull_of
+from threadline.motion.timing.optimal.elements import restricted
+from threadline.motion.timing.types import Trajectory
+
+_PARTS = 4  # of a curved piece: the polynomials of its length are 4^5 times as near as of the whole
+_STRAIGHT = 1e-9  # of the largest derivative: what is across a straight line by rounding
+_NODES, _WEIGHTS = (0.5 * (1.0 + np.polynomial.legendre.leggauss(8)[0]),
+                    0.5 * np.polynomial.legendre.leggauss(8)[1])  # fmt: skip
+_PLACES = np.linspace(0.0, 1.0, 13)  # of a polynomial in time, at which its length is held to
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlongPath:
+    """What the tool may do along its path; each may be infinite.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk
+        Of the length of the way gone, m/s, m/s^2, m/s^3.
+    deceleration
+        What the tool may brake with along its path, where that is not ``acceleration``.
+    centripetal
+        Acceleration across the path, m/s^2.
+    radius_m
+        (axes,) length at the tool of one unit of each axis.
+    """
+
+    velocity: float
+    acceleration: float
+    jerk: float
+    centripetal: float
+    radius_m: FloatArray
+    deceleration: float | None = None
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Limits of speeding up along the path, and of braking."""
+        braking = self.acceleration if self.deceleration is None else self.deceleration
+        return self.acceleration, braking
+
+    def named(self, key: str) -> float:
+        """Return the limit that a key of ``[path]`` in a machine file stands for."""
+        own = getattr(self, key)
+        return self.acceleration if own is None else float(own)
+
+    @property
+    def asks_for_rests(self) -> bool:
+        """Whether the motion rests where the path turns back: its speed has a kink there."""
+        return bool(np.isfinite([*self.sides, self.jerk]).any())
+
+
+def with_acceleration(
+    along: AlongPath | None, acceleration: float, radius_m: FloatArray
+) -> AlongPath | None:
+    """Return limits with one of the acceleration along the path beside them, m/s^2."""
+    if not np.isfinite(acceleration):
+        return along
+    if along is None:
+        return AlongPath(
+            velocity=np.inf,
+            acceleration=acceleration,
+            jerk=np.inf,
+            centripetal=np.inf,
+            radius_m=radius_m,
+        )
+    up, down = (min(limit, acceleration) for limit in along.sides)
+    return replace(along, acceleration=up, deceleration=down)
+
+
+def divided(run: PieceBlock) -> PieceBlock:
+    """Return the pieces with each that is curved cut into even parts."""
+    straight = ~run.coefficients[:, 2:].any(axis=(1, 2))
+    parts = np.where(straight, 1, _PARTS)
+    which = np.repeat(np.arange(len(run)), parts)
+    count = parts[which].astype(np.float64)
+    first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+    ends = first == parts[which] - 1
+    return PieceBlock(
+        coefficients=restricted(run.coefficients[which], first / count, 1.0 / count),
+        operation=run.operation[which],
+        nominal_s=run.nominal_s[which] / count,
+        rest_after=np.where(ends, run.rest_after[which], 0),
+        dwell_s=np.where(ends, run.dwell_s[which], 0.0),
+        line=run.line[which],
+    )
+
+
+def with_length(c: FloatArray, radius_m: FloatArray) -> FloatArray:
+    """Return (n, 6, axes + 1): pieces with the length of the way gone as their last axis."""
+    n, order, axes = c.shape
+    at_tool = c * radius_m
+    powers = np.arange(1, order)
+    way = np.zeros(n)
+    for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
+        way += weight * _along_path_size(_at(at_tool[:, 1:] * powers[:, None], node))
+    first = at_tool[:, 1:] * powers[:, None]
+    second = first[:, 1:] * powers[: order - 2, None]
+    ends = []
+    for u in (0.0, 1.0):
+        rate, bend = _at(first, u), _at(second, u)
+        size = _along_path_size(rate)
+        along = np.divide((rate * bend).sum(axis=1), size, out=np.zeros(n), where=size > 0.0)
+        ends.append((size, along))
+    (v0, a0), (v1, a1) = ends
+    gone, slope, turn = way - v0 - 0.5 * a0, v1 - v0 - a0, a1 - a0
+    out = np.zeros((n, 6, axes + 1))
+    out[:, :order, :axes] = c
+    out[:, :, axes] = np.stack(
+        [
+            np.cumsum(way) - way,
+            v0,
+            0.5 * a0,
+            10.0 * gone - 4.0 * slope + 0.5 * turn,
+            -15.0 * gone + 7.0 * slope - turn,
+            6.0 * gone - 3.0 * slope + 0.5 * turn,
+        ],
+        axis=1,
+    )
+    straight = ~c[:, 2:].any(axis=(1, 2))
+    out[straight, 2:, axes] = 0.0
+    return out
+
+
+def across(c: FloatArray) -> FloatArray:
+    """Return (n,) bounds of the second derivative across the first, for (n, order, axes) curves.
+
+    A curve that begins or ends at rest does so with its third power, as the elements do.
+    """
+    order = c.shape[1]
+    powers = np.arange(1.0, order)
+    ends = c[:, 1:] * powers[:, None]
+    # One at rest at its end is looked at from there.
+    size = np.abs(ends).max(axis=(1, 2))
+    closes = np.abs(ends.sum(axis=1)).max(axis=1) <= _STRAIGHT * size
+    back = restricted(c, np.ones(len(c)), -np.ones(len(c)))
+    c = np.where(closes[:, None, None], back, c)
+    first = c[:, 1:] * powers[:, None]
+    opens = np.abs(first[:, :2]).max(axis=(1, 2)) <= _STRAIGHT * size
+    second = np.zeros_like(first)
+    second[:, : order - 2] = first[:, 1:] * powers[: order - 2, None]
+    # At rest q_u is u^2 r: 2/u of it is a polynomial, and is along the path.
+    second[opens, : order - 2] -= 2.0 * first[opens, 1:]
+    second[opens, 0] = 0.0
+    along = []
+    for u in (0.0, 1.0):
+        # Beside a rest, r in place of q_u: u^2 less of both, which leaves their ratio.
+        rate, bend = _at(first, u), _at(second, u)
+        if u == 0.0 and opens.any() and order > 3:
+            rate[opens], bend[opens] = first[opens, 2], second[opens, 2]
+        squared = (rate**2).sum(axis=1)
+        along.append(
+            np.divide((rate * bend).sum(axis=1), squared, out=np.zeros(len(c)), where=squared > 0.0)
+        )
+    rest = np.zeros((len(c), order, c.shape[2]))
+    rest[:, :-1] = second - along[0][:, None, None] * first
+    rest[:, 1:] -= (along[1] - along[0])[:, None, None] * first
+    flat = np.moveaxis(rest, 1, 0).reshape(order, -1)
+    bound = np.sqrt((hull_of(flat).reshape(order, len(c), -1) ** 2).sum(axis=2)).max(axis=0)
+    bound[_on_one_line(first)] = 0.0
+    return np.asarray(bound)
+
+
+def true_shares(
+    coefficients: FloatArray, duration_s: FloatArray, limits: AlongPath
+) -> tuple[float, float, float]:
+    """Return the largest shares of speed, acceleration and jerk along the path, at many places.
+
+    ``coefficients`` (n, order, axes) are polynomials over [0, 1] of their times.
+    """
+    own, worst = coefficients * limits.radius_m, [0.0, 0.0, 0.0]
+    orders = [own]
+    for _ in range(3):
+        last = orders[-1]
+        orders.append(last[:, 1:] * np.arange(1.0, last.shape[1])[:, None])
+    for place in _PLACES.tolist():
+        v, a, j = (
+            _at(orders[k], place) / duration_s[:, None] ** k for k in (1, 2, 3)
+        )  # fmt: skip
+        speed = _along_path_size(v)
+        fast = speed > 1e-3 * speed.max(initial=0.0)
+        tangent = np.divide(v, speed[:, None], out=np.zeros_like(v), where=fast[:, None])
+        push = (tangent * a).sum(axis=1)
+        squared = np.maximum((a**2).sum(axis=1) - push**2, 0.0)
+        jerk = (tangent * j).sum(axis=1)
+        jerk += np.divide(squared, speed, out=np.zeros_like(speed), where=fast)
+        up, down = limits.sides
+        for k, share in enumerate(
+            (speed / limits.velocity, np.maximum(push / up, -push / down), jerk / limits.jerk)
+        ):
+            worst[k] = max(worst[k], float(np.abs(share).max(initial=0.0)))
+    return worst[0], worst[1], worst[2]
+
+
+def _on_one_line(first: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Say of (n, order, axes) derivatives whether all their coefficients have one direction."""
+    most = np.abs(first).max(axis=2).argmax(axis=1)
+    lead = first[np.arange(len(first)), most]
+    squared = (lead**2).sum(axis=1)
+    share = np.divide(
+        (first * lead[:, None]).sum(axis=2),
+        squared[:, None],
+        out=np.zeros(first.shape[:2]),
+        where=squared[:, None] > 0.0,
+    )
+    beside = np.abs(first - share[:, :, None] * lead[:, None]).max(axis=(1, 2))
+    return np.asarray(beside <= _STRAIGHT * np.sqrt(squared))
+
+
+def _at(poly: FloatArray, place: float) -> FloatArray:
+    """Return the (n, axes) values of (n, order, axes) polynomials at one place."""
+    out = poly[:, -1].copy()
+    for k in range(poly.shape[1] - 2, -1, -1):
+        out = out * place + poly[:, k]
+    return np.asarray(out)
+
+
+def _along_path_size(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
+
+
+_MOVING = 1e-3  # of the highest speed: nearer to rest there is no direction
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathUse:
+    """The largest share that a motion uses of its limits along the path.
+
+    Parameters
+    ----------
+    quantity
+        Key of ``[path]`` in the machine file: that of the limit.
+    share
+        Used of it.
+    limit_si
+        That limit, m/s, m/s^2 or m/s^3.
+    time_s, operation
+        Where.
+    """
+
+    quantity: str
+    share: float
+    limit_si: float
+    time_s: float
+    operation: int
+
+
+def along_shares(
+    velocity: FloatArray, acceleration: FloatArray, jerk: FloatArray, limits: AlongPath
+) -> dict[str, FloatArray]:
+    """Return the (n,) shares of each limit along the path, by the key of ``[path]``.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk
+        (n, axes) of the axes, in their own units.
+    """
+    v, a, j = (rate * limits.radius_m for rate in (velocity, acceleration, jerk))
+    speed = _along_shares_size(v)
+    moving = speed > _MOVING * speed.max(initial=0.0)
+    along = np.divide(v, speed[:, None], out=np.zeros_like(v), where=moving[:, None])
+    push = (along * a).sum(axis=1)
+    across = np.where(moving, _along_shares_size(a - push[:, None] * along), 0.0)
+    # The length of the way gone has the derivatives v, t a and t j + |a across|^2 / v.
+    bent = np.divide(across**2, speed, out=np.zeros_like(speed), where=moving)
+    up, down = limits.sides
+    return {
+        name: np.asarray(share)
+        for name, share, limit in (
+            ("velocity", speed / limits.velocity, limits.velocity),
+            ("acceleration", np.maximum(push, 0.0) / up, up),
+            ("deceleration", np.maximum(-push, 0.0) / down, down),
+            ("jerk", np.abs((along * j).sum(axis=1) + bent) / limits.jerk, limits.jerk),
+            ("centripetal", across / limits.centripetal, limits.centripetal),
+        )
+        if np.isfinite(limit)
+    }
+
+
+def path_use(trajectory: Trajectory, limits: AlongPath) -> PathUse | None:
+    """Return the largest share of thirteen instants of each polynomial; None for no motion."""
+    worst: PathUse | None = None
+    for block in trajectory:
+        rates = [block.coefficients]
+        for _ in range(3):
+            last = rates[-1]
+            rates.append(last[:, 1:] * np.arange(1.0, last.shape[1])[:, None])
+        powers = [_PLACES[:, None] ** np.arange(rate.shape[1]) for rate in rates]
+        time_s = block.duration_s[:, None, None]
+        v, a, j = (
+            (np.einsum("pk,nka->npa", powers[k], rates[k]) / time_s**k).reshape(
+                -1, len(limits.radius_m)
+            )
+            for k in (1, 2, 3)
+        )
+        for name, share in along_shares(v, a, j, limits).items():
+            at = int(np.argmax(share))
+            if worst is None or share[at] > worst.share:
+                piece, place = divmod(at, len(_PLACES))
+                lasted = _PLACES[place] * block.duration_s[piece]
+                worst = PathUse(
+                    quantity=name,
+                    share=float(share[at]),
+                    limit_si=limits.named(name),
+                    time_s=float(block.start_s[piece] + lasted),
+                    operation=int(block.operation[piece]),
+                )
+    return worst
+
+
+def _along_shares_size(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=1)))

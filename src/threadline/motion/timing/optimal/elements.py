@@ -1,0 +1,318 @@
+"""A path cut into elements: short polynomial pieces in one smooth parameter.
+
+The planned path is smooth in a parameter in which each of its pieces has a length of its own; the
+square of the rate of that parameter, x, is what is solved for. At a rest that rate falls to zero
+with the third power of time's root, which no spline in the parameter can follow; so the first
+element after a rest runs through the path as ``w^3 - w^4 / 2``: at an even rate of w, its motion
+begins with constant jerk, and w joins the parameter of the path smoothly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.motion.path.types import PieceBlock
+
+DEGREE = 5
+_LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
+_LEAST_LEAD_SHARE = 1e-5
+_PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
+_OF_QUARTIC = 5  # coefficients of a piece; such paths have twice as many pieces at a corner
+DENSE = 5000
+"""Pieces of a run, beyond which those that are curved are fine enough as they are."""
+_ROUNDING = 1e-13  # of the largest coefficient of an axis: below is nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Elements:
+    """Consecutive elements of one run, n of them.
+
+    Parameters
+    ----------
+    c
+        (n, DEGREE + 1, axes) position in powers of u in [0, 1], m or rad.
+    length
+        (n,) of the common parameter.
+    cap
+        (n,) largest u'^2 that the feed allows, infinite where none is given.
+    operation
+        (n,) operation under way.
+    guard
+        (n, DEGREE + 1, k) further polynomials in u, whose second derivative by time may be 1 at
+        the most; k may be 0.
+    guard_cap
+        (n,) largest u'^2 beside that of the feed; infinite where there is none.
+    """
+
+    c: FloatArray
+    length: FloatArray
+    cap: FloatArray
+    operation: IntArray
+    guard: FloatArray
+    guard_cap: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.c)
+
+    @property
+    def top(self) -> FloatArray:
+        """(n,) largest u'^2 of feed and guards."""
+        return np.minimum(self.cap, self.guard_cap)
+
+    def take(self, rows: slice) -> Elements:
+        """Return the elements at ``rows``."""
+        return Elements(
+            c=self.c[rows],
+            length=self.length[rows],
+            cap=self.cap[rows],
+            operation=self.operation[rows],
+            guard=self.guard[rows],
+            guard_cap=self.guard_cap[rows],
+        )
+
+    def split(self, parts: IntArray) -> Elements:
+        """Return the elements with each cut into as many equal parts as (n,) ``parts`` says."""
+        which = np.repeat(np.arange(len(self)), parts)
+        count = parts[which].astype(np.float64)
+        first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+        begin, width = first / count, 1.0 / count
+        return Elements(
+            c=restricted(self.c[which], begin, width),
+            length=self.length[which] / count,
+            cap=self.cap[which] * count**2,
+            operation=self.operation[which],
+            guard=restricted(self.guard[which], begin, width),
+            guard_cap=self.guard_cap[which] * count**2,
+        )
+
+
+def join(parts: list[Elements]) -> Elements:
+    """Return the elements of all ``parts`` in a row."""
+    return Elements(
+        c=np.concatenate([part.c for part in parts]),
+        length=np.concatenate([part.length for part in parts]),
+        cap=np.concatenate([part.cap for part in parts]),
+        operation=np.concatenate([part.operation for part in parts]),
+        guard=np.concatenate([part.guard for part in parts]),
+        guard_cap=np.concatenate([part.guard_cap for part in parts]),
+    )
+
+
+def restricted(c: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArray:
+    """Return (n, order, axes) polynomials on [begin, begin + width] of each, again over [0, 1]."""
+    out = c.astype(np.float64, copy=True)
+    nothing = c == 0.0
+    order = c.shape[1]
+    # Horner's scheme in both directions is the shift of a polynomial.
+    for low in range(order - 1):
+        for k in range(order - 2, low - 1, -1):
+            out[:, k] += begin[:, None] * out[:, k + 1]
+    scale = np.ones(len(c))
+    for k in range(1, order):
+        scale = scale * width
+        out[:, k] *= scale[:, None]
+    # What has no powers above k has none on a part of it either.
+    out[:, 1:][np.logical_and.accumulate(nothing[:, :0:-1], axis=1)[:, ::-1]] = 0.0
+    return out
+
+
+def elements_of(
+    c: FloatArray,
+    ratio: FloatArray,
+    nominal_s: FloatArray,
+    operation: IntArray,
+    length: float,
+    *,
+    from_rest: bool,
+    to_rest: bool,
+    lead_share: tuple[float, float] = (_LEAD_SHARE, _LEAD_SHARE),
+    dense: bool | None = None,
+) -> Elements:
+    """Return the elements of consecutive pieces of one run.
+
+    Parameters
+    ----------
+    c
+        (n, order, axes) pieces of the planned path.
+    ratio
+        (n - 1,) rate of u before each joint over that after it, which keeps the velocity.
+    nominal_s
+        (n,) least time of each piece, 0 for none.
+    operation
+        (n,) of each piece.
+    length
+        Parameter length of the first piece.
+    from_rest, to_rest
+        Whether the run starts, or ends, here.
+    lead_share
+        What the lead-in, and that to the rest at the end, may be of their pieces at most: in them
+        feed and velocity bound the rate of their parameter, which is the speed at their end alone.
+    dense
+        Whether those that are curved are fine enough as they are. Where it is not said, a quartic's
+        are, and others where there are very many.
+    """
+    count, order, axes = c.shape
+    full = np.zeros((count, DEGREE + 1, axes))
+    full[:, :order] = c
+    with np.errstate(divide="ignore", over="ignore"):
+        cap = np.where(nominal_s > 0.0, 1.0 / nominal_s**2, np.inf)
+    whole = Elements(
+        c=full,
+        length=length * np.concatenate([[1.0], np.cumprod(ratio)]),
+        cap=cap,
+        operation=operation,
+        guard=np.zeros((count, DEGREE + 1, 0)),
+        guard_cap=np.full(count, np.inf),
+    )
+    if from_rest:
+        whole = _with_lead_in(whole, lead_share[0])
+    if to_rest:
+        last = reverse(whole.take(slice(-1, None)))
+        lead_out = reverse(_with_lead_in(last, lead_share[1]))
+        whole = join([whole.take(slice(None, -1)), lead_out])
+    straight = ~whole.c[:, 2:].any(axis=(1, 2))
+    if dense is None:
+        dense = order == _OF_QUARTIC or count > DENSE
+    curve = 1 if dense else _PARTS_OF_CURVE
+    parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
+    if from_rest:
+        parts[0] = _PARTS_OF_LEAD
+    if to_rest:
+        parts[-1] = _PARTS_OF_LEAD
+    return whole.split(parts.astype(np.int64))
+
+
+def reverse(elements: Elements) -> Elements:
+    """Return the elements run through from their end to their start."""
+    c = elements.c[::-1]
+    ones = np.ones(len(c))
+    return Elements(
+        c=restricted(c, ones, -ones),
+        length=elements.length[::-1],
+        cap=elements.cap[::-1],
+        operation=elements.operation[::-1],
+        guard=restricted(elements.guard[::-1], ones, -ones),
+        guard_cap=elements.guard_cap[::-1],
+    )
+
+
+def _with_lead_in(elements: Elements, most: float) -> Elements:
+    """Replace the first part of the first element by one that starts from rest.
+
+    Its ends have the position, velocity and acceleration of the path run through as
+    ``w^3 - w^4 / 2`` of its parameter; on a straight piece it is exactly that.
+    """
+    first = elements.take(slice(0, 1))
+    share = np.clip(np.full(1, most), _LEAST_LEAD_SHARE, _LEAD_SHARE)
+    head = restricted(first.c, np.zeros(1), share)[0]
+    rest = Elements(
+        c=restricted(first.c, share, 1.0 - share),
+        length=first.length * (1.0 - share),
+        cap=first.cap / (1.0 - share) ** 2,
+        operation=first.operation,
+        guard=first.guard,
+        guard_cap=first.guard_cap,
+    )
+    # In u of the head, w runs twice as far: at w = 1 its slope is 1 and g = 1/2.
+    powers = np.arange(DEGREE + 1.0)[:, None]
+    gone, slope = head[1:].sum(axis=0), (powers * head).sum(axis=0)
+    bend = (powers * (powers - 1.0) * head).sum(axis=0)
+    lead = Elements(
+        c=_from_rest(head[0], gone, 2.0 * slope, 4.0 * bend)[None],
+        length=2.0 * first.length * share,
+        cap=first.cap / (2.0 * share) ** 2,
+        operation=first.operation,
+        guard=first.guard,
+        guard_cap=first.guard_cap,
+    )
+    return join([lead, rest, elements.take(slice(1, None))])
+
+
+def _from_rest(
+    start: FloatArray, gone: FloatArray, slope: FloatArray, bend: FloatArray
+) -> FloatArray:
+    """Return (6, axes): the quintic from rest at ``start``, ``gone`` far, to slope and bend."""
+    c = np.zeros((DEGREE + 1, len(start)))
+    c[0] = start
+    c[3] = 10.0 * gone - 4.0 * slope + 0.5 * bend
+    c[4] = -15.0 * gone + 7.0 * slope - bend
+    c[5] = 6.0 * gone - 3.0 * slope + 0.5 * bend
+    # On a straight piece c[5] vanishes but for rounding: g is of fourth degree.
+    size = np.abs(c[1:]).max(axis=0)
+    c[1:][np.abs(c[1:]) < _ROUNDING * size] = 0.0
+    return c
+
+
+class PiecesAhead:
+    """The pieces that are still to be gone, taken from the front.
+
+    Parameters
+    ----------
+    path
+        Blocks of pieces; they are read when they are asked for.
+    """
+
+    def __init__(self, path: Iterable[PieceBlock]) -> None:
+        self._blocks = iter(path)
+        self._front: list[tuple[PieceBlock, int]] = []  # blocks, and how much of each is gone
+
+    def take(self, most: int) -> PieceBlock | None:
+        """Return the next pieces up to a rest, ``most`` of them at most; None behind the last."""
+        taken: list[PieceBlock] = []
+        count = 0
+        while count < most:
+            if not self._front:
+                fresh = next(self._blocks, None)
+                if fresh is None:
+                    break
+                self._front.append((fresh, 0))
+            block, first = self._front.pop()
+            stop = min(len(block), first + most - count)
+            rests = np.flatnonzero(block.rest_after[first:stop])
+            if len(rests):
+                stop = first + int(rests[0]) + 1
+            if stop < len(block):
+                self._front.append((block, stop))
+            if stop > first:
+                taken.append(rows_of(block, first, stop))
+                count += stop - first
+            if len(rests):
+                break
+        return _joined(taken) if taken else None
+
+    def put_back(self, block: PieceBlock) -> None:
+        """Make ``block`` the first of the pieces that are still to be gone."""
+        self._front.append((block, 0))
+
+
+def rows_of(block: PieceBlock, first: int, stop: int) -> PieceBlock:
+    """Return the pieces from ``first`` to before ``stop``."""
+    rows = slice(first, stop)
+    return PieceBlock(
+        coefficients=block.coefficients[rows],
+        operation=block.operation[rows],
+        nominal_s=block.nominal_s[rows],
+        rest_after=block.rest_after[rows],
+        dwell_s=block.dwell_s[rows],
+        line=block.line[rows],
+    )
+
+
+def _joined(parts: list[PieceBlock]) -> PieceBlock:
+    order = max(part.coefficients.shape[1] for part in parts)
+    padded = [
+        np.pad(p.coefficients, ((0, 0), (0, order - p.coefficients.shape[1]), (0, 0)))
+        for p in parts
+    ]
+    return PieceBlock(
+        coefficients=np.concatenate(padded),
+        operation=np.concatenate([p.operation for p in parts]),
+        nominal_s=np.concatenate([p.nominal_s for p in parts]),
+        rest_after=np.concatenate([p.rest_after for p in parts]),
+        dwell_s=np.concatenate([p.dwell_s for p in parts]),
+        line=np.concatenate([p.line for p in parts]),
+    )

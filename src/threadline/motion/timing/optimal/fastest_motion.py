@@ -1,0 +1,132 @@
+"""The fastest motion along a planned path as polynomials in time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.responses import answers_of
+from threadline.machine import Machine
+from threadline.motion.path.types import PieceBlock, PlannedPath
+from threadline.motion.timing.optimal.along_path import with_acceleration
+from threadline.motion.timing.optimal.elements import DENSE, PiecesAhead
+from threadline.motion.timing.optimal.first_guess import line_alone
+from threadline.motion.timing.optimal.followers import Follower, Past
+from threadline.motion.timing.optimal.following_error import followed
+from threadline.motion.timing.optimal.in_time import in_time
+from threadline.motion.timing.optimal.motion_limits import Limits, limits_of
+from threadline.motion.timing.optimal.shaped import shaped
+from threadline.motion.timing.optimal.solve import fastest
+from threadline.motion.timing.optimal.windows import ADDED, SEEN, windowed
+from threadline.motion.timing.timed import held_block
+from threadline.motion.timing.types import TrajectoryBlock
+
+MOST_PIECES = ADDED + SEEN
+"""Pieces of one run that are solved together; a run of more is planned in windows."""
+MOST_FOLLOWED = 20_000
+"""Pieces of one run whose loads follow; where a run has more, the motion rests between."""
+GAP = 1e-4
+
+
+def fastest_blocks(
+    path: PlannedPath,
+    machine: Machine,
+    contour_m: float = np.inf,
+    *,
+    of_loads: bool = False,
+    along_m_s2: float = np.inf,
+) -> Iterator[TrajectoryBlock]:
+    """Yield the fastest trajectory of ``path`` within what the axes and their drives can do.
+
+    Parameters
+    ----------
+    contour_m
+        How far the loads may be from the path while their loops follow the motion, at the tool;
+        infinite where that is no limit.
+    of_loads
+        Whether loads are to follow it, and no motors.
+    along_m_s2
+        Most acceleration along the path, at the tool; infinite for none.
+    """
+    follower = follower_of(path, machine, contour_m) if np.isfinite(contour_m) else None
+    if follower is not None and all(answer is None for answer in follower.answers):
+        follower = None  # no loop of which anything is known follows these axes
+    limits = limits_of(machine, path.axes, path.radius_m, of_loads=of_loads)
+    limits = replace(limits, along=with_acceleration(limits.along, along_m_s2, path.radius_m))
+    yield from limited_blocks(path, limits, follower)
+
+
+def follower_of(path: PlannedPath, machine: Machine, contour_m: float) -> Follower:
+    """Return what is known of the loops of a machine whose loads follow ``path``."""
+    answers = answers_of(machine)
+    return Follower(
+        answers=tuple(answers.get(axis) for axis in path.axes),
+        radius_m=path.radius_m,
+        tolerance_m=contour_m,
+    )
+
+
+def least_time_s(path: PlannedPath, limits: Limits) -> float:
+    """Return the duration of the fastest motion along ``path`` within ``limits``."""
+    return max((block.end_s for block in limited_blocks(path, limits)), default=0.0)
+
+
+def limited_blocks(
+    path: PlannedPath, limits: Limits, follower: Follower | None = None
+) -> Iterator[TrajectoryBlock]:
+    """Yield the fastest trajectory of ``path`` within limits of its axes, and of their loops."""
+    now = 0.0
+    past = Past(0.0 if follower is None else follower.memory_s)
+    ahead = PiecesAhead(path)
+    within = limits.with_length()
+    most = max(DENSE, MOST_PIECES) if follower is None else MOST_FOLLOWED
+    while (run := ahead.take(most)) is not None:
+        if follower is None and len(run) > MOST_PIECES:
+            ahead.put_back(run)
+            dense = not run.rest_after[-1]
+            del run  # it is no longer needed, and there may be much of it
+            run, now = yield from windowed(ahead, path.radius_m, within, GAP, now, dense=dense)
+            if run is None:
+                return
+            dwell_s, operation, end = _rest_after(run)
+        else:
+            dwell_s, operation, end = _rest_after(run)
+            block = None
+            if follower is None and len(run) == 1 and not run.coefficients[0, 2:].any():
+                block = _line(run, limits, now)
+            if block is None and (shape := shaped(run, path.radius_m, within)) is not None:
+                del run  # likewise
+                elements = shape.elements
+                del shape
+                if follower is None:
+                    block = in_time(fastest(elements, within, GAP), within, now)
+                else:
+                    block = followed(elements, within, follower, past, now)
+            if block is not None:
+                now = block.end_s
+                past.add(block)
+                yield block
+        if dwell_s > 0.0:
+            still = held_block(end, now, dwell_s, operation)
+            past.add(still)
+            yield still
+            now += dwell_s
+
+
+def _rest_after(run: PieceBlock) -> tuple[float, int, FloatArray]:
+    """Return how long a run rests at its end, the operation that does, and where."""
+    return (
+        float(run.dwell_s[-1]),
+        int(run.operation[-1]),
+        np.asarray(run.coefficients[-1].sum(axis=0)),
+    )
+
+
+def _line(run: PieceBlock, limits: Limits, begin_s: float) -> TrajectoryBlock | None:
+    """Return the motion along a run that is one straight line, where a closed form is known."""
+    if not run.coefficients[0, 1].any():
+        return None
+    return line_alone(run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, begin_s)

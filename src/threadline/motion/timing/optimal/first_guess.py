@@ -1,0 +1,248 @@
+"""A run that is one straight line: its fastest motion is known in closed form."""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.base.compiled import njit
+from threadline.motion.laws import ShortestMove, shortest_move
+from threadline.motion.timing.optimal.along_path import across
+from threadline.motion.timing.optimal.barrier import room_of, values
+from threadline.motion.timing.optimal.elements import Elements
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.optimal.rows import WEIGHTS
+from threadline.motion.timing.types import TrajectoryBlock
+
+
+def line_alone(
+    c: FloatArray, nominal_s: float, operation: int, limits: Limits, begin_s: float
+) -> TrajectoryBlock | None:
+    """Return the fastest motion from rest to rest along a straight piece.
+
+    None where a drive could bind before the limits of the axes do, or where axes brake otherwise
+    than they speed up: then there is no closed form.
+
+    Parameters
+    ----------
+    c
+        (order, axes) of the piece.
+    nominal_s
+        Least time of the piece at an even speed, 0 for none.
+    """
+    way = np.abs(c[1])
+    with np.errstate(divide="ignore", over="ignore"):
+        velocity = float((limits.velocity / way).min())
+        acceleration = float((limits.acceleration / way).min())
+        jerk = float((limits.jerk / way).min())
+    if limits.deceleration is not None:
+        return None
+    if limits.along is not None:
+        if limits.along.sides[0] != limits.along.sides[1]:
+            return None
+        length = float(np.linalg.norm(way * limits.along.radius_m))
+        velocity = min(velocity, limits.along.velocity / length)
+        acceleration = min(acceleration, limits.along.acceleration / length)
+        jerk = min(jerk, limits.along.jerk / length)
+    if nominal_s > 0.0:
+        velocity = min(velocity, 1.0 / nominal_s)
+    rates = np.array([velocity, acceleration])
+    if len(limits.demand) and (limits.demand @ rates * way > 1.0).any():
+        return None
+    duration_s, place = _phases(shortest_move(1.0, velocity, acceleration, jerk))
+    coefficients = np.zeros((len(place), 4, len(way)))
+    coefficients[:, 0] = c[0]
+    coefficients += place[:, :, None] * c[1]
+    return TrajectoryBlock(
+        start_s=begin_s + np.concatenate([[0.0], np.cumsum(duration_s)[:-1]]),
+        duration_s=duration_s,
+        coefficients=coefficients,
+        operation=np.full(len(place), operation),
+    )
+
+
+def _phases(move: ShortestMove) -> tuple[FloatArray, FloatArray]:
+    """Return the (n,) durations of the phases and (n, 4) places on them in powers of u."""
+    top, peak = move.velocity_si, move.acceleration_si
+    gained = 0.5 * peak * move.jerk_s
+    # Duration, and the velocity and acceleration at the beginning of each phase.
+    begun = [
+        (move.jerk_s, 0.0, 0.0),
+        (move.push_s, gained, peak),
+        (move.jerk_s, top - gained, peak),
+        (move.cruise_s, top, 0.0),
+        (move.jerk_s, top, 0.0),
+        (move.push_s, top - gained, -peak),
+        (move.jerk_s, gained, -peak),
+        (0.0, 0.0, 0.0),
+    ]
+    rows, at = [], 0.0
+    for k, ((lasts_s, velocity, acceleration), (_, _, then)) in enumerate(pairwise(begun)):
+        if not lasts_s > 0.0:
+            continue
+        bent = 0.0 if k in (1, 3, 5) else (then - acceleration) * lasts_s**2 / 6.0
+        rows.append([at, velocity * lasts_s, 0.5 * acceleration * lasts_s**2, bent])
+        at = sum(rows[-1])
+    return np.array([lasts_s for lasts_s, _, _ in begun if lasts_s > 0.0]), np.array(rows)
+
+
+_SHARE = 0.25  # of the accelerations, on the way
+_USED = 0.7  # of a limit, at most
+_ROUNDS = 60
+_GROWTH = 3.0  # of x from element to element
+_DIGITS = float(np.finfo(np.float64).eps)
+
+
+@njit()
+def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
+    """Return the (n,) largest even x, in units of the common parameter, that each element allows.
+
+    At an even rate of the parameter the motion keeps within every limit.
+    """
+    n, order, axes = c.shape
+    out = np.empty(n)
+    for i in range(n):
+        y = cap[i]
+        for j in range(axes):
+            v, a, q = 0.0, 0.0, 0.0
+            for k in range(1, order):
+                size = abs(c[i, k, j])
+                v += k * size
+                a += k * (k - 1) * size
+                q += k * (k - 1) * (k - 2) * size
+            if v > 0.0:
+                y = min(y, (limit_v[j] / v) ** 2)
+            for m in range(len(demand)):
+                if demand[m, j, 0] * v > 0.0:
+                    y = min(y, (0.5 / (demand[m, j, 0] * v)) ** 2)
+                if demand[m, j, 1] * a > 0.0:
+                    y = min(y, 0.5 / (demand[m, j, 1] * a))
+            if a > 0.0:
+                y = min(y, limit_a[j] / a)
+            if q > 0.0 and limit_j[j] < np.inf:
+                y = min(y, (limit_j[j] / q) ** (2.0 / 3.0))
+        for j in range(guard.shape[2]):
+            a = 0.0
+            for k in range(2, order):
+                a += k * (k - 1) * abs(guard[i, k, j])
+            if a > 0.0:
+                y = min(y, 1.0 / a)
+        out[i] = y * length[i] ** 2
+    return out
+
+
+@njit()
+def used(b, length, rows, tangent, out, anew):
+    """Write the (n,) largest shares of a limit into ``out``; return the largest of all.
+
+    ``anew`` says whether each tangent is put to its best first.
+    """
+    acc, jerk, points, count, top, drive, begin = rows
+    worst = 0.0
+    for i in range(len(length)):
+        y0, y1, y2 = values(b, length, i)
+        share = 0.0
+        if top[i] < np.inf:
+            share = max(y0, y1, y2) / top[i]
+        for k in range(count[i, 0]):
+            share = max(share, abs(acc[i, k, 0] * y0 + acc[i, k, 1] * y1 + acc[i, k, 2] * y2))
+        if anew:
+            tangent[i] = ((y0 + y1 + y2) / 3.0) ** -0.5
+        t0, t1 = 1.5 * tangent[i], 0.5 * tangent[i] ** 3
+        for k in range(count[i, 1]):
+            w = WEIGHTS[points[i, k]]
+            room = t0 - t1 * (w[0] * y0 + w[1] * y1 + w[2] * y2)
+            v = abs(jerk[i, k, 0] * y0 + jerk[i, k, 1] * y1 + jerk[i, k, 2] * y2)
+            share = max(share, v / room if room > 0.0 else np.inf)
+        for k in range(begin[i], begin[i + 1]):
+            share = max(share, 1.0 - room_of(drive[k], y0, y1, y2, tangent[i]))
+        out[i] = share
+        worst = max(worst, share)
+    return worst
+
+
+@njit()
+def roundings(b, length, rows):
+    """Return the (n,) shares of a limit by which the digits of y round the rows of an element."""
+    acc, jerk, count = rows[0], rows[1], rows[3]
+    out = np.empty(len(length))
+    for i in range(len(length)):
+        y0, y1, y2 = values(b, length, i)
+        y = max(y0, y1, y2)
+        steep, steep_jerk = 0.0, 0.0
+        for k in range(count[i, 0]):
+            r0, r1, r2 = acc[i, k, 0], acc[i, k, 1], acc[i, k, 2]
+            steep = max(steep, abs(r0), abs(r1), abs(r2))
+        for k in range(count[i, 1]):
+            r0, r1, r2 = jerk[i, k, 0], jerk[i, k, 1], jerk[i, k, 2]
+            steep_jerk = max(steep_jerk, abs(r0), abs(r1), abs(r2))
+        out[i] = _DIGITS * max(steep, steep_jerk * np.sqrt(y)) * y
+    return out
+
+
+@njit()
+def feasible(length, rows, most):
+    """Return coefficients b and tangents within all limits.
+
+    Parameters
+    ----------
+    most
+        (n,) largest even x of each element, by ``even``.
+    """
+    acc, count = rows[0], rows[3]
+    n = len(length)
+    tangent, share = np.empty(n), np.empty(n)
+    node = np.empty(n + 1)
+    gain = np.empty(n)  # largest change of x over an element by its acceleration
+    for i in range(n):
+        steep = 0.0
+        for k in range(count[i, 0]):
+            r = acc[i, k]
+            steep = max(steep, abs(r[0]), abs(r[1]), abs(r[2]))
+        gain[i] = _SHARE / steep * length[i] ** 2 if steep > 0.0 else np.inf
+    cap = most.copy()
+    b = np.empty(n + 2)
+    for _ in range(_ROUNDS):
+        node[0], node[n] = cap[0], cap[n - 1]
+        for i in range(1, n):
+            node[i] = min(cap[i - 1], cap[i])
+        for i in range(n):
+            node[i + 1] = min(node[i + 1], node[i] + gain[i], _GROWTH * node[i])
+        for i in range(n - 1, -1, -1):
+            node[i] = min(node[i], node[i + 1] + gain[i], _GROWTH * node[i + 1])
+        for i in range(n + 2):
+            b[i] = 0.5 * (node[max(i - 1, 0)] + node[min(i, n)])
+        if used(b, length, rows, tangent, share, True) < _USED:
+            return b, tangent
+        for i in range(n):
+            if share[i] >= _USED:
+                reach = max(b[i], b[i + 1], b[i + 2])
+                for k in range(max(i - 1, 0), min(i + 2, n)):
+                    cap[k] = min(cap[k], 0.6 * reach)
+    lowest = most[0]
+    for i in range(n):
+        lowest = min(lowest, most[i])
+    b[:] = 0.4 * lowest
+    used(b, length, rows, tangent, share, True)
+    return b, tangent
+
+
+def top_of(elements: Elements, limits: Limits) -> FloatArray:
+    """Return the (n,) largest u'^2 of feed, guards and what may be across the path."""
+    along = limits.along
+    if along is None or not np.isfinite(along.centripetal):
+        return elements.top
+    bent = across(elements.c[:, :, :-1] * along.radius_m)
+    with np.errstate(divide="ignore"):
+        return np.minimum(elements.top, along.centripetal / bent)
+
+
+def evenly(elements: Elements, limits: Limits) -> FloatArray:
+    """Return the (n,) largest x of each element that is within all limits while it is even."""
+    at, of = elements, limits
+    least, top = np.minimum(*of.sides), top_of(at, of)
+    most = even(at.length, at.c, at.guard, of.velocity, least, of.jerk, of.demand, top)
+    return np.asarray(most)

@@ -1,0 +1,398 @@
+"""How far loads stray from their path, as linear functions of the timing.
+
+A load is where the taps of its loop put what it was told over the last ticks. Where an element
+takes longer by some time, all that is told after it comes later by that time: what a tap weighs
+then falls by the speed of that instant. The place of the path that the load is held against comes
+later, too; what both have in common takes no load off the path. So with taps h, told speed v, the
+load seen at t and its place at t', an error along the unit vector n changes by
+
+    n . sum_j h_j v(t - j T) (D(t') - D(t - j T)),
+
+where D(t) is the sum of what is added to the elements before t.
+
+Guards bound accelerations and stand for what the loops make of them: of the right size, and not
+exact. From a motion that was found with them, the same barrier goes on with the errors themselves
+(``stray_rows``) in their place. These rows are as long as the memory of a loop, so that the matrix
+of a step is no longer narrow: it is one that is, with some hundred rows beside it, and solved by
+the formula of Woodbury. Rows are of the largest errors and of some between them; what strays too
+far beside them is slowed for. A run with too many of both keeps its guards.
+"""
+# mypy: disable-error-code="no-untyped-def,untyped-decorator"
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.base.progress import PLANNING
+from threadline.errors import PlanError
+from threadline.motion.timing.optimal import barrier
+from threadline.motion.timing.optimal.elements import Elements
+from threadline.motion.timing.optimal.followers import (
+    AFTER,
+    BEFORE,
+    Follower,
+    Past,
+    Strays,
+    aligned,
+    tangents,
+)
+from threadline.motion.timing.optimal.in_time import in_time, slowed
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.optimal.solve import Problem, Solution, bernstein
+from threadline.motion.timing.types import TrajectoryBlock
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Errors of loads, linear in the coefficients of a solution.
+
+    Parameters
+    ----------
+    weights
+        (m, n + 2) shares of the tolerance for a unit of each coefficient.
+    share
+        (m,) of the tolerance, as it is.
+    """
+
+    weights: FloatArray
+    share: FloatArray
+
+
+def stray_rows(
+    solution: Solution, block: TrajectoryBlock, strays: Strays, chosen: IntArray
+) -> Rows:
+    """Return rows for the errors at the places ``chosen``.
+
+    Parameters
+    ----------
+    solution, block
+        The motion, and the same in time.
+    strays
+        What its loads make of it; the errors of the places are not 0.
+    chosen
+        (m,) indices of places.
+    """
+    follower = strays.follower
+    tau = (solution.y**-0.5).mean(axis=1)
+    tau *= (block.end_s - block.start_s[0]) / tau.sum()
+    start = block.start_s[0] + np.concatenate([[0.0], np.cumsum(tau)[:-1]])
+    errors = strays.error_m[chosen]
+    towards = errors / np.linalg.norm(errors, axis=1, keepdims=True)
+    step = float(strays.time_s[1] - strays.time_s[0])
+    seen_s = strays.time_s[0] + strays.tick[chosen] * strays.fine * step
+    rows = np.zeros((len(chosen), len(tau)))
+    for k, (period_s, taps) in enumerate(_taps(follower)):
+        told_s = (seen_s[:, None] - np.arange(len(taps)) * period_s)[:, ::-1]
+        inside = (told_s >= block.start_s[0]) & (told_s <= block.end_s)
+        speed = np.zeros(told_s.shape)
+        speed[inside] = block.evaluate(told_s[inside], 1)[:, k] * follower.radius_m[k]
+        weight = towards[:, k, None] * taps[::-1] * speed
+        passed = np.clip((strays.time_s[chosen, None] - start) / tau, 0.0, 1.0)
+        rows += weight.sum(axis=1)[:, None] * passed
+        rows -= _passed(weight, np.ascontiguousarray(told_s), start, tau)
+    by_y = -0.5 / 3.0 * solution.y**-1.5 / follower.tolerance_m
+    return Rows(
+        weights=_by_coefficients(rows[:, :, None] * by_y, solution.elements.length),
+        share=strays.share[chosen],
+    )
+
+
+def _taps(follower: Follower) -> list[tuple[float, FloatArray]]:
+    """Return the tick and the taps of each axis; one tap where it is where it is told to be."""
+    return [
+        (0.0, np.ones(1)) if answer is None else (answer.period_s, answer.taps)
+        for answer in follower.answers
+    ]
+
+
+@njit()
+def _passed(weight, times_s, start, tau):
+    """Return (m, n) sums of (m, t) weights times the share of an element passed at rising times."""
+    many, width = weight.shape
+    out = np.empty((many, len(start)))
+    mass, moment = np.zeros(width + 1), np.zeros(width + 1)
+    for r in range(many):
+        for j in range(width):
+            mass[j + 1] = mass[j] + weight[r, j]
+            moment[j + 1] = moment[j] + weight[r, j] * times_s[r, j]
+        low, high = 0, 0
+        for i in range(len(start)):
+            while low < width and times_s[r, low] < start[i]:
+                low += 1
+            while high < width and times_s[r, high] < start[i] + tau[i]:
+                high += 1
+            within = moment[high] - moment[low] - start[i] * (mass[high] - mass[low])
+            out[r, i] = mass[width] - mass[high] + within / tau[i]
+    return out
+
+
+def _by_coefficients(by_y: FloatArray, length: FloatArray) -> FloatArray:
+    """Return (m, n + 2) derivatives by b of what has (m, n, 3) derivatives by y."""
+    n = len(length)
+    before = np.concatenate([[0.0], length[:-1]])
+    after = np.concatenate([length[1:], [0.0]])
+    first, middle, last = (by_y / (length**2)[:, None]).transpose(2, 0, 1)
+    out = np.zeros((len(by_y), n + 2))
+    out[:, :n] += first * (length / (before + length))
+    out[:, 1 : n + 1] += first * (before / (before + length)) + middle
+    out[:, 1 : n + 1] += last * (after / (length + after))
+    out[:, 2:] += last * (length / (length + after))
+    return out
+
+
+_POLISHED_MOST = 1_000_000  # rows times elements
+_POLISHED_ROUNDS = 24
+_IDLE = 3  # rounds without much gain, after which no further one is made
+_ENOUGH = 5e-4  # of the duration: a smaller gain is not much
+_NEAR = 0.6  # of the tolerance: a larger error has a row, where it is the largest about it
+_EVERY = (1, 3, 5)  # of other large errors one in so many; ticks have 4 places: all phases of them
+_FEW = 5e7  # square of rows times elements, what a step takes: above it rows are of fewer errors
+_AIM = 0.995  # of the tolerance
+_LITTLE = 1.1  # of the tolerance: with more a motion is not worth to be slowed for it
+_SLOWER, _BY_SHARE, _SLOWED_ROUNDS = 1.0001, 0.35, 8  # and by how much it is, at a time
+_LEAST_ROOM = 2e-3  # of the tolerance, where a row begins
+_FASTER = 1.2  # of x, in one round: the rows are of where it was
+_MOST_SLOWER = 0.3  # of x
+_WEIGHTS = (3e-2, 3e-3, 1e-3)  # of the barrier, over all slacks, as shares of the duration
+_STEPS = 40  # at one weight
+_CENTRED = 0.5  # decrement in units of the weight, at which the weight falls
+_NEAR_LIMIT = 0.9  # of the way to the nearest row
+
+
+def polished(
+    problem: Problem, block: TrajectoryBlock, limits: Limits, follower: Follower, past: Past
+) -> TrajectoryBlock:
+    """Return a faster motion that loads follow, ``block`` where none is found.
+
+    Parameters
+    ----------
+    problem
+        Where the search for ``block`` ended; it loses its guards.
+    block
+        A motion whose loads keep the tolerance of the follower.
+    limits, past
+        Of axes and drives; the motion before it.
+    """
+    begin_s = float(block.start_s[0])
+    best, least_s, idle = block, np.inf, 0
+    at = problem.elements
+    problem.regard(
+        replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)),
+    )
+    for _ in range(_POLISHED_ROUNDS):
+        solution = problem.solution()
+        now = in_time(solution, limits, begin_s)
+        strays = follower.strays(past, now)
+        kept = _kept(now, float(strays.share.max()), follower, past)
+        enough_s = _ENOUGH * (best.end_s - begin_s)
+        # Where it goes on to be faster, slowing may gain later what it does not yet.
+        idle = 0 if now.end_s < least_s - enough_s else idle + 1
+        least_s = min(least_s, now.end_s)
+        if kept is not None and kept.end_s < best.end_s:
+            idle = 0 if kept.end_s < best.end_s - enough_s else idle
+            best = kept
+        chosen = _chosen(strays.share, len(at))
+        if idle == _IDLE or len(chosen) * len(at) > _POLISHED_MOST:
+            break
+        _descend(problem, stray_rows(solution, now, strays, chosen))
+    return best
+
+
+def _kept(
+    block: TrajectoryBlock, share: float, follower: Follower, past: Past
+) -> TrajectoryBlock | None:
+    """Return the motion, slowed evenly where its loads stray a little too far by ``share``.
+
+    The rows are of where the motion was, so that most rounds end with some of a hundredth too much.
+    """
+    for _ in range(_SLOWED_ROUNDS):
+        if share <= 1.0 or share > _LITTLE:
+            break
+        block = slowed(block, _SLOWER * share**_BY_SHARE)
+        share = float(follower.strays(past, block).share.max())
+    return block if share <= 1.0 else None
+
+
+def _chosen(share: FloatArray, elements: int) -> IntArray:
+    """Return the places of the errors that have rows: as many as are quickly solved with."""
+    inside = np.concatenate([[-np.inf], share, [-np.inf]])
+    peak = (share >= inside[:-2]) & (share > inside[2:])
+    number = np.arange(len(share))
+    for every in _EVERY:
+        chosen = np.flatnonzero((share > _NEAR) & (peak | (number % every == 0)))
+        if len(chosen) ** 2 * elements <= _FEW:
+            break
+    return chosen
+
+
+def _descend(problem: Problem, rows: Rows) -> None:
+    """Make the motion as fast as its limits and the rows allow, near where it is."""
+    at = problem.elements
+    length = at.length
+    problem.limit(replace(at, guard_cap=_FASTER * bernstein(problem.b, length).max(axis=1)))
+    was = problem.b.copy()
+    room = _polished_slowed(problem, rows)
+    slacks = problem.slacks + len(room)
+    for share in _WEIGHTS:
+        weight = share * float(barrier.duration(problem.b, length)) / slacks
+        for _ in range(_STEPS):
+            slack = room - rows.weights @ (problem.b - was)
+            step, decrement = _newton(problem, rows.weights, slack, weight)
+            if not np.isfinite(step).all():
+                break  # rounding ends it here: b keeps within all limits
+            if barrier.advance(problem.b, step, length, problem.rows, problem.tangent) <= 0.0:
+                break
+            barrier.follow(problem.b, length, problem.rows, problem.tangent)
+            problem.steps += 1
+            if decrement < _CENTRED * weight:
+                break
+    problem.limit(at)
+
+
+def _polished_slowed(problem: Problem, rows: Rows) -> FloatArray:
+    """Slow the motion evenly until every row has room; return the (m,) rooms from where it was.
+
+    All that a motion uses of its limits falls with x, and so do most errors; one that does not is
+    allowed what it has.
+    """
+    falls = rows.weights @ problem.b
+    room = _AIM - rows.share
+    lacks = _LEAST_ROOM - room
+    due = np.zeros(len(room))
+    np.divide(lacks, falls, out=due, where=(lacks > 0.0) & (falls > 0.0))
+    slower = min(float(due.max(initial=0.0)), _MOST_SLOWER)
+    problem.b = (1.0 - slower) * problem.b
+    return np.maximum(room, _LEAST_ROOM - slower * falls)
+
+
+def _newton(
+    problem: Problem, weights: FloatArray, slack: FloatArray, weight: float
+) -> tuple[FloatArray, float]:
+    """Return the step that rows of (m,) ``slack`` leave of Newton's, and its decrement."""
+    matrix, g = barrier.derivatives(
+        problem.b, problem.elements.length, problem.rows, problem.tangent, weight
+    )
+    g = g + weights.T @ (weight / slack)
+    step = barrier.solved(matrix, g)
+    if len(weights):
+        # With B = L D L' and V = W L'^-1 D^-1/2, W B^-1 W' is V V'; so the step is
+        # (B + W' S W)^-1 = B^-1 - B^-1 W' (S^-1 + V V')^-1 W B^-1 of -g.
+        halved = barrier.halved(matrix, weights)
+        inner = halved @ halved.T
+        inner[np.diag_indices_from(inner)] += slack**2 / weight
+        pushed = weights.T @ np.linalg.solve(inner, weights @ step)
+        step = step + barrier.solved(matrix, pushed)
+        nearer = weights @ step
+        far = np.full(len(slack), np.inf)
+        np.divide(slack, nearer, out=far, where=nearer > 0.0)
+        step = step * min(1.0, _NEAR_LIMIT * float(far.min()))
+    return step, -float(g @ step)
+
+
+_LEAST, _FOLLOWING_ERROR_MOST = 0.02, 100.0  # of an ease
+_LEAST_USED = 0.5
+_MOST_CHANGE = 1.1  # of the logarithm of a guard, in one round
+_GAP = 1e-3  # of the duration
+_FOLLOWING_ERROR_ROUNDS, _SLOWER_ROUNDS = 6, 10
+_SLOWED = 1.3  # power of what is too much, by which a place is slowed
+_LONGER, _MOST_LONGER, _LONGEST = 1.01, 1.5, 10  # steps by which a whole run is slowed; how often
+
+
+def followed(
+    elements: Elements, limits: Limits, follower: Follower, past: Past, begin_s: float
+) -> TrajectoryBlock:
+    """Return the fastest motion of a run that its loads follow within the follower's tolerance.
+
+    The steady error of each acceleration is a guard of the timing. What the loops really make of
+    the motion is then worked out, and the guards are eased or tightened where it says so. Where
+    the loads still stray too far after some rounds, the motion is slowed about that place.
+
+    Raises
+    ------
+    PlanError
+        If the loads are not within the tolerance however slow the run is.
+    """
+    ease, straight, most = np.ones(len(elements)), np.ones(len(elements)), None
+    problem = Problem(follower.guarded(elements, ease, straight), limits)
+    for number in range(_FOLLOWING_ERROR_ROUNDS + _SLOWER_ROUNDS):
+        if number == 0:
+            problem.solve(_GAP)
+        else:  # a guard that steps would have its place cut ever finer
+            problem.solve(_GAP, cuts=1, idle=False)
+        solution = problem.solution()
+        block = in_time(solution, limits, begin_s)
+        PLANNING.reach(block.end_s, number + 1, _FOLLOWING_ERROR_ROUNDS + _SLOWER_ROUNDS)
+        strays = follower.strays(past, block)
+        if strays.share.max() <= 1.0 and number >= _FOLLOWING_ERROR_ROUNDS:
+            return polished(problem, block, limits, follower, past)
+        middles = middles_s(solution)
+        middles *= (block.end_s - begin_s) / middles[-1]
+        at = _whose(elements, solution.elements)
+        elements = solution.elements
+        x = solution.y.max(axis=1) * elements.length**2
+        if number < _FOLLOWING_ERROR_ROUNDS:
+            fresh = straightness(middles, elements, follower)
+            straight = 0.5 * (straight[at] + fresh) if number else fresh
+            due = np.clip(strays.due(block, begin_s + middles), -_MOST_CHANGE, _MOST_CHANGE)
+            # A guard that nothing reaches is tightened from where it would bite.
+            bites = np.clip(problem.guards_used(), _LEAST_USED, 1.0)
+            ease = ease[at] * np.exp(due) * np.where(due < 0.0, bites, 1.0)
+            ease = np.clip(ease, _LEAST, _FOLLOWING_ERROR_MOST)
+        else:
+            over = strays.worst(begin_s + middles)
+            ease, straight = ease[at], straight[at]
+            known = np.full(len(x), np.inf) if most is None else most[at]
+            most = _following_error_slowed(known, x, over)
+        problem.regard(follower.guarded(elements, ease, straight, most))
+    return polished(problem, _slower(block, follower, past), limits, follower, past)
+
+
+def _following_error_slowed(known: FloatArray, x: FloatArray, over: FloatArray) -> FloatArray:
+    """Return the (n,) caps ``known``, lowered below ``x`` where the share ``over`` is above 1."""
+    lower = np.minimum(known, x * np.maximum(over, 1.0) ** -_SLOWED)
+    return np.where(over > 1.0, lower, known)
+
+
+def _whose(coarse: Elements, fine: Elements) -> IntArray:
+    """Return the (n,) elements of ``coarse`` in which those of ``fine`` lie."""
+    ends = np.cumsum(coarse.length)
+    middles = np.cumsum(fine.length) - 0.5 * fine.length
+    return np.minimum(np.searchsorted(ends, middles), len(coarse) - 1)
+
+
+def _slower(block: TrajectoryBlock, follower: Follower, past: Past) -> TrajectoryBlock:
+    """Return the motion slowed evenly until its loads follow."""
+    for _ in range(_LONGEST):
+        share = float(follower.strays(past, block).share.max())
+        if share <= 1.0:
+            return block
+        block = slowed(block, min(_LONGER * share**0.5, _MOST_LONGER))
+    raise PlanError(
+        f"the loads stray {share * follower.tolerance_m * 1e3:.3g} mm from the path however slowly "
+        f"they are moved; {follower.tolerance_m * 1e3:.3g} mm are allowed",
+        remedy="Allow more (--contour), or let the loops settle before: a dwell, or other gains.",
+    )
+
+
+def middles_s(solution: Solution) -> FloatArray:
+    """Return the (n,) times from the start to the middle of each element."""
+    time_s = (solution.y**-0.5).mean(axis=1)
+    return np.asarray(np.cumsum(time_s) - 0.5 * time_s)
+
+
+def straightness(middles: FloatArray, elements: Elements, follower: Follower) -> FloatArray:
+    """Return the (n,) share of an error along the path that stays along it while it is seen.
+
+    Parameters
+    ----------
+    middles
+        (n,) when the motion is in the middle of each element, s.
+    """
+    lag = follower.lag_s
+    return np.asarray(
+        aligned(middles, tangents(elements, follower.radius_m), BEFORE * lag, AFTER * lag)
+    )

@@ -1,0 +1,221 @@
+"""What axes, drives and the tool may do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.dynamics.eccentric import drive_limits, drive_needs
+from threadline.errors import PlanError
+from threadline.machine import Machine
+from threadline.motion.timing.optimal.along_path import AlongPath
+
+_LEAST_RAMP = 0.02  # of the time to the velocity's limit at that of the acceleration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What the axes may do.
+
+    Parameters
+    ----------
+    velocity, acceleration, jerk
+        (axes,); a jerk may be infinite.
+    demand
+        (m, axes, 2) share of what the drive of an axis has to give (volts, current) that 1 m/s,
+        and 1 m/s^2, of it needs; 0 for none. At an acceleration of its limit and no velocity, no
+        demand may be above 1.
+    deceleration
+        (axes,) what an axis may brake with, where that is another limit than ``acceleration``.
+    along
+        What the tool may do along its path and across it.
+    """
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+    demand: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    deceleration: FloatArray | None = None
+    along: AlongPath | None = None
+
+    @property
+    def sides(self) -> tuple[FloatArray, FloatArray]:
+        """(axes,) limits of speeding up, and of braking."""
+        braking = self.acceleration if self.deceleration is None else self.deceleration
+        return self.acceleration, braking
+
+    @property
+    def largest_acceleration(self) -> FloatArray:
+        """(axes,) the higher limit of speeding up and braking."""
+        return np.maximum(*self.sides)
+
+    def with_length(self) -> Limits:
+        """Return the limits with those along the path as of one more axis: the way gone."""
+        if self.along is None:
+            return self
+        own = self.along
+        speeding, braking = (
+            np.append(limit, along) for limit, along in zip(self.sides, own.sides, strict=True)
+        )
+        return replace(
+            self,
+            velocity=np.append(self.velocity, own.velocity),
+            acceleration=speeding,
+            jerk=np.append(self.jerk, own.jerk),
+            demand=np.pad(self.demand, ((0, 0), (0, 1), (0, 0))),
+            deceleration=None if np.array_equal(speeding, braking) else braking,
+        )
+
+    def ramp_s(self, fastest: FloatArray) -> float:
+        """Return the time that the jerk takes to the limit of acceleration or velocity, about.
+
+        It is that of the axis with the shortest, and no longer than any axis needs to the velocity
+        that it reaches: a limit of velocity far above changes nothing.
+
+        Parameters
+        ----------
+        fastest
+            (axes,) velocities that the motion reaches.
+        """
+        to_limits = np.nanmin(self._ramps_s(self.velocity))
+        return float(min(to_limits, np.nanmax(self._ramps_s(fastest))))
+
+    def _ramps_s(self, velocity: FloatArray) -> FloatArray:
+        """Return how long the jerk of each axis takes, NaN for an axis that has no limit at all."""
+        with np.errstate(invalid="ignore"):
+            by_jerk = np.fmin(self.acceleration / self.jerk, np.sqrt(velocity / self.jerk))
+            by_acceleration = _LEAST_RAMP * velocity / self.acceleration
+        return np.asarray(np.fmax(by_jerk, by_acceleration))
+
+
+RESERVE = 0.1
+"""Of volts and current, for the loop, where the machine file says nothing else."""
+_UNITS = ("V at the controller", "V", "A")
+
+
+def axis_limits(
+    machine: Machine, axes: tuple[str, ...], radius_m: FloatArray | None = None
+) -> Limits:
+    """Return what axes and tool may do, whatever the drives can give.
+
+    Parameters
+    ----------
+    radius_m
+        (axes,) length at the tool of one unit of each axis, for limits along the path; those of
+        the machine when left out.
+    """
+    column = [machine.axis_names.index(axis) for axis in axes]
+    speeding, braking = (limit[column] for limit in machine.sides)
+    return Limits(
+        velocity=machine.velocity_limit[column],
+        acceleration=speeding,
+        deceleration=None if np.array_equal(speeding, braking) else braking,
+        jerk=machine.jerk_limit[column],
+        along=along_of(machine, machine.radius_m[column] if radius_m is None else radius_m),
+    )
+
+
+def along_of(machine: Machine, radius_m: FloatArray) -> AlongPath | None:
+    """Return what the tool of a machine may do along its path, None where nothing limits it."""
+    own = machine.path
+    if own is None:
+        return None
+    velocity, acceleration, jerk, centripetal = (
+        np.inf if limit is None else limit.si
+        for limit in (own.velocity, own.acceleration, own.jerk, own.centripetal)
+    )
+    return AlongPath(
+        velocity=velocity,
+        acceleration=acceleration,
+        deceleration=None if own.deceleration is None else own.deceleration.si,
+        jerk=jerk,
+        centripetal=centripetal,
+        radius_m=radius_m,
+    )
+
+
+def limits_of(
+    machine: Machine,
+    axes: tuple[str, ...],
+    radius_m: FloatArray | None = None,
+    *,
+    of_loads: bool = False,
+) -> Limits:
+    """Return what axes and tool may do: their own limits, and what their drives can give.
+
+    A drive gives the current that its bodies need, with all links rigid, and the voltage for it;
+    sliding friction is taken from both beforehand, and so is the reserve for the loop.
+
+    Parameters
+    ----------
+    radius_m
+        As for ``axis_limits``.
+    of_loads
+        Whether loads follow the motion, by feed-forward. The voltage is then held over each tick,
+        while the back EMF rises: the current is largest at the beginning of the tick. Where
+        motors follow the motion, the loops smooth this peak.
+
+    Raises
+    ------
+    PlanError
+        If friction and reserve leave a drive nothing to move with.
+    """
+    own = axis_limits(machine, axes, radius_m)
+    demand = demands_of(machine, axes, of_loads=of_loads)
+    with np.errstate(divide="ignore"):
+        most = (1.0 / demand[:, :, 1]).min(axis=0)
+    speeding, braking = (np.minimum(limit, most) for limit in own.sides)
+    return replace(
+        own,
+        acceleration=speeding,
+        deceleration=None if np.array_equal(speeding, braking) else braking,
+        demand=demand[demand[:, :, 0].any(axis=1)],
+    )
+
+
+def reserve_of(machine: Machine, axis: str) -> float:
+    """Return the share of voltage and current of an axis that is kept for its loop."""
+    kept = machine.drive_of(axis).amplifier.reserve
+    return RESERVE if kept is None else kept.si
+
+
+def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> FloatArray:
+    """Return (3, axes, 2) the shares of its limits that an axis needs for 1 m/s and for 1 m/s^2.
+
+    The limits are those of the controller's output, of the winding's voltage and of its current,
+    less what friction takes and the reserve keeps; ``of_loads`` is as for ``limits_of``.
+
+    Raises
+    ------
+    PlanError
+        If friction and reserve leave a drive nothing to move with.
+    """
+    demand = np.zeros((len(_UNITS), len(axes), 2))
+    for k, axis in enumerate(axes):
+        if machine.axes[axis].drive:  # told positions: its torque is judged
+            continue
+        reserve = reserve_of(machine, axis)
+        for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis, of_loads)):
+            left = (1.0 - reserve) * limit - still
+            if not left > 0.0:
+                raise PlanError(
+                    f"axis {axis}: friction takes {still:.3g} of the {limit:.3g} {_UNITS[m]} of "
+                    f"drives.{machine.controller_of(axis).drive}, and {reserve:.0%} are kept for "
+                    "its loop: nothing is left to move with",
+                    place=machine.place,
+                    remedy="Lower friction or reserve, or give the drive more.",
+                )
+            demand[m, k] = speed / left, push / left
+    return demand
+
+
+def _needs(machine: Machine, axis: str, of_loads: bool) -> list[tuple[float, FloatArray]]:
+    """Return limit and need, at rest, per m/s and per m/s^2, in the order of ``_UNITS``."""
+    current, winding = drive_needs(machine, axis)
+    if of_loads and machine.drive_of(axis).amplifier.mode == "voltage":
+        tick_s = float(machine.clock(machine.controller_of(axis).clock).period_s)
+        decayed = tick_s * winding[1] / winding[2]
+        current = current * np.array([1.0, 1.0, decayed / -np.expm1(-decayed)])
+    return [(limit, need) for limit, need, _ in drive_limits(machine, axis, current, winding)]

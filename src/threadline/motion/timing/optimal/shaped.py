@@ -1,0 +1,204 @@
+"""The pieces of a run, or of a part of one, as the elements that are solved for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray
+from threadline.motion.path.runs import COINCIDENT_M
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.optimal.along_path import divided, with_length
+from threadline.motion.timing.optimal.elements import Elements, elements_of
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.pieces import factors, slope
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+_TURNED = 1e-8  # of a line: by how much it may turn at its joint
+_AT_JERK = 0.87  # of the root of speed by jerk: a lead-in so long has room for twice the jerk
+_AT_SPEED = 0.1  # of the time until the axes have their speed: a lead-in lasts so long at it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shaped:
+    """Elements of consecutive pieces, and what is needed to go on behind them.
+
+    Parameters
+    ----------
+    elements
+        Of the pieces.
+    length
+        (n,) of each piece in the common parameter, without what a lead-in adds.
+    last
+        (1, order, axes) the last piece.
+    ending
+        The last ``slow`` pieces once more, to a rest at their end; None where the motion rests
+        there anyway.
+    slow
+        How many pieces these are.
+    """
+
+    elements: Elements
+    length: FloatArray
+    last: FloatArray
+    ending: Elements | None
+    slow: int
+
+    def __len__(self) -> int:
+        return len(self.length)
+
+    def in_units_of(self, unit: float) -> Shaped:
+        """Return the same in a common parameter of another unit."""
+        end = self.ending
+        return replace(
+            self,
+            elements=replace(self.elements, length=self.elements.length / unit),
+            length=self.length / unit,
+            ending=None if end is None else replace(end, length=end.length / unit),
+        )
+
+
+def shaped(
+    run: PieceBlock,
+    radius_m: FloatArray,
+    limits: Limits,
+    before: Shaped | None = None,
+    *,
+    to_rest: bool = True,
+    dense: bool | None = None,
+    slow: int = 1,
+) -> Shaped | None:
+    """Return the elements of pieces; with limits along the path, the way gone is their last axis.
+
+    None where nothing moves.
+
+    Parameters
+    ----------
+    limits
+        With those along the path as of one more axis.
+    before
+        The pieces that go on into these; where there are none, the motion begins at rest.
+    to_rest
+        Whether it rests behind the last piece.
+    dense
+        Whether those that are curved are fine enough as they are; see ``elements_of``.
+    slow
+        From how many pieces at the end it can come to rest, where it does not anyway.
+    """
+    if limits.along is not None:
+        run = divided(run)
+    moves = np.abs(run.coefficients[:, 1:]).max(axis=(1, 2)) > 0.0
+    moves = _beyond_rounding(run, moves, radius_m, before is None, to_rest)
+    if not moves.any():
+        return None
+    c = run.coefficients[moves].copy()
+    if c.shape[1] < 4:
+        c = np.pad(c, ((0, 0), (0, 4 - c.shape[1]), (0, 0)))
+    _reach_ends(
+        c,
+        run.coefficients[0, 0] if before is None else None,
+        run.coefficients[-1].sum(axis=0) if to_rest else None,
+    )
+    begin, slow = 1.0, min(slow, len(c))
+    if before is not None:
+        joint = np.concatenate([before.last, c[:1]])
+        begin = float(before.length[-1] / np.sqrt(factors(joint, radius_m)[0]))
+    ratio, own = 1.0 / np.sqrt(factors(c, radius_m)[:-1]), c[-1:]
+    length = begin * np.concatenate([[1.0], np.cumprod(ratio)])
+    nominal_s, operation, last = run.nominal_s[moves], run.operation[moves], slope(own)[0]
+    if limits.along is not None:
+        c = with_length(c, limits.along.radius_m)
+        last = np.append(last, c[-1, :, -1] @ np.arange(6.0))
+    share = _lead_share(c[0, 1], nominal_s[0], limits), _lead_share(last, nominal_s[-1], limits)
+    return Shaped(
+        elements=elements_of(
+            c,
+            ratio,
+            nominal_s,
+            operation,
+            begin,
+            from_rest=before is None,
+            to_rest=to_rest,
+            lead_share=share,
+            dense=dense,
+        ),
+        length=length,
+        last=own,
+        ending=None
+        if to_rest
+        else elements_of(
+            c[-slow:],
+            ratio[len(c) - slow :],
+            nominal_s[-slow:],
+            operation[-slow:],
+            float(length[-slow]),
+            from_rest=False,
+            to_rest=True,
+            lead_share=share,
+        ),
+        slow=slow,
+    )
+
+
+def _beyond_rounding(
+    run: PieceBlock, moves: BoolArray, radius_m: FloatArray, from_rest: bool, to_rest: bool
+) -> BoolArray:
+    """Return ``moves`` without the pieces of no length beside a rest.
+
+    Beside a chord of nanometres a spline has spans of femtometres: less than the rounding of a
+    position, and no motion from rest along them has digits.
+    """
+    long = np.abs(run.coefficients[:, 1:] * radius_m).sum(axis=1).max(axis=1) > COINCIDENT_M
+    inner = moves.copy()
+    if from_rest:
+        inner &= np.logical_or.accumulate(long)
+    if to_rest:
+        inner &= np.logical_or.accumulate(long[::-1])[::-1]
+    return inner if inner.any() else moves
+
+
+def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None) -> None:
+    """Move the start of the first piece and the end of the last, in place: by 0.1 nm at most.
+
+    A piece is bent by its highest power of the way to its other end, so that it joins the next one
+    as smoothly as before. A line that hardly turns by it is moved at its end and stays a line.
+    """
+    order, nothing = c.shape[1], np.zeros(c.shape[2])
+    began = nothing if start is None else start - c[0, 0]
+    ended = nothing if end is None else end - c[-1].sum(axis=0)
+    highest = np.eye(order)[-1]
+    for k, way, power in (
+        (-1, ended, highest),
+        (0, began, np.polynomial.polynomial.polypow([1.0, -1.0], order - 1)),
+    ):
+        if not way.any():
+            continue
+        line = not c[k, 2:].any()
+        hardly = len(c) == 1 or np.abs(way).max() < _TURNED * np.abs(c[k, 1]).max()
+        bend = power
+        if line and hardly:
+            bend = np.zeros(order)
+            bend[:2] = power[0], 1.0 - 2.0 * power[0]
+        c[k] += bend[:, None] * way
+
+
+def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
+    """Return what a lead-in may be of a piece: what is gone until the axes have their speed.
+
+    The speed is that of the feed, or of the limit of an axis. While the axes have not reached it,
+    neither binds. A lead-in that is much longer has a speed that its elements follow badly.
+    """
+    least_s = max(nominal_s, float((np.abs(rate) / limits.velocity).max()))
+    if least_s == 0.0:
+        return 1.0  # the path turns back there, and its parameter says nothing of the speed
+    speed = np.abs(rate) / least_s
+    by_jerk_s = np.sqrt(speed / limits.jerk)
+    rise_s = np.maximum(2.0 * by_jerk_s, speed / limits.acceleration)
+    lead_s = _AT_SPEED * float(rise_s.max())
+    # What bounds the rate of a lead-in bounds the jerk at its start, by 1.5 of speed / lead_s^2.
+    jerky_s = float(by_jerk_s.max())
+    return (min(lead_s, _AT_JERK * jerky_s) if jerky_s > 0.0 else lead_s) / least_s

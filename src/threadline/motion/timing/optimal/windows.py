@@ -1,0 +1,381 @@
+"""Runs of any length, planned as far ahead as a window reaches.
+
+A window ends in some pieces that are gone so slowly and evenly that the motion could rest within
+them without another plan. What lies behind the horizon is kept for the next window, which begins
+with the place, the velocity and the acceleration that the motion has there, goes on along the rest
+of the plan, and slowly on through the new pieces: a motion within all limits, which the solver
+makes faster. Where there is no such motion, the plan is followed to its end and rests there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.motion.path.types import PieceBlock
+from threadline.motion.timing.optimal.elements import Elements, PiecesAhead, join, rows_of
+from threadline.motion.timing.optimal.first_guess import evenly
+from threadline.motion.timing.optimal.in_time import as_it_is, in_time
+from threadline.motion.timing.optimal.motion_limits import Limits
+from threadline.motion.timing.optimal.shaped import Shaped, shaped
+from threadline.motion.timing.optimal.solve import Problem, Solution, bernstein
+from threadline.motion.timing.types import TrajectoryBlock
+
+ADDED = 1000
+"""Pieces by which a window goes beyond the one before it; more where they are hardly cut."""
+MOST_ADDED = 6000
+_ELEMENTS = 11_000  # by which a window goes beyond the one before it, about
+HORIZON = 1.25
+"""What is planned once more with what follows, in times that braking from the limit of speed takes;
+``MOST_AHEAD`` pieces at most."""
+MOST_AHEAD = 5000
+_LEAST_AHEAD = 80  # pieces that are planned once more
+SEEN = 100
+"""Pieces behind a window that are looked at."""
+_SLOW = 0.25  # of what the elements about the end of a window allow while the rate is even
+_LONGER = 3e-4  # share by which a motion should take longer: jerks of 1.0009 of their limit
+_AT_A_TIME = 4096  # elements whose motion is told in time together
+_SLOWER, _TRIES = 0.8, 16  # of x, where that is too much
+_HELD = (1, 8, 64, 512)
+"""Elements in which a window goes on at the even x that it began with, at the least."""
+_SLOW_PIECES = 40  # at the end of a window, which are gone evenly
+_CUT = 2.0  # elements of a piece, on the mean: where there are more, the next begin with two
+_EVEN = 1e-9  # of x: the change of one that is even
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Kept:
+    """What is left of a plan: from a place on the way to its slow end.
+
+    Parameters
+    ----------
+    elements, b, tangent
+        (n,) elements, (n + 2,) coefficients of their motion and (n,) tangents.
+    ending
+        Coefficients of the motion through the ending of ``shape``.
+    borders
+        (m,) ends of the pieces in the common parameter.
+    shape
+        The pieces that were added last.
+    fresh
+        Place in the common parameter up to which elements were cut where they reach no limit.
+    cut
+        Elements of a piece, on the mean.
+    """
+
+    elements: Elements
+    b: FloatArray
+    tangent: FloatArray
+    ending: FloatArray
+    borders: FloatArray
+    shape: Shaped
+    fresh: float
+    cut: float
+
+    @property
+    def added(self) -> int:
+        """The number of pieces by which the next window goes on."""
+        return int(max(ADDED, min(_ELEMENTS / self.cut, MOST_ADDED)))
+
+    def up_to(self, pieces: int) -> int:
+        """Return the number of elements before the end of a piece."""
+        ends = np.cumsum(self.elements.length)
+        return int(np.abs(ends - self.borders[pieces - 1]).argmin()) + 1
+
+    def before(self, horizon_s: float) -> int:
+        """Return the number of pieces to the end of which nothing within the horizon belongs."""
+        fast = self.up_to(len(self.borders) - self.shape.slow)
+        place = _place(self.elements.take(slice(0, fast)), self.b[: fast + 2], horizon_s)
+        count = int(np.searchsorted(self.borders, place * (1.0 + _EVEN), side="right"))
+        most = len(self.borders) - _LEAST_AHEAD
+        return max(min(max(count, len(self.borders) - MOST_AHEAD), most), 1)
+
+    def left(self, pieces: int) -> tuple[Solution, _Kept]:
+        """Return the motion through so many pieces, and the rest of the plan."""
+        at, b = self.elements, self.b
+        m = self.up_to(pieces)
+        node = float(bernstein(b, at.length)[m, 0]) * at.length[m] ** 2
+        gone = Solution(elements=at, b=b, steps=0, gap=0.0).part(0, m)
+        # The common parameter begins anew: over millions of pieces it would lose its size. By a
+        # power of two no digit is rounded, and what was within a limit by the last one stays so.
+        unit = float(2.0 ** -np.round(np.log2(at.length[m])))
+        stays = at.take(slice(m, None))
+        return gone, _Kept(
+            elements=replace(stays, length=unit * stays.length),
+            b=unit**2 * np.concatenate([[node], b[m + 1 :]]),
+            tangent=self.tangent[m:],
+            ending=unit**2 * self.ending,
+            borders=unit * (self.borders[pieces:] - self.borders[pieces - 1]),
+            shape=self.shape.in_units_of(1.0 / unit),
+            fresh=unit * (self.fresh - float(self.borders[pieces - 1])),
+            cut=self.cut,
+        )
+
+    def to_rest(self) -> Solution:
+        """Return the motion to its end, and to a rest there."""
+        ending = self.shape.ending
+        if ending is None:
+            return Solution(elements=self.elements, b=self.b, steps=0, gap=0.0)
+        m = self.up_to(len(self.borders) - self.shape.slow)
+        return Solution(
+            elements=join([self.elements.take(slice(0, m)), ending]),
+            b=np.concatenate([self.b[: m + 1], self.ending[1:]]),
+            steps=0,
+            gap=0.0,
+        )
+
+
+def windowed(
+    ahead: PiecesAhead,
+    radius_m: FloatArray,
+    limits: Limits,
+    gap: float,
+    begin_s: float,
+    *,
+    dense: bool,
+) -> Generator[TrajectoryBlock, None, tuple[PieceBlock | None, float]]:
+    """Yield the motion through a run of more pieces than are planned together.
+
+    Parameters
+    ----------
+    limits
+        With those along the path as of one more axis.
+    gap
+        Share of the duration of a window within which its least is to be reached.
+    dense
+        Whether the run has so many pieces that one element each is enough to begin with, unless
+        those of the window before were cut.
+
+    Returns
+    -------
+    tuple
+        The last pieces that were read, and the time.
+    """
+    kept: _Kept | None = None
+    now, horizon_s = begin_s, HORIZON * _braking_s(limits)
+    while True:
+        added = ADDED if kept is None else kept.added
+        run = ahead.take(added + SEEN)
+        if run is None and kept is None:
+            return None, now
+        after = None
+        if run is not None and len(run) == added + SEEN and not run.rest_after[-1]:
+            after = rows_of(run, added, len(run))
+            ahead.put_back(after)
+            run = rows_of(run, 0, added)
+        found = None
+        if run is not None:
+            plan = _planned(kept, run, after, radius_m, limits, dense)
+            found = None if plan is None else _window(plan, limits, gap, now, horizon_s)
+            del plan
+        if found is None and kept is not None:
+            # There is no way on that is known to be within all limits: the plan ends in a rest.
+            blocks = _told(kept.to_rest(), limits, now)
+            assert blocks is not None  # so it was when it was kept
+            found = blocks, None
+            if run is not None:
+                ahead.put_back(run)
+                after = run  # the run goes on
+        elif found is None and run is not None:
+            plan = _planned(None, run, None, radius_m, limits, dense)
+            blocks = [] if plan is None else [in_time(_solved(plan, gap).to_rest(), limits, now)]
+            del plan
+            found = blocks, None
+        blocks, kept = found if found is not None else ([], None)
+        yield from blocks
+        now = blocks[-1].end_s if blocks else now
+        if after is None:
+            return run, now
+
+
+def _window(
+    plan: _Plan, limits: Limits, gap: float, begin_s: float, horizon_s: float
+) -> tuple[list[TrajectoryBlock], _Kept | None] | None:
+    """Return the motion up to the horizon, and what is left of the plan.
+
+    None where either leaves a limit as polynomials in time.
+    """
+    rests = plan.shape.ending is None
+    plan.problem.settled_s = 0.0 if rests else 0.5 * horizon_s
+    solved = _solved(plan, gap)
+    if rests:
+        blocks = _told(solved.to_rest(), limits, begin_s)
+        return None if blocks is None else (blocks, None)
+    way, kept = solved.left(solved.before(horizon_s))
+    del solved
+    blocks = _told(way, limits, begin_s)
+    if blocks is None or _told(kept.to_rest(), limits, 0.0) is None:
+        return None
+    return blocks, kept
+
+
+def _told(solution: Solution, limits: Limits, begin_s: float) -> list[TrajectoryBlock] | None:
+    """Return a motion as polynomials in time, None where they leave a limit."""
+    blocks: list[TrajectoryBlock] = []
+    for part in solution.parts(_AT_A_TIME):
+        block = as_it_is(part, limits, begin_s, _LONGER)
+        if block is None:
+            return None
+        blocks.append(block)
+        begin_s = block.end_s
+    return blocks
+
+
+@dataclass(slots=True, eq=False)
+class _Plan:
+    """A problem with a motion to begin with, and as ``_Kept`` has them borders and shape."""
+
+    problem: Problem
+    ending: FloatArray
+    borders: FloatArray
+    shape: Shaped
+
+
+def _planned(
+    kept: _Kept | None,
+    run: PieceBlock,
+    after: PieceBlock | None,
+    radius_m: FloatArray,
+    limits: Limits,
+    dense: bool,
+) -> _Plan | None:
+    """Return a motion through what was kept and ``run``, and slowly on into ``after``.
+
+    None where none is known; without ``after`` it comes to rest.
+    """
+    before, fine = None, True if dense else None
+    if kept is not None:
+        before, fine = kept.shape, fine if kept.cut < _CUT else False
+    shape = shaped(
+        run, radius_m, limits, before, to_rest=after is None, dense=fine, slow=_SLOW_PIECES
+    )
+    if shape is None:
+        return None
+    level = None if kept is None else float(kept.b[-1])
+    slow = _slow_way(shape, level, after, radius_m, limits)
+    if slow is None:
+        return None
+    b, tangent, held, ending = slow
+    borders, elements = _ends_of(shape), shape.elements
+    if kept is not None:
+        borders = np.concatenate([kept.borders, kept.borders[-1] + borders])
+        elements = join([kept.elements, elements])
+        b = np.concatenate([kept.b[:-1], b[1:]])
+        tangent = np.concatenate([kept.tangent, tangent])
+    problem = Problem(elements, limits, begun=(b, tangent))
+    if not problem.most_used() < 1.0:
+        return None
+    problem.held = (0 if kept is None else 2, held)
+    problem.fresh = 0.0 if kept is None else kept.fresh
+    return _Plan(problem=problem, ending=ending, borders=borders, shape=shape)
+
+
+def _slow_way(
+    shape: Shaped,
+    level: float | None,
+    after: PieceBlock | None,
+    radius_m: FloatArray,
+    limits: Limits,
+) -> tuple[FloatArray, FloatArray, int, FloatArray] | None:
+    """Return a slow motion, its tangents, how many coefficients at its end are even, and a rest.
+
+    The rest is the coefficients of a motion through the ending of ``shape``.
+
+    Parameters
+    ----------
+    level
+        The even x with which it begins, None where it begins at rest.
+    after
+        What follows: the motion ends in pieces of an even x from which it can go on, or rest.
+        Without anything it ends at rest.
+    """
+    at, n = shape.elements, len(shape.elements)
+    most = np.full(n, np.inf)
+    if after is None or shape.ending is None:
+        slow = _from_level(at, limits, most, level)
+        return None if slow is None else (slow.b, slow.tangent, 0, slow.b[:0])
+    if len(shape) < 3 * shape.slow:
+        return None
+    ends = np.cumsum(at.length)
+    zone = (1.0 - _EVEN) * shape.length[-shape.slow - 1 :].sum()  # and one to slow down in
+    count = int((ends > ends[-1] - zone).sum())
+    beyond = shaped(after, radius_m, limits, shape, to_rest=False, dense=True)
+    if beyond is not None:
+        at = join([at, beyond.elements])
+    most = np.append(most, np.full(len(at) - n, np.inf))
+    last = _SLOW * float(evenly(at, limits)[n - count :].min())
+    stops = np.full(len(shape.ending), np.inf)
+    for _ in range(_TRIES):
+        most[n - count : n + 1], stops[0] = last, last
+        slow, rest = _from_level(at, limits, most, level), Problem(shape.ending, limits, stops)
+        if slow is None:
+            return None
+        even = np.concatenate([slow.b[n - count + 1 : n + 2], rest.b[:2]])
+        if _is_even(even, last):
+            b = np.append(slow.b[: n + 1], last)
+            b[n - count + 1 :] = rest.b[:2] = last
+            return b, slow.tangent[:n], count + 1, rest.b
+        last = _SLOWER * float(even.min())
+    return None
+
+
+def _from_level(
+    at: Elements, limits: Limits, most: FloatArray, level: float | None
+) -> Problem | None:
+    """Return a slow motion, with (n,) x of ``most`` at most, that begins with an even x.
+
+    A slow motion becomes faster as soon as it may, and is slowed about the places where its jerk
+    is too large then. Where these are at its beginning, it is to be even for some elements first.
+    """
+    for held in _HELD:
+        own = most.copy()
+        if level is not None:
+            own[:held] = np.minimum(own[:held], level)
+        slow = Problem(at, limits, own)
+        if _is_even(slow.b[:2], level):
+            return slow
+    return None
+
+
+def _is_even(x: FloatArray, level: float | None) -> bool:
+    return level is None or bool((np.abs(x - level) <= _EVEN * level).all())
+
+
+def _braking_s(limits: Limits) -> float:
+    """Return the time that the slowest axis takes from its limit of velocity to rest."""
+    v, a, j = limits.velocity, np.minimum(*limits.sides), limits.jerk
+    with np.errstate(invalid="ignore", over="ignore"):
+        slow = np.where(v * j > a**2, v / a + a / j, 2.0 * np.sqrt(v / j))
+    return float(np.max(slow[np.isfinite(slow)], initial=0.0))
+
+
+def _solved(plan: _Plan, gap: float) -> _Kept:
+    """Return the fastest motion of a plan, of which nothing else is needed any longer."""
+    own = plan.problem
+    own.solve(gap)
+    own.rows = None
+    return _Kept(
+        elements=own.elements,
+        b=own.b,
+        tangent=own.tangent,
+        ending=plan.ending,
+        borders=plan.borders,
+        shape=plan.shape,
+        fresh=float(own.elements.length[: own.settled()].sum()),
+        cut=len(own.elements) / len(plan.borders),
+    )
+
+
+def _place(elements: Elements, b: FloatArray, to_go_s: float) -> float:
+    """Return the place in the common parameter from which a motion takes about so long."""
+    after_s = np.cumsum((bernstein(b, elements.length) ** -0.5).mean(axis=1)[::-1])
+    return float(elements.length[: len(after_s) - int(np.searchsorted(after_s, to_go_s))].sum())
+
+
+def _ends_of(shape: Shaped) -> FloatArray:
+    """Return the (n,) ends of the pieces; a lead-in lengthens the first."""
+    total = float(shape.elements.length.sum())
+    return np.asarray(total - (shape.length.sum() - np.cumsum(shape.length)))

@@ -1,0 +1,347 @@
+"""Trajectory of a path whose shape alone is settled: as fast as limits and feed allow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.progress import PLANNING
+from threadline.errors import BudgetError, OptionError
+from threadline.files import KeptStream, Stream
+from threadline.machine import Machine
+from threadline.machine.vary import within_path
+from threadline.motion.laws import Law
+from threadline.motion.path.durations import Smoothing, smoothing_for
+from threadline.motion.path.interpolations import CHORDS, on_chords
+from threadline.motion.path.types import PieceBlock, PlannedPath, Timing
+from threadline.motion.timing import profile
+from threadline.motion.timing.averaged import Smoother
+from threadline.motion.timing.by_law import as_programmed, breaks_jerk, by_law
+from threadline.motion.timing.firmware import firmware_blocks
+from threadline.motion.timing.optimal.fastest_motion import fastest_blocks
+from threadline.motion.timing.pieces import (
+    Allowance,
+    Pieces,
+    allowance,
+    caps,
+    divide,
+    factors,
+    join,
+    prepare,
+)
+from threadline.motion.timing.timed import held_block, smoothed_blocks, timed_blocks
+from threadline.motion.timing.types import Trajectory, TrajectoryBlock
+
+SAMPLES = 16384  # in hand at once
+MOST_PENDING = 200_000  # pieces that wait for what follows; a longer wait is cut short by a stop
+
+
+def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryBlock]:
+    """Yield the trajectory of ``path`` within velocity, acceleration and jerk limits."""
+    column = [machine.axis_names.index(axis) for axis in path.axes]
+    limits = machine.velocity_limit[column], machine.acceleration_limit[column]
+    smoothing = smoothing_for(machine, path.axes)
+    _refuse_endless(smoothing, machine, path.axes)
+    run = _Run(limits, allowance(smoothing, path.radius_m, path.smoothing_m, *limits))
+    for block in path:
+        stops = np.flatnonzero(block.rest_after)
+        first = 0
+        for stop in stops:
+            yield from run.extend(block, first, int(stop) + 1, ends=True)
+            first = int(stop) + 1
+        if first < len(block):
+            yield from run.extend(block, first, len(block), ends=False)
+
+
+def _refuse_endless(smoothing: Smoothing, machine: Machine, axes: tuple[str, ...]) -> None:
+    """Refuse a jerk limit that by itself asks for more ticks than the machine file allows."""
+    ticks = smoothing.width_s / float(machine.tick_clock.period_s)
+    if ticks <= machine.tick_budget.si:
+        return
+    column = [machine.axis_names.index(axis) for axis in axes]
+    k = int(np.argmax(machine.acceleration_limit[column] / machine.jerk_limit[column]))
+    raise BudgetError(
+        f"with the jerk limit of axis {axes[k]}, its own or that along the path, its acceleration "
+        f"takes {smoothing.width_s:.3g} s to come and go, {ticks:.3g} ticks; the machine file "
+        f"allows {machine.tick_budget.si:.3g}",
+        place=machine.place,
+        remedy="Raise that jerk, lower the acceleration, or take another interpolation: optimal.",
+    )
+
+
+@dataclass(slots=True)
+class _Run:
+    """The run under way between two rests."""
+
+    limits: tuple[FloatArray, FloatArray]
+    allowed: Allowance
+    pending: Pieces | None = None
+    run_over: int = 0  # leading pending pieces that are done, kept for what they ask of the next
+    speed: float = 0.0  # u'^2 at the start of the first piece that is not done
+    time_s: float = 0.0  # from there to its first sample
+    begin_s: float = 0.0  # when the run began
+    done: int = 0  # spline pieces of the run that are out
+    smoother: Smoother | None = None
+
+    def extend(
+        self, block: PieceBlock, first: int, stop: int, *, ends: bool
+    ) -> Iterator[TrajectoryBlock]:
+        """Take in pieces ``first`` to ``stop`` and yield what they settle."""
+        rows = slice(first, stop)
+        here = block.coefficients[rows]
+        moves = np.any(here[:, 1:], axis=(1, 2))
+        pieces = prepare(
+            here[moves], block.nominal_s[rows][moves], block.operation[rows][moves], self.allowed
+        )
+        self.pending = pieces if self.pending is None else join([self.pending, pieces])
+        if self.smoother is None and len(self.pending):
+            start, label = self.pending.c[0, 0], int(self.pending.operation[0])
+            self.smoother = Smoother(self.allowed.smoothing, start, label)
+        yield from self._advance(ends)
+        if not ends:
+            return
+        last = here[-1].sum(axis=0)
+        if self.smoother is not None:
+            label = int(block.operation[stop - 1])
+            yield from self._emit(*self.smoother.finish(last, label))
+        self.begin_s += self.done * self.allowed.smoothing.step_s
+        dwell = float(block.dwell_s[stop - 1])
+        if dwell > 0:
+            yield held_block(last, self.begin_s, dwell, int(block.operation[stop - 1]))
+            self.begin_s += dwell
+        self.pending, self.smoother, self.run_over = None, None, 0
+        self.speed, self.time_s, self.done = 0.0, 0.0, 0
+
+    def _advance(self, ends: bool) -> Iterator[TrajectoryBlock]:
+        if self.pending is None or not len(self.pending):
+            return
+        p = self.pending = divide(self.pending, self.allowed, ends=ends)
+        factor = factors(p.c, self.allowed.radius)
+        cap = caps(p, factor, self.allowed)
+        # Pieces that are done are never whole: their number does not change.
+        new = slice(self.run_over, None)
+        c, straight, cap, factor = p.c[new], p.straight[new], cap[new], factor[new]
+        path = (c, straight, cap, factor)
+        count = len(c)
+        most = np.zeros((count, profile.PARTS + 1))
+        profile.backward(*path, *self.limits, 0.0, most, False)
+        settled = count
+        if not ends:
+            settled = profile.backward(*path, *self.limits, np.inf, most, True)
+            # What comes later may still lower the caps of the last stretch.
+            left = np.cumsum(p.length[new][::-1])[::-1]
+            far = self.allowed.reach_s * self.allowed.top_m_s
+            settled = min(settled, int(np.searchsorted(-left, -far)), count - 1)
+            if count - settled > MOST_PENDING:
+                settled = count // 2
+        if settled <= 0:
+            return
+        x = np.zeros((settled, profile.PARTS + 1))
+        c, straight, cap = c[:settled], straight[:settled], cap[:settled]
+        after = profile.forward(c, straight, factor[:settled], *self.limits, self.speed, most, x)
+        yield from self._sample(c, straight, cap, x, p.operation[new][:settled])
+        self.speed = after
+        # The last pieces that are done still ask something of those to come.
+        over = self.run_over + settled
+        far = self.allowed.reach_s * self.allowed.top_m_s
+        passed = np.cumsum(p.length[:over][::-1])[::-1]
+        kept = int(np.searchsorted(-passed, -far))
+        self.pending, self.run_over = p.take(slice(kept, None)), over - kept
+
+    def _sample(
+        self,
+        c: FloatArray,
+        straight: IntArray,
+        cap: FloatArray,
+        x: FloatArray,
+        operation: IntArray,
+    ) -> Iterator[TrajectoryBlock]:
+        state = np.array([0.0, 0.0, self.time_s])
+        out = np.empty((SAMPLES, c.shape[2]))
+        owner = np.empty(SAMPLES, dtype=np.int64)
+        step = self.allowed.smoothing.step_s
+        assert self.smoother is not None
+        while state[0] < len(c):
+            count = profile.sample(c, straight, cap, x, *self.limits, step, state, out, owner)
+            if count:
+                fresh = self.smoother.extend(out[:count].copy(), operation[owner[:count]])
+                yield from self._emit(*fresh)
+        self.time_s = float(state[2])
+
+    def _emit(self, coefficients: FloatArray, operation: IntArray) -> Iterator[TrajectoryBlock]:
+        count = len(coefficients)
+        if not count:
+            return
+        step = self.allowed.smoothing.step_s
+        yield TrajectoryBlock(
+            start_s=np.asarray(self.begin_s + (self.done + np.arange(count)) * step),
+            duration_s=np.full(count, step),
+            coefficients=coefficients,
+            operation=operation,
+        )
+        self.done += count
+        PLANNING.reach(self.begin_s + self.done * step)
+
+
+_MOST_KEPT = 20_000  # pieces of a path whose fastest motion is kept
+
+
+class Pace(StrEnum):
+    """How the time along a path is chosen."""
+
+    LIMITED = "limited"  # as fast as the limits and the feed allow
+    PROGRAMMED = "programmed"  # every programmed time exactly, for a smoothing in time afterwards
+    LAW = "law"  # every chord from rest to rest by a motion law, as fast as limits and feed allow
+
+
+def plan_trajectory(
+    path: PlannedPath,
+    machine: Machine,
+    pace: Pace = Pace.LIMITED,
+    law: Law | None = None,
+    contour_m: float = np.inf,
+    *,
+    of_loads: bool = False,
+    along_m_s2: float = np.inf,
+) -> Trajectory:
+    """Return the axis positions over time.
+
+    A path whose pieces have their times keeps them, smoothed where the path leaves room for it
+    (``smoothing_m``) because its acceleration steps; the shape of any other is followed as fast
+    as the limits of ``machine`` and the programmed feed allow, or at its programmed times.
+
+    Parameters
+    ----------
+    path
+        What is to be followed.
+    machine
+        Its limits.
+    pace
+        ``PROGRAMMED`` of chords keeps every programmed time; their velocity steps, so that the
+        trajectory is historical until it is smoothed. ``LAW`` makes every chord a move from rest
+        to rest; it is historical where its jerk is infinite and an axis limits it.
+    law
+        The motion law for the pace ``LAW``.
+    contour_m
+        How far the loads may be from a path that is timed as the fastest, while their loops
+        follow it; infinite where that is no limit.
+    of_loads
+        Whether loads are to follow a path that is timed as the fastest, and no motors.
+    along_m_s2
+        Most acceleration along a path that is timed as the fastest, at the tool.
+
+    Raises
+    ------
+    OptionError
+        If a curved path is to keep programmed times or to follow a law, or the law goes back.
+    BudgetError
+        While the trajectory is read: if the programmed feeds and dwells alone take more ticks
+        than the machine file allows. It comes before any sample of the pieces that are too long.
+    PlanError
+        While the trajectory of ``contour_m`` is read: if loads stray farther however slow it is.
+    """
+    if path.timing not in (Timing.FASTEST, Timing.FIRMWARE):
+        machine = within_path(machine, path.axes, path.radius_m)
+    if pace is Pace.LAW:
+        if not on_chords(path.interpolation) or law is None:
+            raise OptionError(
+                f"a motion law is followed along chords, not along {path.interpolation}",
+                remedy="Take chord_path, and name the law.",
+            )
+        path = replace(
+            path,
+            blocks=Stream(by_law, path, machine, law),
+            timing=Timing.TIME,
+            historical=breaks_jerk(law, path.axes, machine),
+        )
+    if pace is Pace.PROGRAMMED and path.timing is Timing.GEOMETRIC:
+        if path.interpolation != CHORDS:
+            raise OptionError(
+                f"only chords keep their programmed times, not {path.interpolation}",
+                remedy="Take chord_path.",
+            )
+        timed = Stream(as_programmed, path, machine)
+        path = replace(path, blocks=timed, timing=Timing.TIME, historical=True)
+    path = replace(path, blocks=KeptStream(_within_budget, path, machine))
+    if path.timing is Timing.TIME and path.smoothing_m > 0:
+        return Trajectory(axes=path.axes, blocks=KeptStream(smoothed_blocks, path, machine))
+    if path.timing is Timing.TIME:
+        return Trajectory(
+            axes=path.axes,
+            historical=path.historical,
+            blocks=KeptStream(timed_blocks, path),
+        )
+    if path.timing is Timing.FIRMWARE and machine.planner is not None:
+        return Trajectory(
+            axes=path.axes,
+            historical=True,
+            blocks=KeptStream(firmware_blocks, path, machine, machine.planner),
+        )
+    if path.timing is Timing.FASTEST:
+        blocks = Stream(
+            fastest_blocks, path, machine, contour_m, of_loads=of_loads, along_m_s2=along_m_s2
+        )
+        # It will be read many times: a short motion is worked out once and kept.
+        return Trajectory(
+            axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks
+        )
+    return Trajectory(axes=path.axes, blocks=KeptStream(followed_blocks, path, machine))
+
+
+def _short(path: PlannedPath) -> bool:
+    """Say whether all pieces of a path may be kept."""
+    count = 0
+    for block in path:
+        count += len(block)
+        if count > _MOST_KEPT:
+            return False
+    return True
+
+
+def _longest(
+    block: PieceBlock, moved_s: FloatArray, axes: tuple[str, ...], fastest: FloatArray
+) -> str:
+    """Say which of the pieces takes longest, and what makes it so long."""
+    lasts_s = moved_s + block.dwell_s
+    k = int(np.argmax(lasts_s))
+    ways = np.abs(block.coefficients[k, 1:].sum(axis=0)) / fastest
+    if block.dwell_s[k] >= moved_s[k]:
+        why = "its dwell"
+    elif block.nominal_s[k] >= ways.max():
+        why = "its feed"
+    else:
+        why = f"the velocity limit of axis {axes[int(np.argmax(ways))]}"
+    return f"line {block.line[k]} of the job alone takes {lasts_s[k]:.3g} s by {why}"
+
+
+def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
+    """Yield the pieces of ``path`` as long as the least time they take is within the budget."""
+    period_s = float(machine.tick_clock.period_s)
+    budget = machine.tick_budget.si
+    least_s = 0.0
+    # A geometric piece takes as long as its slowest axis takes over the way between its ends.
+    fastest = np.array([machine.axes[axis].velocity.si for axis in path.axes])
+    bound = path.timing is not Timing.TIME
+    for block in path:
+        moved_s, order = block.nominal_s, block.coefficients.shape[1]
+        if bound:
+            # Column by column: numpy adds and compares along short inner axes slowly.
+            way = block.coefficients[:, 1].copy()
+            for k in range(2, order):
+                way += block.coefficients[:, k]
+            for axis_s in (np.abs(way) / fastest).T:
+                moved_s = np.maximum(moved_s, axis_s)
+        least_s += float(moved_s.sum() + block.dwell_s.sum())
+        if least_s / period_s > budget:
+            raise BudgetError(
+                f"the job needs more than {least_s / period_s:.3g} ticks of {period_s * 1e3:g} ms "
+                f"at its feeds and velocity limits, the machine file allows {budget:.3g}; "
+                f"{_longest(block, moved_s, path.axes, fastest)}",
+                remedy="Raise the feed or the limits, shorten the job, or raise tick_budget in the "
+                "machine file.",
+            )
+        yield block

@@ -1,0 +1,362 @@
+"""The pieces of a path, with what feed and smoothing in time allow on each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray, IntArray
+from threadline.base.compiled import njit
+from threadline.motion.path.durations import Smoothing
+
+BoolArray: TypeAlias = NDArray[np.bool_]
+
+_ALONG = 1e-4  # least weight of the part of q_uu along the path, squared
+_HAT = 0.25  # of the larger curvature: the smaller one at the end of a corner's piece
+_CUSP = 1e-5  # of the piece's size: a slower end is a cusp
+_TAILS = 20.0  # times what the tails of the smoothing may cut: a tolerance below is fine
+_ZONES = 6  # lengths over which curves of different speed reach into one straight piece
+_ALIKE = 1.1  # zones nearer in length are one
+_WIDE = 1.11  # so that a cap may hold a little farther than it must
+_NEAR = 1e-10  # of a straight piece: it is not cut nearer to its ends
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Allowance:
+    """What the smoothing may cut off a curve at the tool.
+
+    Parameters
+    ----------
+    smoothing, radius
+        As for the path.
+    slack_m
+        Deviation that the average over time may cause, m.
+    reach_s
+        How long before and after a curve its speed must be kept.
+    top_m_s
+        Highest speed at the tool that the velocity limits allow, m/s.
+    """
+
+    smoothing: Smoothing
+    radius: FloatArray
+    slack_m: float
+    reach_s: float
+    top_m_s: float
+
+
+def allowance(
+    smoothing: Smoothing,
+    radius: FloatArray,
+    room_m: float,
+    limit_v: FloatArray,
+    limit_a: FloatArray,
+) -> Allowance:
+    """Return how ``room_m`` is used.
+
+    The weights of the smoothing reach a little beyond the average. A large tolerance has room
+    for what an acceleration there does; a small one asks for even speed up to there.
+    """
+    tail_m = smoothing.tail_s2 * float(size(limit_a, radius))
+    fine = room_m < _TAILS * tail_m
+    return Allowance(
+        smoothing=smoothing,
+        radius=radius,
+        slack_m=room_m if fine else room_m - tail_m,
+        reach_s=smoothing.reach_s if fine else smoothing.width_s / 2.0,
+        top_m_s=float(size(limit_v, radius)),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pieces:
+    """Consecutive pieces of one run.
+
+    Parameters
+    ----------
+    c
+        (n, 4, axes) coefficients.
+    straight
+        (n,) 0/1.
+    feed, smooth
+        (n,) largest u'^2 at the feed, and at which the smoothing cuts no more than it may.
+    ahead, behind
+        (n,) part of the length over which the curvature falls towards the end, and the start.
+    length
+        (n,) m at the tool.
+    leave, enter
+        (n,) m at the tool: |q_u| at the end and at the start, which times u' is the speed there.
+    operation
+        (n,) int.
+    whole
+        (n,) 0/1: a straight piece that was not yet divided.
+    """
+
+    c: FloatArray
+    straight: IntArray
+    feed: FloatArray
+    smooth: FloatArray
+    ahead: FloatArray
+    behind: FloatArray
+    length: FloatArray
+    leave: FloatArray
+    enter: FloatArray
+    operation: IntArray
+    whole: IntArray
+
+    def __len__(self) -> int:
+        return len(self.c)
+
+    def take(self, rows: slice | IntArray) -> Pieces:
+        """Return the pieces at ``rows``."""
+        return Pieces(**{name: getattr(self, name)[rows] for name in _COLUMNS})
+
+
+_COLUMNS = (
+    "c", "straight", "feed", "smooth", "ahead", "behind", "length", "leave", "enter",
+    "operation", "whole",
+)  # fmt: skip
+
+
+def join(parts: list[Pieces]) -> Pieces:
+    """Return the pieces of all ``parts`` in a row."""
+    return Pieces(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS}
+    )
+
+
+def prepare(
+    c: FloatArray, nominal_s: FloatArray, operation: IntArray, allowed: Allowance
+) -> Pieces:
+    """Return pieces with their caps, each as if it were alone."""
+    if c.shape[1] < 4:
+        c = np.concatenate([c, np.zeros((len(c), 4 - c.shape[1], c.shape[2]))], axis=1)
+    straight = ~np.any(c[:, 2:], axis=(1, 2))
+    first, last = _cutting(c, allowed.radius)
+    largest = np.where(straight, 0.0, np.maximum(first, last))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        feed = np.where(nominal_s > 0, 1.0 / nominal_s**2, np.inf)
+        smooth = 2.0 * allowed.slack_m / (allowed.smoothing.variance_s2 * largest)
+        ahead = np.where(largest > 0, 1.0 - last / largest, 0.0)
+        behind = np.where(largest > 0, 1.0 - first / largest, 0.0)
+    # In a corner between straight pieces the acceleration rises and falls evenly over the
+    # time 2 / u', of which the average sees the fraction 1 - width u' / 8 (3/4 at least).
+    lone = np.zeros(len(c), dtype=bool)
+    lone[1:-2] = straight[:-3] & ~straight[1:-2] & ~straight[2:-1] & straight[3:]
+    lone[1:-2] &= (behind[1:-2] > 1.0 - _HAT) & (ahead[2:-1] > 1.0 - _HAT)
+    lone[2:-1] |= lone[1:-2]
+    seen = 1.0 - np.minimum(allowed.smoothing.width_s * np.sqrt(smooth) / 8.0, 0.25)
+    enter, leave = size(c[:, 1], allowed.radius), size(slope(c), allowed.radius)
+    middle = size(c[:, 1] + c[:, 2], allowed.radius)
+    return Pieces(
+        c=c,
+        straight=straight.astype(np.int64),
+        feed=feed,
+        smooth=np.where(lone, smooth / seen, smooth),
+        ahead=ahead,
+        behind=behind,
+        length=(enter + middle + leave) / 3.0,
+        leave=leave,
+        enter=enter,
+        operation=operation,
+        whole=straight.astype(np.int64),
+    )
+
+
+def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
+    """Cut straight pieces where the speed of a curve before or after them may be left.
+
+    The last piece stays whole unless the run ``ends`` there: what follows it is not known.
+    """
+    due = pieces.whole == 1
+    if not ends:
+        due[-1] = False
+    rows, start, stop = _cut(
+        due, pieces.smooth, pieces.length, pieces.leave, pieces.enter, pieces.straight,
+        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s,
+    )  # fmt: skip
+    share = stop - start
+    many = np.bincount(rows, minlength=len(pieces))[rows] > 1
+    out = pieces.take(rows)
+    c = out.c.copy()
+    c[many, 0] += start[many, None] * c[many, 1]
+    c[many, 1] *= share[many, None]
+    return Pieces(
+        c=c,
+        straight=out.straight,
+        feed=out.feed / share**2,
+        smooth=out.smooth,
+        ahead=out.ahead,
+        behind=out.behind,
+        length=out.length * share,
+        leave=out.leave * share,
+        enter=out.enter * share,
+        operation=out.operation,
+        whole=np.where(due[rows], 0, out.whole),
+    )
+
+
+def caps(pieces: Pieces, factor: FloatArray, allowed: Allowance) -> FloatArray:
+    """Return the (n,) largest u'^2, with what the curves nearby ask for."""
+    cap = np.minimum(pieces.feed, pieces.smooth)
+    _spread(
+        cap, pieces.smooth, factor, pieces.length, pieces.leave, pieces.enter, pieces.straight,
+        pieces.ahead, pieces.behind, allowed.reach_s, allowed.top_m_s,
+    )  # fmt: skip
+    return cap
+
+
+def slope(c: FloatArray) -> FloatArray:
+    """Return the (n, axes) derivative at the end of each piece."""
+    out = c[:, 1] + 2.0 * c[:, 2]
+    for power in range(3, c.shape[1]):
+        out += float(power) * c[:, power]
+    return np.asarray(out)
+
+
+def bend(c: FloatArray) -> FloatArray:
+    """Return the (n, axes) second derivative at the end of each piece."""
+    out = 2.0 * c[:, 2]
+    for power in range(3, c.shape[1]):
+        out += float(power * (power - 1)) * c[:, power]
+    return np.asarray(out)
+
+
+def size(vectors: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the lengths at the tool of (..., axes) vectors."""
+    return np.asarray(np.sqrt(_sum((vectors * radius) ** 2)))
+
+
+def _sum(values: FloatArray) -> FloatArray:
+    """Return the (...) sums over the axes of (..., axes) values.
+
+    The axes are added one after another: numpy adds along a short inner dimension slowly.
+    """
+    total: FloatArray = values[..., 0].copy()
+    for axis in range(1, values.shape[-1]):
+        total += values[..., axis]
+    return total
+
+
+def factors(c: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return the (n,) ratios of u'^2 after and before the joint behind each piece, 1 at the end.
+
+    The path is smooth in a common parameter, so that its derivatives tell the ratio; at a cusp,
+    where the axes turn back and the first derivative vanishes, the second one does.
+    """
+    first, second = size(slope(c[:-1]), radius), size(c[1:, 1], radius)
+    largest = np.abs(c[:, 1:] * radius).max(axis=(1, 2), initial=0.0)
+    cusp = (first < _CUSP * largest[:-1]) | (second < _CUSP * largest[1:])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        plain = (first / second) ** 2
+        turning = size(bend(c[:-1]), radius) / size(2.0 * c[1:, 2], radius)
+    return np.append(np.where(cusp, turning, plain), 1.0)
+
+
+def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (n,) q_uu at the tool at both ends, its part along the path at a discount.
+
+    What the smoothing shifts along the path is no deviation, unless the path turns back there.
+    """
+    first, last = c[:, 1] * radius, slope(c) * radius
+    large = np.sqrt(_sum(first**2)), np.sqrt(_sum(last**2))
+    sound = np.minimum(*large) > _CUSP * np.maximum(*large)
+    along = _sum(first * last) / np.where(sound, large[0] * large[1], 1.0)
+    share = (1.0 - np.where(sound, np.clip(along, 0.0, 1.0), 0.0)) ** 2 + _ALONG
+    ends = []
+    for q_u, q_uu in ((first, 2.0 * c[:, 2] * radius), (last, bend(c) * radius)):
+        square = _sum(q_u**2)
+        part = (_sum(q_u * q_uu) / np.where(square > 0, square, 1.0))[:, None] * q_u
+        ends.append(np.sqrt(_sum((q_uu - part) ** 2) + share * _sum(part**2)))
+    return ends[0], ends[1]
+
+
+@njit()
+def _note(zones, reach):  # type: ignore[no-untyped-def]
+    """Note a zone of length ``reach``; zones of nearly the same length are noted as one."""
+    for k in range(len(zones)):
+        if zones[k] == 0.0:
+            zones[k] = reach
+            return
+        if reach <= zones[k] <= reach * _ALIKE or zones[k] <= reach <= zones[k] * _ALIKE:
+            zones[k] = max(zones[k], reach)
+            return
+    zones[np.argmax(zones)] = max(reach, zones.max())
+
+
+@njit()
+def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
+    """Return row, start and end in [0, 1] of every part of every piece."""
+    count = len(cap)
+    begin, end = np.zeros((count, _ZONES)), np.zeros((count, _ZONES))
+    for i in range(count):
+        if straight[i] or np.sqrt(cap[i]) * length[i] >= top:
+            continue
+        far = np.sqrt(cap[i]) * leave[i] * reach
+        gone = ahead[i] * length[i]
+        for j in range(i + 1, count):
+            if gone >= far:
+                break
+            if straight[j] and far - gone < length[j]:
+                _note(begin[j], far - gone)
+            gone += length[j]
+        far = np.sqrt(cap[i]) * enter[i] * reach
+        gone = behind[i] * length[i]
+        for j in range(i - 1, -1, -1):
+            if gone >= far:
+                break
+            if straight[j] and far - gone < length[j]:
+                _note(end[j], far - gone)
+            gone += length[j]
+    most = count * (2 * _ZONES + 1)
+    rows, start, stop = np.empty(most, dtype=np.int64), np.empty(most), np.empty(most)
+    n = 0
+    places = np.empty(2 * _ZONES)
+    for i in range(count):
+        at = 0.0
+        if due[i]:
+            used = 0
+            for k in range(_ZONES):
+                if begin[i, k] > 0.0:
+                    places[used] = begin[i, k] / length[i]
+                    used += 1
+                if end[i, k] > 0.0:
+                    places[used] = 1.0 - end[i, k] / length[i]
+                    used += 1
+            for place in np.sort(places[:used]):
+                if place > at + _NEAR and place < 1.0 - _NEAR:
+                    rows[n], start[n], stop[n] = i, at, place
+                    n += 1
+                    at = place
+        rows[n], start[n], stop[n] = i, at, 1.0
+        n += 1
+    return rows[:n], start[:n], stop[:n]
+
+
+@njit()
+def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
+    """Let the cap of a curved piece hold for all pieces that the smoothing sees from there."""
+    for i in range(len(own)):
+        if straight[i] or np.sqrt(own[i]) * length[i] >= top:
+            continue
+        far = np.sqrt(own[i]) * leave[i] * reach
+        x = own[i]
+        gone = ahead[i] * length[i]
+        for j in range(i + 1, len(own)):
+            # A straight piece that is not seen whole was cut where it need not be.
+            if gone >= far or (straight[j] and gone + length[j] > far * _WIDE):
+                break
+            x = x * factor[j - 1]
+            cap[j] = min(cap[j], x)
+            gone += length[j]
+        far = np.sqrt(own[i]) * enter[i] * reach
+        x = own[i]
+        gone = behind[i] * length[i]
+        for j in range(i - 1, -1, -1):
+            if gone >= far or (straight[j] and gone + length[j] > far * _WIDE):
+                break
+            x = x / factor[j]
+            cap[j] = min(cap[j], x)
+            gone += length[j]

@@ -1,0 +1,285 @@
+"""The fastest motion through points, for programs that have neither a job nor a machine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from threadline.base.arrays import FloatArray, IntArray, real_numbers
+from threadline.errors import PlanError
+from threadline.files import Stream
+from threadline.motion.path.auto import auto_pieces
+from threadline.motion.path.polygon import QUARTIC
+from threadline.motion.path.runs import AT_A_TIME, reversals
+from threadline.motion.path.types import PlannedPath, ProgrammedPath, Timing, VertexBlock
+from threadline.motion.timing.limits_used import Retimed, limits_used
+from threadline.motion.timing.optimal import Limits
+from threadline.motion.timing.optimal.along_path import AlongPath
+from threadline.motion.timing.optimal.fastest_motion import limited_blocks
+from threadline.motion.timing.types import Trajectory
+
+_NEAR_SHARE = 0.01  # of the tolerance: points nearer to each other are one
+_LARGEST = 1e9  # of a coordinate or a limit: beyond, squares and cubes lose their digits
+_LEAST = 1e-9  # of a limit
+_NOTHING, _ZEROS = np.zeros(AT_A_TIME), np.zeros(AT_A_TIME, dtype=np.int64)
+_NOTHING.flags.writeable = _ZEROS.flags.writeable = False
+
+
+def retime(
+    points: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    jerk: ArrayLike = np.inf,
+    tolerance: float = 1e-4,
+    *,
+    deceleration: ArrayLike | None = None,
+    path_velocity: float = np.inf,
+    path_acceleration: float = np.inf,
+    path_jerk: float = np.inf,
+    path_deceleration: float | None = None,
+    centripetal: float = np.inf,
+) -> Retimed:
+    """Return the fastest motion from the first of ``points`` to the last, at rest at both.
+
+    The path runs along the straight lines between the points and rounds the corners, with three
+    derivatives that are continuous; it is never farther than the tolerance from those lines, and
+    they from it. Dense points beside a curve are
+    not followed one by one where the tolerance lets a chord pass many of them. The limits of the
+    axes and ``centripetal`` are exceeded at no instant, but for rounding (by a thousandth at
+    most); ``path_velocity``, ``path_acceleration`` and ``path_jerk`` are held at instants that lie
+    close, and nothing is proven between those. Lengths may be in any unit, the same in all
+    arguments; times are in seconds.
+
+    Parameters
+    ----------
+    points
+        (n, axes), n at least 1.
+    velocity, acceleration, jerk
+        (axes,) limits, or one number for all axes; above 0. Only the jerk may be infinite.
+    tolerance
+        Largest distance between path and lines, per axis; above 0.
+    deceleration
+        (axes,) limits while an axis becomes slower, where they are others than ``acceleration``.
+    path_velocity, path_acceleration, path_jerk
+        Limits of the length of the way gone, ``path_deceleration`` of its braking, where that is
+        another than ``path_acceleration``, and ``centripetal`` of the acceleration across the
+        path; above 0 or infinite. Lengths of all axes are of one unit here. Where the path turns
+        back (by more than 148 degrees), a limit of ``path_acceleration`` or ``path_jerk`` asks for
+        a rest: the speed along the path has a kink there.
+
+    Returns
+    -------
+    Retimed
+        The trajectory; ``shares`` and ``bound`` say how much of each limit it uses at any instant.
+
+    Raises
+    ------
+    PlanError
+        If points, a limit or the tolerance are not numbers in their range; it names the point.
+
+    Examples
+    --------
+    The example of toppra: five random points of seven axes, with its limits. Here the corners
+    between straight lines are rounded, there a spline runs through the points.
+
+    >>> import numpy as np
+    >>> random = np.random.RandomState(1)
+    >>> points = random.randn(5, 7)
+    >>> velocity, acceleration = 10 + random.rand(7) * 20, 10 + random.rand(7) * 2
+    >>> motion = retime(points, velocity, acceleration, jerk=500.0, tolerance=0.02)
+    >>> times = np.linspace(0.0, motion.duration_s, 1000)
+    >>> bool((np.abs(motion(times, 2)) <= 1.001 * acceleration).all())
+    True
+    >>> np.abs(motion(times[-1]) - points[-1]).max() < 1e-9
+    np.True_
+    """
+    places = checked_points(points)
+    axes = places.shape[1]
+    along = AlongPath(
+        velocity=_checked_number("path_velocity", path_velocity),
+        acceleration=_checked_number("path_acceleration", path_acceleration),
+        jerk=_checked_number("path_jerk", path_jerk),
+        deceleration=None
+        if path_deceleration is None
+        else _checked_number("path_deceleration", path_deceleration),
+        centripetal=_checked_number("centripetal", centripetal),
+        radius_m=np.ones(axes),
+    )
+    kinks = along.asks_for_rests
+    limited = kinks or bool(np.isfinite([along.velocity, along.centripetal]).any())
+    limits = Limits(
+        velocity=_checked_limit("velocity", velocity, axes),
+        acceleration=_checked_limit("acceleration", acceleration, axes),
+        jerk=_checked_limit("jerk", jerk, axes, infinite=True),
+        deceleration=None
+        if deceleration is None
+        else _checked_limit("deceleration", deceleration, axes),
+        along=along if limited else None,
+    )
+    width = _checked_tolerance(tolerance)
+    path = path_through(places, width, reversals(places) if kinks else None)
+    # It will be read many times: the motion is worked out once and kept.
+    motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
+    return Retimed(
+        axes=path.axes,
+        blocks=motion.blocks,
+        shares=limits_used(motion, limits),
+        start=places[0],
+    )
+
+
+def path_through(
+    places: FloatArray, tolerance: float, rests: IntArray | None = None
+) -> PlannedPath:
+    """Return the path that ``retime`` takes through (n, axes) places, within the tolerance.
+
+    It rests at its ends, and where (n,) ``rests`` is 1. The places are read when the path is.
+    """
+    axes = places.shape[1]
+    programmed = ProgrammedPath(
+        axes=tuple(str(axis) for axis in range(axes)),
+        radius_m=np.ones(axes),
+        blocks=Stream(vertex_blocks, places, rests),
+    )
+    return PlannedPath(
+        axes=programmed.axes,
+        radius_m=programmed.radius_m,
+        interpolation="optimal",
+        timing=Timing.FASTEST,
+        historical=False,
+        blocks=Stream(
+            auto_pieces,
+            programmed,
+            (1.0 - _NEAR_SHARE) * tolerance,
+            _NEAR_SHARE * tolerance,
+            degree=QUARTIC,
+            thin=True,
+        ),
+    )
+
+
+def vertex_blocks(places: FloatArray, rests: IntArray | None) -> Iterator[VertexBlock]:
+    """Yield the places as vertices, few at a time: what is made of them stays in a cache."""
+    count = len(places)
+    for first in range(0, count, AT_A_TIME):
+        own = slice(first, min(first + AT_A_TIME, count))
+        rows = slice(0, own.stop - first)
+        rest = _ZEROS[rows] if rests is None else rests[own]
+        if own.stop == count:
+            rest = rest.copy()
+            rest[-1] = 1
+        operation = np.arange(first - 1, own.stop - 1)
+        operation[0] = max(first - 1, 0)
+        operation.flags.writeable = False
+        yield VertexBlock(
+            positions=places[own],
+            operation=operation,
+            nominal_s=_NOTHING[rows],
+            rest=rest,
+            dwell_s=_NOTHING[rows],
+            line=_ZEROS[rows],
+        )
+
+
+def checked_points(points: ArrayLike) -> FloatArray:
+    """Return points as (n, axes) numbers: themselves, not a copy, where they are that already.
+
+    Raises
+    ------
+    PlanError
+        If they are not that, or if one is no number in the range; it names the point.
+    """
+    try:
+        own = type(points) is np.ndarray and points.dtype == np.float64
+        places: FloatArray = np.asarray(points) if own else real_numbers(points)
+    except (TypeError, ValueError) as error:
+        raise PlanError(
+            f"the points are not an array of numbers of at most {_LARGEST:g}",
+            remedy="Give n rows of as many axes. Leave out rows with a masked or missing value.",
+        ) from error
+    if places.ndim != 2 or 0 in places.shape:
+        raise PlanError(
+            f"the points have shape {places.shape}; they must be n rows of axes, 1 at least",
+            remedy="A single axis is a column: points[:, None].",
+        )
+    wrong = np.zeros(0, dtype=np.int64)
+    # One sum tells most often that each of them is in the range, and none is NaN.
+    if not np.vdot(places, places) <= _LARGEST**2:
+        wrong = np.flatnonzero(~(np.abs(places) <= _LARGEST).all(axis=1))
+    if len(wrong):
+        raise PlanError(
+            f"point {wrong[0]} is {places[wrong[0]].tolist()}; every coordinate must be a number "
+            f"of at most {_LARGEST:g}",
+            remedy="Correct it, or leave it out.",
+        )
+    return places
+
+
+def _checked_limit(name: str, limit: ArrayLike, axes: int, *, infinite: bool = False) -> FloatArray:
+    try:
+        values = np.broadcast_to(real_numbers(limit), (axes,)).copy()
+    except (TypeError, ValueError) as error:
+        raise PlanError(
+            f"{name} is {_told(limit)}; it must be one number, or one for each of {axes} axes, "
+            f"of at most {_LARGEST:g}",
+            remedy="Give as many as the points have axes.",
+        ) from error
+    for axis, value in _each(values):
+        if infinite and value == np.inf:
+            continue
+        if not _LEAST <= value <= _LARGEST:
+            raise PlanError(
+                f"{_whose(name, axis)} is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
+                remedy="Correct it, or choose another unit.",
+            )
+    return values
+
+
+def _whose(name: str, axis: int) -> str:
+    of_path = name.startswith("path_") or name == "centripetal"
+    return name if of_path else f"{name} of axis {axis}"
+
+
+def _checked_number(name: str, limit: float) -> float:
+    """Return one limit of the path, which may be infinite."""
+    value = _one_number(name, limit, "There is one path: give one.")
+    return float(_checked_limit(name, value, 1, infinite=True)[0])
+
+
+def _checked_tolerance(tolerance: float) -> float:
+    remedy = "Give it in the unit of the points."
+    value = _one_number("the tolerance", tolerance, remedy)
+    if not _LEAST <= value <= _LARGEST:
+        raise PlanError(
+            f"the tolerance is {value!r}; it must lie in {_LEAST:g} ... {_LARGEST:g}",
+            remedy=remedy,
+        )
+    return value
+
+
+def _one_number(name: str, given: ArrayLike, remedy: str) -> float:
+    try:
+        value = real_numbers(given)
+        if value.ndim:
+            raise TypeError("several")
+    except (TypeError, ValueError) as error:
+        raise PlanError(
+            f"{name} is {_told(given)}; it must be one number, of at most {_LARGEST:g}",
+            remedy=remedy,
+        ) from error
+    return float(value)
+
+
+def _told(given: object) -> str:
+    """Return what was given on one line, shortened."""
+    try:
+        text = " ".join(repr(given).split())
+    except ValueError:  # Python writes no whole number of more than 4300 digits
+        return "a whole number of thousands of digits"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _each(values: FloatArray) -> Iterator[tuple[int, float]]:
+    return enumerate(values.tolist())

@@ -1,0 +1,249 @@
+"""What an operator's priority makes of the options of a plan: accuracy, optimum or speed.
+
+Names are those of files in the folder itself; nothing outside it is read or written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from threadline.base.reading import reading_within
+from threadline.commands.plan import Plan
+from threadline.errors import JobError, OptionError, Place
+from threadline.files.formats.common import atomic_file
+from threadline.jobs import FORMATS
+from threadline.jobs.operations import Job
+from threadline.jobs.seam.job import AXES as SEAM_AXES
+from threadline.machine import Machine
+from threadline.proof.kinds import kind_of
+from threadline.proof.option_form import Door, Group
+from threadline.proof.option_table import options_for
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import Trials, open_job, plan_job
+from threadline.search.least_limits import fastest_job
+from threadline.verdict import Spec
+
+PROGRAMMED = "programmed"
+"""Priority that changes nothing."""
+_MARGINS = {"optimum": 0.2, "speed": 0.0}
+"""Share of every limit that is kept free by the fastest plan of a priority."""
+
+
+def by_priority(
+    priority: str,
+    job: Job,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    trials: Trials,
+    share: Callable[[str, float], None],
+) -> Mapping[str, Any]:
+    """Return the words that a priority puts in the place of those of the request.
+
+    Parameters
+    ----------
+    priority
+        ``accuracy`` is the operator's normal feed; ``speed`` the fastest feed, and share of the
+        limits, in spec; ``optimum`` the fastest that keeps 20 % of every limit free.
+    trials
+        Which runs every feed of the search is judged by.
+    share
+        Told how much of the search is done.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no normal feed, the job is not paced by a feed, or nothing is in spec.
+    """
+    if job.paced_by != "feed":
+        raise OptionError(
+            f"{job.name} is not paced by a feed, but by: {job.paced_by}",
+            remedy="Calculate it as programmed; threadline fastest searches it.",
+        )
+    if priority == "accuracy":
+        if machine.operator is None:
+            raise OptionError(
+                f"{machine.name} has no normal feed",
+                remedy="Give operator.normal_feed in the machine file, or a feed.",
+            )
+        return {"feed": f"{machine.operator.normal_feed.si!r} count/tick"}
+    found = fastest_job(
+        job, machine, spec.with_margin(_MARGINS[priority]), options, progress=share, trials=trials
+    ).best
+    if found.found.best is None:
+        raise OptionError(
+            f"{job.name} is out of specification at every feed: {found.found.limited_by}",
+            remedy="Calculate it as programmed, and look at what fails.",
+        )
+    return {"feed": f"{found.found.best!r} m/s", "limits": f"{found.share * 100.0!r} %"}
+
+
+MOST_UPLOAD = 8 << 20
+"""Largest program that is taken, in bytes."""
+_MOST_FILES = 500
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
+_ENDINGS = tuple(ending for known in FORMATS for ending in known.extensions)
+_BESIDE = (".svg", ".dxf", ".csv")
+"""Drawings and tables that stand beside a program."""
+_MOST_LOOKED_AT = 4 << 20
+_SHARED = {
+    ".toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*operation[ \t]*\]\]|operation[ \t]*=)", re.M),
+    ".txt": re.compile(rb"^[ \t]*(?:%|/?[GMNO][ \t]*[0-9]|\[G-CODE GENERATED)", re.M | re.I),
+}
+"""Endings that other files have, too, and what a line of a job begins with: of a move list, and of
+a part program."""
+_SEAM = "seam"
+_PART_PROGRAMS = FORMATS[0].extensions
+_REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")
+"""Bytes that a controller acts on wherever they stand, even in a comment."""
+
+
+def program_names(folder: Path, machine: Machine) -> list[str]:
+    """Return the names of the jobs in a folder that a machine does, in order, 500 at the most.
+
+    An ending tells the format; of one that other files have, too, the content tells whether it is
+    a job. Whether it is a sound one is seen when it is calculated.
+    """
+    found = sorted(
+        file.name
+        for file in folder.iterdir()
+        if _NAME.fullmatch(file.name)
+        and _is_done(file.name.lower(), machine)
+        and file.is_file()
+        and not file.is_symlink()
+        and _may_be_job(file)
+    )
+    return found[:_MOST_FILES]
+
+
+def _is_done(name: str, machine: Machine) -> bool:
+    """Return whether a machine does jobs of the format that an ending tells, as they are.
+
+    A drawing is no seam without what the seam file says of stitch and speed.
+    """
+    known = next((one for one in FORMATS if name.endswith(one.extensions)), None)
+    if known is None or known.name not in kind_of(machine).takes or name.endswith(_BESIDE):
+        return False
+    axes = machine.axes
+    return known.name != _SEAM or all(a in axes and axes[a].kind == "linear" for a in SEAM_AXES)
+
+
+def _may_be_job(file: Path) -> bool:
+    """Return whether the content of a file speaks for a job, where others have its ending."""
+    ending = file.suffix.lower()
+    if ending not in _SHARED or file.name.lower().endswith(".seam.toml"):
+        return True
+    try:
+        with file.open("rb") as stream:
+            return bool(_SHARED[ending].search(stream.read(_MOST_LOOKED_AT)))
+    except OSError:
+        return True  # it is refused when it is calculated
+
+
+def program_path(folder: Path, name: str) -> Path:
+    """Return the file of a program.
+
+    Raises
+    ------
+    JobError
+        If the name is none of a file in the folder itself, or that of a link.
+    """
+    if not _NAME.fullmatch(name):
+        raise JobError(
+            f"{name[:60]!r} is no name of a program in the project folder",
+            remedy="Use letters, digits, blanks, dots, dashes and underscores.",
+        )
+    path = folder / name
+    if path.is_symlink():
+        raise JobError(
+            f"{name[:60]!r} is a link, and the panel follows none",
+            remedy="Put the file itself into the project folder.",
+        )
+    return path
+
+
+def untaught(machine: Machine) -> str:
+    """Return why no part program can be taught to a machine; empty where one can."""
+    takes = kind_of(machine).takes
+    if FORMATS[0].name in takes:
+        return ""
+    return f"{machine.name} takes {' and '.join(f'{one}s' for one in takes)}, no part programs"
+
+
+class ThereAlreadyError(JobError):
+    """There is a file of the name of an upload, and nobody has said that it may go."""
+
+
+def take_program(folder: Path, name: str, content: bytes, *, overwrite: bool) -> None:
+    """Write a program that a client has sent into the folder; whole or not at all.
+
+    Raises
+    ------
+    ThereAlreadyError
+        If there is a file of that name, and ``overwrite`` is False.
+    JobError
+        If its name, its format or its content is not taken.
+    """
+    path = program_path(folder, name)
+    if not name.lower().endswith((*_ENDINGS, *_BESIDE)):
+        raise JobError(
+            f"{name[:60]!r} has the ending of no format of jobs or drawings",
+            remedy=f"Known: {', '.join((*_ENDINGS, *_BESIDE))}.",
+        )
+    if len(content) > MOST_UPLOAD:
+        raise JobError(
+            f"the program has {len(content)} bytes, limit {MOST_UPLOAD}",
+            place=Place(name),
+            remedy="Copy it into the project folder.",
+        )
+    if name.lower().endswith(_PART_PROGRAMS):
+        _refuse_realtime(name, content)
+    if path.exists() and not overwrite:
+        raise ThereAlreadyError(f"{name} is in the project folder already", remedy="")
+    try:
+        with atomic_file(path) as file:
+            file.write(content)
+    except OSError as error:
+        why = error.strerror or error
+        raise JobError(f"{name[:60]!r} cannot be written: {why}", place=Place(name)) from error
+
+
+def _refuse_realtime(name: str, content: bytes) -> None:
+    for number, line in enumerate(content.splitlines(), 1):
+        if (found := _REALTIME.search(line)) is not None:
+            raise JobError(
+                f"the byte {found[0][0]:#04x} is one that controllers act on at once",
+                place=Place(name, number),
+                remedy="Take it out, also of comments.",
+            )
+
+
+def words_of(told: Mapping[str, Any]) -> Options:
+    """Return the options of a calculation, as a client has asked for them.
+
+    Raises
+    ------
+    OptionError
+        If one of them cannot be read.
+    """
+    words = [one.word for one in options_for("panel", Door.PANEL, [Group.PLAN])]
+    return options_of(**{word: told[word] for word in words})
+
+
+def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
+    """Return the plan of a program, and the options that it was made with.
+
+    No file outside of the folder is read for it, whatever program and options name.
+
+    Raises
+    ------
+    InputError
+        If the program cannot be read or planned.
+    """
+    with reading_within(folder):
+        options = words_of(told)
+        job = open_job(program_path(folder, str(told["program"])), machine, options)
+        return plan_job(job, machine, options), options

@@ -1,1 +1,0 @@
-"""Equations of motion of a machine, and what follows from them: modes, margins, responses."""

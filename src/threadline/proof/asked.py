@@ -1,0 +1,322 @@
+"""What a verb is asked: its options as words, and the machine, plan and runs that they stand for.
+
+The command line and ``import threadline as tl`` both ask by ``Words``, so that a job is read,
+planned and judged by the same options whichever way it comes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+from threadline.base.arguments import check_argument
+from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
+from threadline.errors import OptionError
+from threadline.machine import Machine, load_machine
+from threadline.machine.par import read_parameters
+from threadline.machine.radii import with_radii
+from threadline.motion.path.interpolations import OPTIMAL
+from threadline.proof.kinds import kind_of
+from threadline.proof.option_form import Door, Group, Option, Type, Word
+from threadline.proof.option_table import known_words, options_for
+from threadline.proof.option_words import parse_ends, parse_yield
+from threadline.proof.options import Options, options_of
+from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
+from threadline.verdict import Spec, load_spec
+
+_LEVELS = {"nominal": NOMINAL, "repeated": REPEATED, "over tolerances": TOLERANCES}
+
+
+def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None) -> Machine:
+    """Return a machine of the library or of a file, with the settings of an FW-CNC.PAR if given.
+
+    Raises
+    ------
+    MachineError
+        If there is none of that name, or the file does not describe one.
+    """
+    found = machine if isinstance(machine, Machine) else load_machine(machine)
+    return found if par is None else read_parameters(Path(par), found)
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """The options of one verb, as they were given.
+
+    Parameters
+    ----------
+    verb
+        Its name in the table of options.
+    given
+        By word: what was given, else the default; every option that the verb takes is there.
+    """
+
+    verb: str
+    given: Mapping[str, Word]
+
+    @classmethod
+    def of(cls, verb: str, door: Door, words: Mapping[str, Word]) -> Words:
+        """Return the words of a verb; what is left out has its default.
+
+        Raises
+        ------
+        OptionError
+            If a word is no option of the verb, or in Python of another type.
+        """
+        if door is Door.PYTHON:
+            for one in options_for(verb, door):
+                if one.word in words:
+                    check_argument(one.word, words[one.word], _taken(one, verb))
+        return cls(verb, known_words(verb, door, words))
+
+    def text(self, word: str) -> str | None:
+        """Return the text of an option; None where it was not given."""
+        value = self.given.get(word)
+        return None if value is None else str(value)
+
+    def flag(self, word: str) -> bool:
+        """Return whether a flag was given."""
+        return bool(self.given.get(word))
+
+    def path(self, word: str) -> Path | None:
+        """Return the file of an option; None where it was not given."""
+        text = self.text(word)
+        return None if text is None else Path(text)
+
+    def files(self) -> tuple[Path | None, ...]:
+        """Return the input files among the options: settings and specification."""
+        return self.path("par"), self.path("spec")
+
+    def machine(self, machine: str | Path | Machine) -> Machine:
+        """Return the machine that is named, with the settings of ``par``."""
+        return chosen_machine(machine, self.path("par"))
+
+    def actual(self) -> Machine | None:
+        """Return the machine that runs the plan; None where it is the one of the plan."""
+        other = self.given.get("actual")
+        if other is None:
+            return None
+        return self.machine(other if isinstance(other, Machine) else str(other))
+
+    def spec(self, machine: Machine) -> Spec:
+        """Return the specification that is given, else the machine's own."""
+        asked = self.given.get("spec")
+        return asked if isinstance(asked, Spec) else load_spec(self.path("spec"), machine)
+
+    def planning(self) -> dict[str, Word]:
+        """Return the words of the planning options alone."""
+        known = {one.word for door in Door for one in options_for(self.verb, door, [Group.PLAN])}
+        return {word: value for word, value in self.given.items() if word in known}
+
+    def options(self, **changed: Word) -> Options:
+        """Return how the job is to be planned; ``changed`` replaces words.
+
+        Raises
+        ------
+        OptionError
+            If one of them cannot be read, or two do not go together.
+        """
+        return options_of(**{**self.planning(), **changed})
+
+    def each_options(
+        self, interpolations: Sequence[str], feeds: Sequence[str], shapers: Sequence[str]
+    ) -> list[Options]:
+        """Return how a job is planned with each interpolation, feed and shaper.
+
+        A contour is of ``optimal``, a robust plan of the default interpolation, and a mode of a
+        shaper: where these are compared, the others are planned without.
+
+        Raises
+        ------
+        OptionError
+            If one cannot be read, or there is no interpolation.
+        """
+        if not interpolations:
+            raise OptionError("there is no interpolation to compare", remedy="Name one at least.")
+        found = []
+        once: tuple[str | None, ...] = (None,)
+        unshaped = {None, UNSHAPED_WORD}
+        for name, feed, shaper in product(interpolations, feeds or once, shapers or once):
+            own: dict[str, Word] = {"interpolation": name, "feed": feed, "shaper": shaper}
+            if name != OPTIMAL and OPTIMAL in interpolations:
+                own["contour"] = None
+            if name not in USUAL and not USUAL.isdisjoint(interpolations):
+                own["robust"] = None
+            if shaper in unshaped and not unshaped.issuperset(shapers):
+                own |= {"mode": None, "damping": None}
+            found.append(self.options(**own))
+        return found
+
+    def trials(self, ends: str | None = None) -> Trials:
+        """Return which runs a verdict is made of; ``ends`` replaces the word of that name.
+
+        Raises
+        ------
+        OptionError
+            If more than one level is asked for, or one of the words cannot be read.
+        """
+        words = {name: self.given.get(name) for name in _OF_LEVEL}
+        return trials_of(**{**words, **({} if ends is None else {"ends": ends})})
+
+    def changed(self, **changed: Word) -> dict[str, Word]:
+        """Return the planning words that are not the defaults of ``prove``."""
+        known = {one.word: one for one in options_for("prove", groups=[Group.PLAN])}
+        words = {**self.planning(), **changed}
+        return {
+            word: value
+            for word, value in words.items()
+            if value is not None and word in known and value != known[word].default
+        }
+
+    def typed(self, verb: str = "prove", **changed: Word) -> dict[str, str | Path | None]:
+        """Return the options that a command of ``verb`` needs to plan the same, as typed.
+
+        Options that have their default there are left out, and so is the level.
+        """
+        given = {**self.given, **changed}
+        typed: dict[str, str | Path | None] = {}
+        for one in options_for(verb, groups=(Group.INPUT, Group.PLAN)):
+            value = given.get(one.word)
+            if value is not None and value != one.default and value is not False:
+                typed["-s" if one.name == "spec" else one.typed] = _typed(value)
+        return typed
+
+
+_OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends")
+
+
+def _typed(value: Word) -> str | Path:
+    if value is True:
+        return ""
+    return value if isinstance(value, Path) else str(value)
+
+
+def trials_of(
+    *,
+    level: Word = None,
+    nominal: Word = None,
+    repeats: Word = None,
+    tolerances: Word = None,
+    yield_: Word = None,
+    ends: Word = None,
+) -> Trials:
+    """Return the level that the words ask for: its number of runs and of machines.
+
+    Raises
+    ------
+    OptionError
+        If more than one level is, or the wished yield is no share.
+    """
+    given = {
+        "--nominal": bool(nominal),
+        "--repeats": repeats is not None,
+        "--tolerances": bool(tolerances),
+        "--yield": yield_ is not None,
+    }
+    asked = [name for name, value in given.items() if value]
+    if len(asked) > 1:
+        raise OptionError(
+            f"{' and '.join(asked)} ask for different levels", remedy="Give one of them."
+        )
+    found = NOMINAL if nominal else TOLERANCES if tolerances else _LEVELS[str(level or "repeated")]
+    if yield_ is not None:
+        found = yielding(parse_yield(str(yield_)))
+    elif repeats is not None:
+        found = Trials(repeats=_runs(repeats), machines=found.machines)
+    return found if ends is None else replace(found, ends=parse_ends(str(ends)))
+
+
+def _runs(repeats: Word) -> int:
+    if not isinstance(repeats, int) or repeats < 1:
+        raise OptionError(f"repeats must be at least 1, got {_short(repeats)}")
+    if repeats > MOST_REPEATS:
+        raise OptionError(f"repeats must be at most {MOST_REPEATS}, got {_short(repeats)}")
+    return repeats
+
+
+def _short(number: Word) -> str:
+    many = isinstance(number, int) and abs(number) >= 10**12
+    return "a number of many digits" if many else str(number)
+
+
+def with_radii_of(machine: Machine, options: Options) -> Machine:
+    """Return the machine with the radii of the options.
+
+    Raises
+    ------
+    OptionError
+        If an option has no meaning for this kind of machine, or the radii cannot be read.
+    """
+    kind_of(machine).check_options(machine, options)
+    return with_radii(machine, options.radius)
+
+
+def check_target(target: str, machine: Machine, options: Options) -> None:
+    """Refuse a target that cannot write what the options plan, before anything is planned.
+
+    Raises
+    ------
+    OptionError
+        If the target is unknown or of another kind of machine, an option has no meaning for this
+        kind, or the target cannot write the reference of every tick.
+    """
+    kind = kind_of(machine)
+    kind.check_options(machine, options)
+    written_as = target_of(target, machine)
+    forward = options.feed_forward_s is not None
+    if (forward or options.shaper is not None) and not written_as.takes_shaped:
+        own = kind.targets
+        raise OptionError(
+            f"{'feed-forward' if forward else 'a shaper'} gives a reference for every tick, "
+            f"and target {target!r} cannot write them",
+            remedy=f"Use {' or '.join(name for name in own if own[name].takes_shaped)}.",
+        )
+
+
+def level_option(trials: Trials) -> dict[str, str]:
+    """Return the options that give the level ``trials``, with values; none for the default."""
+    if trials.ends is not None:
+        ends = {"--ends": f"{100.0 * trials.ends:.12g} %"}
+        return level_option(replace(trials, ends=None)) | ends
+    if trials == REPEATED:
+        return {}
+    if trials.wished is not None:
+        return {"--yield": f"{100.0 * trials.wished:.12g} %"}
+    if trials.machines:
+        return {"--tolerances": ""}
+    if trials == NOMINAL:
+        return {"--nominal": ""}
+    return {"--repeats": f"{trials.repeats}"}
+
+
+def python_type(one: Option, verb: str) -> str:
+    """Return the type of an option of a verb in Python, as ``__init__.pyi`` declares it.
+
+    >>> from threadline.proof.option_table import option
+    >>> python_type(option("feed"), "prove"), python_type(option("feed-forward"), "prove")
+    ('str | None', 'bool')
+    """
+    if one.choices:
+        return f"Literal[{', '.join(repr(text).replace(chr(39), chr(34)) for text in one.choices)}]"
+    plain, _ = _PYTHON[one.type]
+    return plain if one.default_of(verb) is not None else f"{plain} | None"
+
+
+def _taken(one: Option, verb: str) -> Any:
+    """Return the types of the values that an option of a verb takes in Python."""
+    _, plain = _PYTHON[one.type]
+    return plain if one.default_of(verb) is not None else plain | None
+
+
+_PYTHON: Mapping[Type, tuple[str, Any]] = {
+    Type.TEXT: ("str", str),
+    Type.FLAG: ("bool", bool),
+    Type.COUNT: ("int", int),
+    Type.RATIO: ("float | str", float | str),
+    Type.FILE: ("PathLike", str | Path),
+    Type.SPEC: ("PathLike | Spec", str | Path | Spec),
+    Type.MACHINE: ("PathLike | Machine", str | Path | Machine),
+}

@@ -1,0 +1,152 @@
+"""What every kind of work defines, so that nothing else asks which kind it has."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Intent, Plan
+from threadline.commands.write import Target
+from threadline.files import Commands, Recording, RecordingBlock
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.proof.option_table import planned_by
+from threadline.proof.options import Options
+from threadline.verdict import Spec
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A row of the table of kinds of work.
+
+    Parameters
+    ----------
+    name
+        Value of ``Machine.commanded_by`` for machines of this kind.
+    takes
+        Names of the formats of jobs that its machines do (``jobs/reading.py``).
+    commands, intent
+        Type of the commands that its controllers take, and type of what its plans intend. By the
+        type of the intent the judge knows how to read a recording (``verdict/judge.py``)
+        and a report what to draw (``report/proof.py``).
+    check
+        Refuses a machine that cannot do any work, before a job is read.
+    check_options
+        Refuses options that have no meaning for this kind.
+    plan
+        Returns the plan of a job on a machine.
+    simulate
+        Returns the recording of one run of the commands on a machine.
+    days
+        Simulates the commands on a number of days: on the first the machine is as its file says, on
+        the others friction, supply and encoder phases are drawn from the generator.
+    others
+        Simulates the commands on k machines within the tolerances of the file: a (k, n) array
+        places each number within its tolerance (``machine/variants.py``), and encoder phases are
+        drawn from the generator.
+    together
+        Whether many machines that differ in numbers alone are simulated in one call.
+    asked
+        Returns a specification with the criteria added that the options ask to have reported.
+    release
+        Refuses a plan that must not reach a controller.
+    compared
+        Options, with their values, that ``compare`` sets side by side by default.
+    targets
+        Formats in which its plans can be written, by name.
+    """
+
+    name: str
+    takes: tuple[str, ...]
+    commands: type[Commands]
+    intent: type[Intent]
+    check: Callable[[Machine], None]
+    check_options: Callable[[Machine, Options], None]
+    plan: Callable[[Job, Machine, Options], Plan]
+    simulate: Callable[[Commands, Machine], Recording]
+    days: Callable[[Commands, Machine, int, np.random.Generator], Sequence[Recording]]
+    others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
+    together: Callable[[Machine], bool]
+    asked: Callable[[Spec, Options], Spec]
+    release: Callable[[Plan], None]
+    compared: Mapping[str, tuple[str, ...]]
+    targets: Mapping[str, Target]
+
+    @property
+    def planned_by(self) -> tuple[str, ...]:
+        """Options of planning that have a meaning for it, as a command line names them."""
+        return planned_by(self.name)
+
+
+_LONG_S = 1.0  # of simulating, after which progress is reported
+_DOING = "simulating and judging"
+WRITING = "simulating and writing the recording"
+
+
+class Share:
+    """The share of all runs that has been read.
+
+    Parameters
+    ----------
+    plan
+        Its duration, which may cost a reading of the whole trajectory, is asked for only after a
+        second.
+    progress
+        Is told what is done, and the share of it; None to tell nobody.
+    runs
+        How many runs there are.
+    doing
+        What is done with them, in words.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        progress: Callable[[str, float], None] | None,
+        runs: int,
+        doing: str = _DOING,
+    ) -> None:
+        self._plan, self._progress, self._doing = plan, progress, doing
+        self._done = [0.0] * runs
+        self._began = time.monotonic()
+
+    def of(self, recordings: Sequence[Recording], before: int = 0) -> Sequence[Recording]:
+        """Return recordings that tell how far they are; ``before`` runs come before them."""
+        if self._progress is None:
+            return recordings
+        return [
+            replace(one, blocks=_Watched(one.blocks, self, number))
+            for number, one in enumerate(recordings, start=before)
+        ]
+
+    def tell(self, number: int, block: RecordingBlock | None) -> None:
+        """Note that a run was read up to a block, or to its end."""
+        assert self._progress is not None
+        if block is None:
+            self._done[number] = 1.0
+        if time.monotonic() - self._began <= _LONG_S:
+            return
+        if block is not None:
+            clock = self._plan.commands.clock
+            done_s = clock.time_s(block.first_tick.get(clock.name, 0))
+            self._done[number] = min(done_s / max(self._plan.duration_s, 1e-9), 1.0)
+        self._progress(self._doing, sum(self._done) / len(self._done))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Watched:
+    """The blocks of a recording. It is no ``Stream``: a callback cannot go to another process."""
+
+    blocks: Iterable[RecordingBlock]
+    share: Share
+    number: int
+
+    def __iter__(self) -> Iterator[RecordingBlock]:
+        for block in self.blocks:
+            yield block
+            self.share.tell(self.number, block)
+        self.share.tell(self.number, None)

@@ -1,0 +1,118 @@
+"""The kind of work in steps: step tables move a frame between the strokes of its needles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from threadline.commands.plan import Plan, Stitched
+from threadline.commands.stitched import stitch
+from threadline.commands.write import STEP_TARGETS
+from threadline.errors import OptionError, Place, PlanError
+from threadline.files import Commands, Recording, StepPlay, played
+from threadline.jobs.operations import FeedMode, Job
+from threadline.machine import Machine
+from threadline.machine.vary import DAMPING_OF_DAYS, vary
+from threadline.motion.shaping.shaped_law import law_named
+from threadline.proof.kinds.kind import Kind
+from threadline.proof.kinds.variants import one_by_one
+from threadline.proof.options import Options, describe, foreign_options
+from threadline.twin.stitching import simulate_stitching
+from threadline.twin.stitching_run import driven_of
+from threadline.verdict import Spec
+
+
+def _check(machine: Machine) -> None:
+    """Refuse a frame that no servo moves by steps, or that is not linear."""
+    driven_of(machine)
+
+
+def _check_options(machine: Machine, options: Options) -> None:
+    if foreign_options(STEPS.name, machine, options):
+        raise OptionError(
+            f"{machine.name} moves between its stitches by a law: it has no path, shaper or "
+            "feed-forward to choose",
+            remedy="Leave it out; a law and a tolerance may be given: --law cycloidal --tolerance "
+            '"0.05 mm".',
+        )
+    if options.feed is not None and options.feed.mode is not FeedMode.SHAFT:
+        raise OptionError(
+            f"the speed of {machine.name} is that of its shaft, in stitches",
+            remedy='Write it like --feed "120 stitch/min".',
+        )
+
+
+def _plan(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan the turns of the shaft: all at the given speed, else each as slow as its move needs."""
+    if job.paced_by != "shaft":
+        raise PlanError(
+            f"{machine.name} sews embroidery designs, and {job.name} is none",
+            place=Place(job.file),
+            remedy="Give a design such as .dst, or take a machine for such jobs.",
+        )
+    assert machine.tables is not None
+    named = options.timing.law or machine.tables.law
+    stitched = stitch(
+        job,
+        machine,
+        law_named(named),
+        options.tolerance_m,
+        None if options.feed is None else 1.0 / options.feed.value,
+    )
+    return Plan(
+        job=job,
+        machine=machine,
+        commands=stitched.commands,
+        intent=stitched,
+        options=describe(job, machine, options),
+    )
+
+
+def _simulate(commands: Commands, machine: Machine) -> Recording:
+    return simulate_stitching(played(commands), machine)
+
+
+def _days(
+    commands: Commands, machine: Machine, count: int, random: np.random.Generator
+) -> Sequence[Recording]:
+    """Simulate with the damping of bodies and links within +-30 %.
+
+    Nothing else varies from day to day: the steps of a servo are exact at any supply voltage.
+    """
+    machines = [machine]
+    machines += [vary(machine, damping=random.uniform(*DAMPING_OF_DAYS)) for _ in range(count - 1)]
+    return [_simulate(commands, one) for one in machines]
+
+
+def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+    """Return the specification as it is: no option of this kind adds a criterion."""
+    return spec
+
+
+def _release(plan: Plan) -> None:
+    """Refuse nothing: tables that cannot be played are not planned at all."""
+
+
+STEPS = Kind(
+    name="steps",
+    takes=("embroidery design",),
+    commands=StepPlay,
+    intent=Stitched,
+    check=_check,
+    check_options=_check_options,
+    plan=_plan,
+    simulate=_simulate,
+    days=_days,
+    others=partial(one_by_one, _simulate),
+    together=lambda _: False,
+    asked=_asked,
+    release=_release,
+    compared={
+        "interpolation": (
+            "law:modified-sine", "law:cycloidal", "law:simple-harmonic", "law:4-5-6-7",
+        )
+    },
+    targets=STEP_TARGETS,
+)  # fmt: skip

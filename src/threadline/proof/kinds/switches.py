@@ -1,0 +1,95 @@
+"""The kind of work in switchings: cylinders are switched on and off at the scans of a PLC."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from threadline.commands.plan import Plan, Scheduled
+from threadline.commands.schedule import compile_schedule
+from threadline.commands.schedule_options import shaping_of
+from threadline.commands.write import SWITCH_TARGETS
+from threadline.files import Commands, Recording, SwitchSchedule, switch_schedule
+from threadline.jobs.operations import Job
+from threadline.machine import Machine
+from threadline.machine.vary import vary
+from threadline.proof.kinds.kind import Kind
+from threadline.proof.kinds.variants import one_by_one
+from threadline.proof.options import Options, describe, refuse_axis_options
+from threadline.twin.switching import simulate_switching
+from threadline.verdict import Spec
+
+
+def _check(machine: Machine) -> None:
+    """Refuse nothing: without a loop nothing can be unstable."""
+
+
+def _plan(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan the schedule, with each cylinder's switching shaped as the options say."""
+    shaping = (
+        {}
+        if options.shaper is None
+        else shaping_of(
+            machine,
+            options.shaper,
+            mode=options.shaper_mode,
+            damping_ratio=options.shaper_damping,
+        )
+    )
+    scheduled = compile_schedule(job, machine, shaping)
+    return Plan(
+        job=job,
+        machine=machine,
+        commands=scheduled.commands,
+        intent=scheduled,
+        options=describe(job, machine, options),
+    )
+
+
+def _simulate(commands: Commands, machine: Machine) -> Recording:
+    return simulate_switching(switch_schedule(commands), machine)
+
+
+def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+    """Return the specification as it is: there is no path that a shaper could change."""
+    return spec
+
+
+def _days(
+    commands: Commands, machine: Machine, count: int, random: np.random.Generator
+) -> Sequence[Recording]:
+    """Simulate with friction of the cylinders within +-30 % and supply within +-5 %.
+
+    The phase of the scan is not varied: every move begins at a scan, and an input from outside the
+    machine is taken to be there when the schedule waits for it.
+    """
+    machines = [machine]
+    for _ in range(count - 1):
+        friction, supply = random.uniform(0.7, 1.3), random.uniform(0.95, 1.05)
+        machines.append(vary(machine, friction=friction, supply=supply))
+    return [_simulate(commands, one) for one in machines]
+
+
+def _release(plan: Plan) -> None:
+    """Refuse nothing: a schedule that its valves cannot follow is not planned at all."""
+
+
+SWITCHES = Kind(
+    name="switches",
+    takes=("move list",),
+    commands=SwitchSchedule,
+    intent=Scheduled,
+    check=_check,
+    check_options=refuse_axis_options,
+    plan=_plan,
+    simulate=_simulate,
+    days=_days,
+    others=partial(one_by_one, _simulate),
+    together=lambda _: False,
+    asked=_asked,
+    release=_release,
+    compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
+    targets=SWITCH_TARGETS,
+)

@@ -1,0 +1,353 @@
+"""Columns of a seam's table beside its rows: needle-down instants, needle to be up, trims."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from threadline.base.arrays import FloatArray
+from threadline.commands import followed_by_loads, followed_by_motors, robust_averages
+from threadline.commands.plan import Following, Motion, Plan
+from threadline.commands.write import TABLES, TICK_TARGETS, TableWriter, Target, WrittenPlan
+from threadline.dynamics.analysis import unstable_loops
+from threadline.dynamics.values import Values
+from threadline.errors import OptionError, PlanError
+from threadline.files import (
+    ChannelKind,
+    Clock,
+    Commands,
+    Recording,
+    TickBlock,
+    TickTable,
+    tick_table,
+)
+from threadline.files.formats.common import Written
+from threadline.files.formats.tick_table import NeedleRows
+from threadline.jobs.operations import FeedMode, Job
+from threadline.machine import Machine
+from threadline.machine.variants import numbers_at, variant
+from threadline.machine.vary import derate, drawn_days, varied_numbers, vary
+from threadline.motion.path import chord_path, on_chords, plan_path, programmed_path
+from threadline.motion.path.types import PlannedPath, ProgrammedPath
+from threadline.motion.shaping import parse_shaper
+from threadline.motion.shaping.shaped_law import law_named
+from threadline.motion.timing import (
+    Pace,
+    check_budget,
+    check_limits,
+    even_averages,
+    plan_trajectory,
+    with_steps,
+)
+from threadline.proof.kinds.kind import Kind
+from threadline.proof.options import Options, PathChoice, describe
+from threadline.twin import simulate, simulate_runs, simulate_told_runs
+from threadline.verdict import Criterion, Spec
+from threadline.verdict.needle import has_stitches, planned_stitches
+
+_SLACK = 1e-6  # ticks: a needle-down at most this long before a tick counts as at the tick
+
+
+class NeedleColumns:
+    """Tells the needle beside the rows of a seam's table, block by block.
+
+    The needle goes down at the end of every stitch, and once before the first one of a contour: a
+    turn of it earlier. Before that and after a contour's last needle-down it must be up.
+
+    Parameters
+    ----------
+    plan
+        Of a job with stitches.
+    clock
+        Of the rows.
+    """
+
+    def __init__(self, plan: Plan, clock: Clock) -> None:
+        self._clock = clock
+        self._runs = planned_stitches(plan)
+        self._down_s: FloatArray = np.zeros(0)  # still to be told, in order
+        self._begin_s: list[float] = []  # first and last needle-down of every contour so far
+        self._end_s: list[float] = []
+        self._known_s = -np.inf
+        self._ended = False
+        self._trim_until = 0  # tick
+
+    def rows(self, block: TickBlock) -> NeedleRows:
+        """Return the needle's columns for the rows of ``block``, which is the next of the table."""
+        first, rows = block.first_tick, len(block)
+        period_s = float(self._clock.period_s)
+        self._pull(float(self._clock.time_s(first + rows)) + period_s)
+        ticks = np.floor(self._down_s / period_s + _SLACK).astype(np.int64)
+        here = ticks < first + rows
+        began_s = np.array([float(self._clock.time_s(tick)) for tick in ticks[here].tolist()])
+        after_s = np.maximum(self._down_s[here] - began_s, 0.0)
+        row = np.maximum(ticks[here] - first, 0)
+        self._down_s = self._down_s[~here]
+        middle_s = (first + np.arange(rows) + 0.5) * period_s
+        begun = np.searchsorted(self._begin_s, middle_s, side="right")
+        up = begun == np.searchsorted(self._end_s, middle_s, side="left")
+        return NeedleRows(row=row, after_s=after_s, up=up, trim=self._trims(block))
+
+    def _pull(self, until_s: float) -> None:
+        """Read stitches until one is later than ``until_s``."""
+        while not self._ended and self._known_s <= until_s:
+            run = next(self._runs, None)
+            if run is None:
+                self._ended = True
+                self._end_s.append(self._known_s)
+                return
+            first_s = run.down_s[run.first] - run.period_s[run.first]
+            before_s = np.concatenate(([self._known_s], run.down_s[:-1]))[run.first]
+            if not self._begin_s:
+                before_s = before_s[1:]
+            self._begin_s += first_s.tolist()
+            self._end_s += before_s.tolist()
+            self._down_s = np.sort(np.concatenate((self._down_s, first_s, run.down_s)))
+            self._known_s = float(run.down_s[-1])
+
+    def _trims(self, block: TickBlock) -> NDArray[np.bool_]:
+        """Return (rows,) whether the thread is trimmed while the row is played."""
+        first, rows = block.first_tick, len(block)
+        trims = np.zeros(rows, dtype=bool)
+        trims[: max(self._trim_until - first, 0)] = True
+        events = {(event.kind, event.operation): event for event in block.events}
+        for event in block.events:
+            if (event.kind, event.name) != ("tool", "trim"):
+                continue
+            rest = events.get(("dwell", event.operation + 1))
+            lasts_s = 0.0 if rest is None else rest.value
+            lasts = max(1, ceil(lasts_s / float(self._clock.period_s) - _SLACK))
+            self._trim_until = event.tick + lasts
+            trims[event.tick - first : max(self._trim_until - first, 0)] = True
+        return trims
+
+
+def check_loops(machine: Machine) -> None:
+    """Refuse a machine without loops, or with an unstable one, before any motion is planned.
+
+    Raises
+    ------
+    PlanError
+        Naming the axis and how far the loop is beyond its limit; or that the machine has no loop.
+    """
+    if not machine.axes:
+        raise PlanError(
+            f"{machine.name} has no axes with loops: its cylinders are switched on and off",
+            place=machine.place,
+            remedy="threadline prove, judge and compile take its move lists.",
+        )
+    unstable = unstable_loops(machine)
+    if unstable:
+        raise PlanError(
+            "; ".join(unstable),
+            place=machine.place,
+            remedy="Lower the gain of its controller, or correct its clock; threadline analyse "
+            "shows the loop.",
+        )
+
+
+def _check_options(machine: Machine, options: Options) -> None:
+    if options.shaper_mode is not None or options.shaper_damping is not None:
+        raise OptionError(
+            f"--mode and --damping are of on/off machines, which {machine.name} is not",
+            remedy='Write both with the shaper: --shaper "zv:12Hz:0.02".',
+        )
+    if options.feed is not None and options.feed.mode is FeedMode.SHAFT:
+        text = f"{options.feed.value:g} stitch/s"
+        raise OptionError(
+            f"feed {text!r}: {machine.name} has no shaft that turns a stitch at a time",
+            remedy=f'The needle speed of a seam is --needle "{text}", or needle_speed in its file.',
+        )
+    if options.following is Following.LOAD and machine.told_positions:
+        raise OptionError(
+            f"--feed-forward goes in through the controllers of the axes, and {machine.name} has "
+            f"none: drives.{machine.axes[next(iter(machine.axes))].drive} is told positions",
+            remedy="Leave it out; --shaper keeps the load from ringing.",
+        )
+    if math.isfinite(options.contour_m or math.inf) and machine.told_positions:
+        raise OptionError(
+            f"--contour bounds what loops make of a motion, and {machine.name} has none: "
+            f"drives.{machine.axes[next(iter(machine.axes))].drive} is told positions",
+            remedy="Leave it out.",
+        )
+    if options.following is Following.LOAD and options.timing.shaper is not None:
+        raise OptionError(
+            "a shaper and feed-forward exclude each other: the inverse leaves nothing to shape",
+            remedy="Leave one of them out.",
+        )
+
+
+def _plan(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan the path, its timing, and whether motors or loads follow it."""
+    timing = options.timing
+    if timing.feed is not None and timing.feed.mode is FeedMode.OVERRIDE and job.paced_by != "feed":
+        raise OptionError(
+            f"feed {timing.feed.value * 100.0:g} %: {job.name} has no feeds to multiply, its speed "
+            f"is that of the {job.paced_by}",
+            remedy='Give a speed, like "36 mm/s", or change it in the job.',
+        )
+    tick_s = float(machine.tick_clock.period_s)
+    shaper = None if timing.shaper is None else parse_shaper(timing.shaper, tick_s)
+    motion_law = None if timing.law is None else law_named(timing.law)
+    at_limits = timing.pace is not Pace.PROGRAMMED
+    programmed = programmed_path(job, machine, feed=timing.feed, at_limits=at_limits)
+    check_budget(job, machine, timing.feed)
+    limited = derate(machine, timing.limit_share)
+    path = _shape(programmed, limited, options.path)
+    of_loads = timing.smoothing_s is not None
+    timed = plan_trajectory(
+        path,
+        limited,
+        timing.pace,
+        motion_law,
+        timing.contour_m,
+        of_loads=of_loads,
+        along_m_s2=job.along_m_s2,
+    )
+    warnings: tuple[str, ...] = ()
+    # A demand above its limit is no error: the verdict shows what comes of it.
+    if timing.smoothing_s is None:
+        followed = followed_by_motors(timed, machine, job, shaper)
+    elif timing.robust_share is None:
+        averages = even_averages(timing.smoothing_s)
+        followed = followed_by_loads(timed, machine, job, averages, ends_m=timing.ends_m)
+    else:
+        averages, warnings = robust_averages(
+            timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
+        )
+        stepped = with_steps(timed)
+        followed = followed_by_loads(timed, machine, job, averages, stepped=stepped)
+    motion = Motion(
+        programmed=programmed,
+        path=path,
+        trajectory=followed.trajectory,
+        following=followed.following,
+        timed=None if followed.timed is followed.trajectory else followed.timed,
+        demands=followed.demands,
+        rests_s=followed.rests_s,
+        table_s=followed.table_s,
+        needle_follows=job.needle_follows,
+        of_averages=warnings,
+    )
+    return Plan(
+        job=job,
+        machine=machine,
+        commands=followed.commands,
+        intent=motion,
+        options=describe(job, machine, options),
+    )
+
+
+def _shape(programmed: ProgrammedPath, machine: Machine, choice: PathChoice) -> PlannedPath:
+    if on_chords(choice.interpolation):
+        return chord_path(programmed, choice.interpolation)
+    return plan_path(programmed, machine, choice.interpolation, choice.tolerance_m)
+
+
+def _simulate(commands: Commands, machine: Machine) -> Recording:
+    return simulate(tick_table(commands), machine)
+
+
+_RECORDED = (
+    ChannelKind.COMMANDED,
+    ChannelKind.LOAD,
+    ChannelKind.VOLTAGE,
+    ChannelKind.CURRENT,
+    ChannelKind.OPERATION,
+)
+"""Channels that the judge reads of a simulated machine; it reads loads, hence no encoders."""
+
+
+def _days(
+    commands: Commands, machine: Machine, count: int, random: np.random.Generator
+) -> Sequence[Recording]:
+    """Simulate runs with other friction, supply and encoder phases; the first is as typed."""
+    table = tick_table(commands)
+    if count == 1 or machine.without_dynamics:  # of limits alone no day differs from another
+        return [simulate(table, machine)]
+    days = drawn_days(count, len(table.axes), random)
+    if machine.position_sources:
+        varied = zip(days.friction.tolist(), days.supply.tolist(), strict=True)
+        machines = [vary(machine, friction=f, supply=s) for f, s in varied]
+        beside = simulate_told_runs(table, machines, encoder_phase=days.phases)
+        if beside is not None:
+            return [beside]
+        return [
+            simulate(table, one, encoder_phase=phase)
+            for one, phase in zip(machines, days.phases, strict=True)
+        ]
+    numbers = Values.of(machine, varied_numbers(machine, days.friction, days.supply)).replaced
+    values = Values(machine, numbers, count)
+    return [simulate_runs(table, values, encoder_phase=days.phases, kinds=_RECORDED)]
+
+
+def _others(
+    commands: Commands, machine: Machine, parts: FloatArray, random: np.random.Generator
+) -> Sequence[Recording]:
+    """Simulate machines within the tolerances, with encoders at any phase."""
+    table = tick_table(commands)
+    phases = random.uniform(0.0, 1.0, (len(parts), len(table.axes)))
+    if machine.position_sources:
+        return [
+            simulate(table, variant(machine, row), encoder_phase=phase)
+            for row, phase in zip(parts, phases, strict=True)
+        ]
+    values = Values.of(machine, numbers_at(machine, parts))
+    return [
+        simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED)
+        for sharing, places in values.by_delay()
+    ]
+
+
+def _asked(spec: Spec, options: Options) -> Spec:
+    """Return the specification, with ``shaping_deviation`` where the motion is shaped or smoothed.
+
+    The deviation that shaping causes is always reported, with or without a limit.
+    """
+    shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
+    named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
+    if named or not shaped:
+        return spec
+    return replace(spec, criteria=(*spec.criteria, Criterion(name="shaping_deviation")))
+
+
+def _release(plan: Plan) -> None:
+    """Refuse a plan that breaks a limit of its machine anywhere."""
+    check_limits(plan.motion.trajectory, plan.machine)
+
+
+def _of_table(writer: TableWriter) -> Target:
+    """Return a target of the rows; of a seam with the columns of the needle."""
+
+    def write(plan: WrittenPlan, path: Path) -> list[Written]:
+        table = tick_table(plan.commands)
+        sewn = isinstance(plan, Plan) and has_stitches(plan.job)
+        needle = NeedleColumns(plan, table.clock) if isinstance(plan, Plan) and sewn else None
+        return [writer(table, path, needle)]
+
+    return Target(write=write)
+
+
+TICKS = Kind(
+    name="ticks",
+    takes=("part program", "seam"),
+    commands=TickTable,
+    intent=Motion,
+    check=check_loops,
+    check_options=_check_options,
+    plan=_plan,
+    simulate=_simulate,
+    days=_days,
+    others=_others,
+    together=lambda machine: not machine.told_positions,
+    asked=_asked,
+    release=_release,
+    compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},
+    targets={**{name: _of_table(writer) for name, writer in TABLES.items()}, **TICK_TARGETS},
+)

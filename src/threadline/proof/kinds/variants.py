@@ -1,0 +1,188 @@
+"""Other machines under the same commands: rejects, machines that never end, commands replayed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from threadline.base.arrays import FloatArray
+from threadline.commands.plan import Plan
+from threadline.errors import MachineError, OptionError, RecordingError
+from threadline.files import Commands, Recording, TickTable
+from threadline.machine import Machine
+from threadline.machine.variants import variant
+from threadline.proof.kinds.kind import Kind
+from threadline.verdict import Judge, Result, Status
+from threadline.verdict.each_run import clopper_pearson
+
+REJECTS = "rejects"
+_AT_ONCE = 256
+
+
+def rejects(
+    kind: Kind,
+    plan: Plan,
+    judge: Judge,
+    parts: FloatArray,
+    wished: float,
+    random: np.random.Generator,
+) -> tuple[Result, int]:
+    """Judge machines within the tolerances; return the criterion of rejects and their number.
+
+    The measured value is the upper end of the exact 95 % interval (Clopper and Pearson) of the
+    share of machines out of specification. A machine that cannot be simulated, or that waits
+    forever for an input, counts as out of specification. Judging ends early once the limit would be
+    exceeded even if all remaining machines were in specification. The number that is returned is
+    that of the machines judged.
+
+    Parameters
+    ----------
+    parts
+        (k, n) place of each of the n numbers of k machines within its tolerance.
+    wished
+        Wanted yield, a share from 0 to 1; the limit is ``1 - wished``.
+    random
+        Generator from which encoder phases are drawn.
+    """
+    tried = failed = 0
+    most, limit = 1.0, 1.0 - wished
+    for at in range(0, len(parts), _AT_ONCE):
+        some = parts[at : at + _AT_ONCE]
+        failed += _failed(kind, plan, judge, some, random)
+        tried += len(some)
+        most = 1.0 - clopper_pearson(tried - failed, tried)[0]
+        if 1.0 - clopper_pearson(len(parts) - failed, len(parts))[0] > limit:
+            break
+    result = Result(
+        name=REJECTS,
+        axis="",
+        measured=most,
+        limit=limit,
+        unit="",
+        status=Status.FAILED if most > limit else Status.PASSED,
+        required=True,
+        note=f"{failed} of {tried} machines within the tolerances are out of specification",
+    )
+    return result, tried
+
+
+def _failed(
+    kind: Kind, plan: Plan, judge: Judge, parts: FloatArray, random: np.random.Generator
+) -> int:
+    """Return how many machines are out of specification.
+
+    One machine that cannot be simulated or judged raises an error for all that share the call, so
+    halves of them are tried until it is alone.
+    """
+    try:
+        others = kind.others(plan.commands, plan.machine, parts, random)
+        return sum(int((~judge.each(one).passed).sum()) for one in others)
+    except (MachineError, RecordingError):
+        if len(parts) == 1:
+            return 1
+        half = len(parts) // 2
+        low = _failed(kind, plan, judge, parts[:half], random)
+        return low + _failed(kind, plan, judge, parts[half:], random)
+
+
+UNANSWERED = "unanswered"
+
+
+def answering(
+    kind: Kind, commands: Commands, machine: Machine, parts: FloatArray, random: np.random.Generator
+) -> tuple[list[Recording], list[str]]:
+    """Return recordings of the machines that reach the end, and the reason of each other one.
+
+    Every recording is read through once.
+
+    Parameters
+    ----------
+    parts
+        (k, n) place of each of the n numbers of k machines within its tolerance.
+    random
+        Generator from which encoder phases are drawn.
+    """
+    if not len(parts):
+        return [], []
+    try:
+        found = list(kind.others(commands, machine, parts, random))
+        for recording in found:
+            for _ in recording:
+                pass
+        return found, []
+    except (MachineError, RecordingError) as error:
+        if len(parts) == 1:
+            return [], [error.message]
+        half = len(parts) // 2
+        first, why_first = answering(kind, commands, machine, parts[:half], random)
+        second, why_second = answering(kind, commands, machine, parts[half:], random)
+        return first + second, why_first + why_second
+
+
+def unanswered(machines: int, why: list[str]) -> Result:
+    """Return the criterion that all of ``machines`` reach the end of the job.
+
+    Measured is the share of machines that do not; ``why`` has the reason for each of those.
+    """
+    return Result(
+        name=UNANSWERED,
+        axis="",
+        measured=len(why) / machines,
+        limit=0.0,
+        unit="",
+        status=Status.FAILED,
+        required=True,
+        note=f"{len(why)} of {machines} machines within the tolerances never end: {why[0]}",
+    )
+
+
+def retold(commands: Commands, machine: Machine) -> Commands:
+    """Return ``commands`` with the hash of ``machine``, so that a simulation of it accepts them.
+
+    A simulation refuses commands that were made for a machine with another hash. A machine within
+    the tolerances has its own hash, and is meant to play the commands of the nominal machine.
+    """
+    return replace(commands, machine_sha256=machine.sha256)
+
+
+def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands:
+    """Return the commands that were made for ``machine``, for ``actual`` to play.
+
+    Tick tables are returned as they are: their simulation compares axes, clocks and counts.
+
+    Raises
+    ------
+    OptionError
+        If the machines differ in more than their numbers.
+    """
+    if actual.sha256 == machine.sha256 or isinstance(commands, TickTable):
+        return commands
+    for what, own, others in (
+        ("what moves", machine.moving, actual.moving),
+        ("contacts", machine.contacts, actual.contacts),
+        ("outputs", machine.outputs, actual.outputs),
+    ):
+        if own.keys() != others.keys() or machine.commanded_by != actual.commanded_by:
+            raise OptionError(
+                f"{actual.name} cannot do what is planned for {machine.name}: they differ in "
+                f"{what}, and not in numbers alone",
+                remedy="Give a machine file that has the planned one as its base.",
+            )
+    return retold(commands, actual)
+
+
+def one_by_one(
+    simulate: Callable[[Commands, Machine], Recording],
+    commands: Commands,
+    machine: Machine,
+    parts: FloatArray,
+    random: np.random.Generator,  # noqa: ARG001
+) -> Sequence[Recording]:
+    """Simulate machines within the tolerances one after the other, as ``Kind.others`` does it.
+
+    For kinds whose sensors do not differ from run to run: nothing is drawn from the generator.
+    """
+    machines = [variant(machine, row) for row in parts]
+    return [simulate(retold(commands, one), one) for one in machines]

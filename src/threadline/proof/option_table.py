@@ -1,0 +1,398 @@
+"""Every option of planning, judging and searching, declared once.
+
+The command line, ``import threadline as tl``, the panel's messages and its page, recordings,
+proofs and the reference page (``docs/options.md``) are made from ``TABLE``. A new option is one
+entry; an option that changes how a job is planned also names the attribute of ``Options`` that
+the planner reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from threadline.base.option_defaults import (
+    AUTO,
+    DEFAULT_CONTOUR_M,
+    DEFAULT_INTERPOLATION,
+    DEFAULT_LIMITS,
+    DEFAULT_TOLERANCE,
+    FEED_FORWARD,
+    MOST_REPEATS,
+    NO_CONTOUR,
+    OPTIMAL_FEED_FORWARD,
+)
+from threadline.base.wording import nearest
+from threadline.errors import OptionError
+from threadline.machine.radii import written_out
+from threadline.proof.option_form import (
+    STEPS,
+    SWITCHES,
+    TICKS,
+    Door,
+    Group,
+    Option,
+    Recorded,
+    Type,
+    Word,
+)
+from threadline.proof.option_words import (
+    feed_words,
+    parse_contour_m,
+    parse_damping,
+    parse_feed,
+    parse_robust,
+    parse_shaper_text,
+    parse_share,
+    parse_tolerance_m,
+    parse_width_s,
+)
+
+PLANNERS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", "judge", "panel")
+"""The verbs that plan a job; ``panel`` is a calculation on the panel."""
+PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile")
+"""The verbs of ``import threadline as tl``."""
+PROGRAMMED = "programmed"
+"""Feed of a plan that keeps the feeds of its job, as a recording says it."""
+MOST_PROFILE = 20_000
+"""Longest text of the radii of a mandrel."""
+
+
+def _same(value: Any) -> str | None:
+    return None if value is None else str(value)
+
+
+def _exact(unit: str, factor: float = 1.0) -> Callable[[Any], str | None]:
+    """Return the writer of a number with its unit, to the last bit."""
+    return lambda value: None if value is None else f"{value * factor!r} {unit}"
+
+
+_PROVING = ("prove", "run", "compare", "fastest", "design")
+_OF_VERDICT = (*_PROVING, "panel")
+_AS_GIVEN = "As with prove; default: what the recording names."
+_EACH = (
+    "Names, separated by commas; linear,b-spline,b-spline-pulled unless given, and firmware,auto "
+    "where the machine file names a motion planner."
+)
+
+TABLE: tuple[Option, ...] = (
+    Option(
+        name="spec", short="s", group=Group.INPUT, type=Type.SPEC,
+        help="Specification file (.toml); default: the machine's own.",
+        verbs=("prove", "run", "compare", "fastest", "yield", "design", "judge"),
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="par", group=Group.INPUT, type=Type.FILE,
+        help="FW-CNC.PAR whose settings replace those of the machine file.",
+        helps={"judge": "FW-CNC.PAR; default: what the recording names."},
+        verbs=("prove", "run", "compile", "compare", "fastest", "yield", "judge"),
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="actual", group=Group.INPUT, type=Type.MACHINE,
+        help="Machine that runs what was planned for --machine: a file or a library name.",
+        helps={"judge": "The machine that ran the plan; default: what the recording names."},
+        verbs=("prove", "fastest", "judge"),
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="interpolation", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
+        help="auto, optimal, firmware, point-to-point, linear, parabolic, cubic, quintic, "
+        "b-spline, b-spline-pulled, law:NAME. By default firmware where the machine file names "
+        "a motion planner, else auto; compile, which writes another program, has auto.",
+        helps={"compare": _EACH, "judge": _AS_GIVEN},
+        default=DEFAULT_INTERPOLATION, defaults={"compile": AUTO},
+        attribute="interpolation", parse=str,
+        recorded=Recorded(key="interpolation", write=_same, read=str, required=True),
+        label="Interpolation",
+    ),
+    Option(
+        name="law", group=Group.PLAN, kinds=(TICKS, STEPS),
+        verbs=tuple(verb for verb in PLANNERS if verb != "compare"),
+        help="Every move from rest to rest by this motion law: modified-sine, harmonic:7, "
+        "frame.csv (threadline law lists them).",
+        label="Law", placeholder="default",
+    ),
+    Option(
+        name="feed", many=("compare",), group=Group.PLAN, unit="m/s", kinds=(TICKS, STEPS),
+        verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
+        help='Replaces every programmed feed: "10 count/tick", "36 mm/s" '
+        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant). "120 %" '
+        "multiplies each, so that they keep their ratios.",
+        helps={
+            "compare": "Feeds, separated by commas; default: as programmed.", "judge": _AS_GIVEN,
+        },
+        attribute="feed", parse=parse_feed,
+        recorded=Recorded(
+            key="feed", required=True,
+            write=lambda feed: PROGRAMMED if feed is None else feed_words(feed),
+            read=lambda text: None if text == PROGRAMMED else parse_feed(text),
+        ),
+        label="Feed", placeholder="as programmed",
+    ),
+    Option(
+        name="dialect", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
+        help="What the words of a program mean: winder, linuxcnc, grbl, fluidnc, marlin, fanuc, "
+        "x-winder. Default: the machine file's.",
+        attribute="dialect", parse=str,
+        recorded=Recorded(key="dialect", write=_same, read=str),
+        label="Dialect", placeholder="the machine's",
+    ),
+    Option(
+        name="feed-mode", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
+        help="By whose rule F of a part program is a speed: cadfil, fanuc, fluidnc, grbl, "
+        "linuxcnc, marlin, rs274, fastest-axis, path, or base-axes:A and base-axes:A,X, CADFIL's "
+        "modes 1 and 2. Default: the machine file's.",
+        attribute="feed_mode", parse=str,
+        recorded=Recorded(key="feed-mode", write=_same, read=str),
+        label="Rule of F", placeholder="the machine's",
+    ),
+    Option(
+        name="radius", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
+        help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm, '
+        '"A=20 mm at X 0 mm; 50 mm at X 100 mm" for a cone, or "A=mandrel.csv". Default: the '
+        "machine file's.",
+        attribute="radius", parse=written_out, most_text=MOST_PROFILE,
+        recorded=Recorded(key="radius", write=_same, read=str),
+        label="Radius", placeholder="the machine's",
+    ),
+    Option(
+        name="offset", group=Group.PLAN, unit="m or rad", verbs=PLANNERS, kinds=(TICKS,),
+        help='Where the zero of a part program lies on the machine: "X=12 mm, A=30 deg". Default: '
+        "the machine's zero.",
+        attribute="offset", parse=str,
+        recorded=Recorded(key="offset", write=_same, read=str),
+        label="Mandrel offset", placeholder="none",
+    ),
+    Option(
+        name="needle", group=Group.PLAN, unit="stitch/s", kinds=(TICKS,),
+        verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
+        help='Replaces the needle speed of a seam: "75 stitch/s".',
+        attribute="needle", parse=str,
+        recorded=Recorded(key="needle", write=_same, read=str),
+    ),
+    Option(
+        name="tolerance", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS, STEPS),
+        help="Largest deviation from the programmed path, kept by auto, optimal and parabolic: "
+        '"0.1 mm".',
+        default=DEFAULT_TOLERANCE, attribute="tolerance_m", parse=parse_tolerance_m,
+        recorded=Recorded(
+            key="tolerance", write=_exact("m"), read=parse_tolerance_m, required=True
+        ),
+        label="Tolerance", placeholder=DEFAULT_TOLERANCE,
+    ),
+    Option(
+        name="limits", group=Group.PLAN, kinds=(TICKS,),
+        verbs=("prove", "run", "compile", "compare", "yield", "judge", "panel"),
+        help="Share of the acceleration and jerk limits that the planner uses.",
+        default=DEFAULT_LIMITS, attribute="limit_share", parse=parse_share,
+        recorded=Recorded(key="limits", write=_exact("%", 100.0), read=parse_share),
+    ),
+    Option(
+        name="shaper", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS, SWITCHES),
+        help='Shape the motion: "zv:12Hz:0.02" is kind, frequency, damping ratio; "*" convolves, '
+        '"X=..., Y=..." gives axes their own; of an on/off machine zv, um-2ei, zv*um-2ei ... '
+        "or none.",
+        helps={
+            "compare": "Shapers, separated by commas, as prove takes one; of an on/off machine "
+            "none,zv,um-zv,um-zvd unless given.",
+            "judge": _AS_GIVEN,
+        },
+        attribute="shaper", parse=parse_shaper_text,
+        recorded=Recorded(key="shaper", write=_same, read=parse_shaper_text),
+        label="Shaper", placeholder="none",
+    ),
+    Option(
+        name="mode", group=Group.PLAN, unit="Hz", kinds=(SWITCHES,),
+        verbs=("prove", "run", "compile", "compare", "yield", "judge"),
+        help='Of an on/off machine: the mode its shaper is made for, "3.04 Hz"; default: its own.',
+        attribute="shaper_mode", parse=str,
+        recorded=Recorded(key="mode", write=_same, read=str),
+    ),
+    Option(
+        name="damping", group=Group.PLAN, type=Type.RATIO, kinds=(SWITCHES,),
+        verbs=("prove", "run", "compile", "compare", "yield", "judge"),
+        help="Damping ratio of that mode; default: the machine's.",
+        attribute="shaper_damping", parse=parse_damping,
+        recorded=Recorded(
+            key="damping", read=parse_damping,
+            write=lambda ratio: None if ratio is None else repr(ratio),
+        ),
+    ),
+    Option(
+        name="feed-forward", group=Group.PLAN, type=Type.FLAG, verbs=PLANNERS, kinds=(TICKS,),
+        help="Feed-forward by the inverses of the axes' models, so that the loads follow the path.",
+        helps={"judge": "The plan was made with feed-forward; default: what the recording names."},
+        default=False, attribute="feed_forward_s",
+        recorded=Recorded(key="feed-forward", write=_exact("s"), read=parse_width_s),
+        label="Loads follow",
+    ),
+    Option(
+        name="smoothing", many=("design",), group=Group.PLAN, unit="s",
+        verbs=PLANNERS, kinds=(TICKS,),
+        help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}", of '
+        f'optimal "{OPTIMAL_FEED_FORWARD}".',
+        helps={
+            "design": f'Smoothing times of feed-forward to try: "36 ms, 50 ms"; default '
+            f"{FEED_FORWARD}.",
+            "judge": f"Time of feed-forward; default: what the recording names, else "
+            f'"{FEED_FORWARD}".',
+        },
+        attribute="change_s",
+        recorded=Recorded(key="change", write=_exact("s"), read=parse_width_s),
+        label="Smoothing", placeholder="default",
+    ),
+    Option(
+        name="robust", group=Group.PLAN, kinds=(TICKS,),
+        verbs=tuple(verb for verb in PLANNERS if verb != "design"),
+        help="With --feed-forward: keep the loads from ringing wherever masses and stiffnesses are "
+        'within this share of their tolerances: "100 %". --smoothing is then the time in which '
+        "the speed may change, four turns of a seam's needle without it.",
+        helps={
+            "fastest": "One plan for all machines with loads and springs at the ends of this share "
+            'of their tolerances, each judged in one run: "100 %"; and what that costs. With '
+            "--feed-forward it is planned for all of them.",
+            "judge": _AS_GIVEN,
+        },
+        attribute="robust_share", parse=parse_robust,
+        recorded=Recorded(key="robust", write=_exact("%", 100.0), read=parse_robust),
+        label="Robust", placeholder="none",
+    ),
+    Option(
+        name="contour", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
+        help=f"Of optimal: how far the loops may leave the path; default "
+        f'"{DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With '
+        "--feed-forward: how far the loads may leave their motion where its table begins and ends.",
+        attribute="contour_m", parse=parse_contour_m,
+        recorded=Recorded(
+            key="contour", read=parse_contour_m,
+            write=lambda width: NO_CONTOUR if width == float("inf") else _exact("m")(width),
+        ),
+        label="Contour", placeholder=f"{DEFAULT_CONTOUR_M * 1e3:g} mm, of optimal",
+    ),
+    Option(
+        name="level", group=Group.LEVEL, verbs=(*_OF_VERDICT,),
+        help="How far the verdict reaches: nominal is one run; repeated is 20 runs with other "
+        "encoder phases, friction and supply; over tolerances adds other machines within the "
+        "tolerances of the machine file.",
+        default="repeated", choices=("nominal", "repeated", "over tolerances"),
+        doors=(Door.PYTHON, Door.PANEL),
+    ),
+    Option(
+        name="nominal", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
+        help="Judge one run of the machine as its file says; the next may differ.",
+        doors=(Door.LINE,),
+    ),
+    Option(
+        name="repeats", group=Group.LEVEL, type=Type.COUNT, verbs=_PROVING,
+        least=1, most=MOST_REPEATS,
+        help="How many runs, each with other encoder phases, friction and supply; default 20.",
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
+        help="Judge 200 other machines within the tolerances of the machine file, too.",
+        doors=(Door.LINE,),
+    ),
+    Option(
+        name="yield", group=Group.LEVEL, verbs=_PROVING,
+        help='Share of the machines within the tolerances that must be in spec: "99 %", judged '
+        "by the lower end of the exact 95 % interval of 1000 of them.",
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="ends", group=Group.LEVEL, verbs=("prove", "run", "compare"),
+        help="Judge the machines with loads and springs at the ends of this share of their "
+        'tolerances, too, one run each: "100 %".',
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="margin", group=Group.SEARCH, verbs=("fastest",), default="0 %",
+        help='Share of every limit of the specification to keep free: "20 %"; the machine\'s '
+        "own limits stay.",
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="low", group=Group.SEARCH, unit="m/s", verbs=("fastest",),
+        help='Lowest feed to try; of a seam "5 stitch/s".', doors=(Door.LINE,),
+    ),
+    Option(
+        name="high", group=Group.SEARCH, unit="m/s", verbs=("fastest",),
+        help="Highest feed to try.", doors=(Door.LINE,),
+    ),
+    Option(
+        name="band", group=Group.SEARCH, verbs=("fastest",), kinds=(SWITCHES,),
+        help="Of an on/off machine: the shortest cycle that is in spec with every mode within "
+        'this share of its frequency: "20 %".',
+        doors=(Door.LINE,),
+    ),
+    Option(
+        name="mismatch", group=Group.SEARCH, type=Type.FLAG, verbs=("fastest",), default=False,
+        help="Search again with masses and stiffnesses at the ends of their tolerances, "
+        "planned for the machine as its file says.",
+        doors=(Door.LINE,),
+    ),
+    Option(
+        name="within", group=Group.SEARCH, unit="s", verbs=("fastest",),
+        help='How long the search may take, "5 min"; then the best so far is told. Ctrl-C '
+        "asks for it at once.",
+        doors=(Door.LINE,),
+    ),
+)  # fmt: skip
+"""The options, in the order in which help, reference and recordings name them."""
+
+
+def option(name: str) -> Option:
+    """Return the option of a name.
+
+    Raises
+    ------
+    KeyError
+        If there is none.
+    """
+    return _BY_NAME[name]
+
+
+_BY_NAME = {one.name: one for one in TABLE}
+RECORDED = tuple((one, one.recorded) for one in TABLE if one.recorded is not None)
+"""The planning options that recordings and proofs say, with how."""
+
+
+def options_for(
+    verb: str, door: Door = Door.LINE, groups: Iterable[Group] = tuple(Group)
+) -> tuple[Option, ...]:
+    """Return the options that a verb takes where it is asked."""
+    chosen = tuple(groups)
+    listed = verb if door is Door.PYTHON else ""  # a list in Python is an argument of its own
+    return tuple(
+        one
+        for one in TABLE
+        if verb in one.verbs
+        and door in one.doors
+        and one.group in chosen
+        and listed not in one.many
+    )
+
+
+def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, Word]:
+    """Return the words of all options of a verb: given, else their defaults.
+
+    Raises
+    ------
+    OptionError
+        If a word is no option of the verb, or none that it may be given.
+    """
+    taken = {one.word: one for one in options_for(verb, door)}
+    for word, value in words.items():
+        if word not in taken:
+            raise OptionError(f"unknown option {word!r}", remedy=nearest(word, tuple(taken)))
+        choices = taken[word].choices
+        if choices and value not in choices:
+            raise OptionError(f"unknown {word} {value!r}", remedy=nearest(str(value), choices))
+    return {word: words.get(word, one.default_of(verb)) for word, one in taken.items()}
+
+
+def planned_by(kind: str) -> tuple[str, ...]:
+    """Return the names of the planning options that have a meaning for a kind of work."""
+    return tuple(one.name for one in TABLE if one.group is Group.PLAN and kind in one.kinds)

@@ -1,0 +1,246 @@
+"""Words of an option on a command line, and the numbers that they stand for."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD
+from threadline.errors import OptionError, UnitError
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.units import parse_number, parse_quantity, same_dimension, split_quantity
+
+LEAST_CONTOUR_M = 1e-6
+FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
+"""Units of the feeds that are not speeds of the fastest axis."""
+F_UNIT = "mm/min"
+"""The unit of a feed that is written as an F word without one."""
+_F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
+LEAST_SHARE = 1e-3
+"""Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
+
+
+def parse_feed(text: str) -> Feed:
+    """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
+
+    ``"F 3000"`` is what F words would ask for, in mm/min: by the rule of the job for F. ``"120 %"``
+    is an override: that much of each programmed feed.
+
+    Raises
+    ------
+    OptionError
+        If it is not a positive feed of a known kind.
+    """
+    try:
+        word = _F_WORD.match(text)
+        if text.rstrip().endswith("%"):
+            feed = Feed(FeedMode.OVERRIDE, parse_quantity(text, "%") / 100.0)
+        elif word is not None:
+            number, written = split_quantity(text[word.end() :])
+            value = parse_quantity(f"{number} {written or F_UNIT}", "m/s")
+            feed = Feed(FeedMode.F_WORD, value)
+        else:
+            _, written = split_quantity(text)
+            modes = (
+                m for m, unit in FEED_UNITS.items() if written and same_dimension(written, unit)
+            )
+            mode = next(modes, FeedMode.FASTEST_AXIS)
+            feed = Feed(mode, parse_quantity(text, FEED_UNITS.get(mode, "m/s")))
+    except UnitError as error:
+        raise OptionError(
+            f"feed {text!r}: {error.message}",
+            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; of an embroidery '
+            'machine like "120 stitch/min"; as F of the program in mm/min like "F 3000"; times all '
+            'of its feeds like "120 %".',
+        ) from error
+    if feed.value <= 0:
+        raise OptionError(f"feed {text!r} must be greater than zero")
+    return feed
+
+
+def feed_words(feed: Feed) -> str:
+    """Return a feed as ``parse_feed`` reads it, to the last bit.
+
+    >>> feed_words(parse_feed("F 3000")), feed_words(parse_feed("10 count/tick"))
+    ('F 3000', '10.0 count/tick')
+    >>> feed_words(parse_feed("120%"))
+    '120 %'
+    """
+    if feed.mode is FeedMode.OVERRIDE:
+        word = f"{feed.value * 100.0:.12g} %"
+        return word if parse_feed(word) == feed else f"{feed.value * 100.0!r} %"
+    if feed.mode is FeedMode.F_WORD:
+        word = f"F {feed.value * 60_000.0:.12g}"
+        return word if parse_feed(word) == feed else f"F {feed.value!r} m/s"
+    return f"{feed.value!r} {FEED_UNITS.get(feed.mode, 'm/s')}"
+
+
+def parse_tolerance_m(text: str) -> float:
+    """Return a tolerance such as ``"0.1 mm"`` in m.
+
+    Raises
+    ------
+    OptionError
+        If it is not a positive length.
+    """
+    value = parse_number("tolerance", text, "m", "0.1 mm")
+    if value <= 0:
+        raise OptionError(f"tolerance {text!r} must be greater than zero")
+    return value
+
+
+def tolerance_words(tolerance_m: float) -> str:
+    """Return a tolerance as it is typed, in mm, to four digits.
+
+    >>> tolerance_words(8.74999e-5)
+    '0.0875 mm'
+    """
+    return f"{tolerance_m * 1e3:.4g} mm"
+
+
+def parse_contour_m(text: str) -> float:
+    """Return how far loops may leave the path, such as ``"0.3 mm"``, in m; infinite for ``none``.
+
+    Raises
+    ------
+    OptionError
+        If it is not a length of at least ``LEAST_CONTOUR_M``.
+    """
+    if text == NO_CONTOUR:
+        return math.inf
+    value = parse_number("contour", text, "m", "0.3 mm")
+    if value < LEAST_CONTOUR_M:
+        raise OptionError(
+            f"contour {text!r} must be at least {LEAST_CONTOUR_M * 1e6:g} um",
+            remedy=f'Write "{NO_CONTOUR}" to plan on the limits of axes and drives alone.',
+        )
+    return value
+
+
+def parse_share(text: str) -> float:
+    """Return a share such as ``"25 %"`` as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not at least ``LEAST_SHARE`` and at most 100 %.
+    """
+    value = parse_number("limits", text, "", "25 %")
+    if not LEAST_SHARE <= value <= 1.0:
+        raise OptionError(
+            f"limits {text!r} must be at least {100.0 * LEAST_SHARE:g} % and at most 100 %",
+            remedy='A quarter of the limits is "25 %".',
+        )
+    return value
+
+
+def share_words(share: float) -> str:
+    """Return a share as a percentage of eight digits at most, else as the number that it is.
+
+    ``parse_share`` reads the very same from it.
+
+    >>> share_words(0.25), share_words(0.176777)
+    ('25 %', '0.176777')
+    """
+    for digits in range(1, 9):
+        text = f"{share * 100.0:.{digits}g} %"
+        if "e" not in text and parse_quantity(text, "") == share:
+            return text
+    return f"{share!r}"
+
+
+def parse_margin(text: str) -> float:
+    """Return a margin such as ``"20 %"`` as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not at least 0 % and below 100 %.
+    """
+    value = parse_number("margin", text, "", "20 %")
+    if not 0.0 <= value < 1.0:
+        raise OptionError(
+            f"margin {text!r} must be at least 0 % and below 100 %", remedy='Write it like "20 %".'
+        )
+    return value
+
+
+def parse_ends(text: str) -> float:
+    """Return a share of the tolerances at whose ends machines are judged, ``"100 %"``, as 1.0.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and at most 200 %.
+    """
+    value = parse_number("ends", text, "", "100 %")
+    if not 0.0 < value <= 2.0:
+        raise OptionError(
+            f"ends {text!r} must be above 0 % and at most 200 % of the tolerances",
+            remedy='Machines at the ends of all tolerances are "100 %".',
+        )
+    return value
+
+
+def parse_robust(text: str) -> float:
+    """Return the share of the tolerances that a plan holds over, such as ``"100 %"``, as a number.
+
+    Raises
+    ------
+    OptionError
+        If it is not within 0 % and 200 %.
+    """
+    value = parse_number("robust", text, "", "100 %")
+    if not 0.0 <= value <= 2.0:
+        raise OptionError(
+            f"robust {text!r} must be at least 0 % and at most 200 % of the tolerances",
+            remedy='All of them are "100 %", the machine as its file says is "0 %".',
+        )
+    return value
+
+
+def parse_yield(text: str) -> float:
+    """Return a wished yield such as ``"99 %"`` as a share.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and below 100 %: no number of machines proves 100 %.
+    """
+    value = parse_number("yield", text, "", "99 %")
+    if not 0.0 < value < 1.0:
+        raise OptionError(
+            f"yield {text!r} must be above 0 % and below 100 %",
+            remedy='99 of 100 machines in spec is "99 %"; no number of machines proves 100 %.',
+        )
+    return value
+
+
+def parse_damping(given: str | float) -> float:
+    """Return a damping ratio, a number or a text such as ``"0.17"`` or ``"17 %"``.
+
+    Raises
+    ------
+    OptionError
+        If the text is no number without a unit.
+    """
+    return parse_number("--damping", given, "", "20 %") if isinstance(given, str) else float(given)
+
+
+def parse_shaper_text(text: str) -> str | None:
+    """Return the text of a shaper as it is; None where it is ``none``, which shapes nothing."""
+    return None if text == UNSHAPED_WORD else text
+
+
+def parse_width_s(text: str) -> float:
+    """Return the width of a smoothing in time such as ``"36 ms"`` in s.
+
+    Raises
+    ------
+    OptionError
+        If it is not a time of at least 0.1 ms and at most 10 s.
+    """
+    value = parse_number("smoothing", text, "s", "36 ms")
+    if not 1e-4 <= value <= 10.0:
+        raise OptionError(f"smoothing {text!r} must be at least 0.1 ms and at most 10 s")
+    return value

@@ -1,0 +1,403 @@
+"""Runs every arrow of the house in order, over the table of kinds, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from threadline.base.progress import PLANNING, Progress
+from threadline.base.wording import nearest
+from threadline.base.writing import together
+from threadline.commands.plan import Plan
+from threadline.commands.write import Target
+from threadline.errors import MachineError, OptionError, RecordingError
+from threadline.files import Commands, Recording
+from threadline.files.formats.common import Written
+from threadline.jobs import read_job
+from threadline.jobs.gcode.feeds import parse_feed_mode
+from threadline.jobs.operations import Job
+from threadline.jobs.shifted import shifted
+from threadline.machine import Machine
+from threadline.machine.model import check_dynamics
+from threadline.machine.radii import with_radii
+from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
+from threadline.machine.vary import ends_of
+from threadline.proof.kinds import KINDS, check_loops, kind_of, kind_of_commands
+from threadline.proof.kinds.kind import Share
+from threadline.proof.kinds.variants import answering, played_by, rejects, unanswered
+from threadline.proof.options import Options
+from threadline.verdict import Judge, Spec, Status, Verdict
+from threadline.verdict.deviation import measure_motion_deviation
+from threadline.verdict.each_run import worst_of
+from threadline.verdict.types import REPEATED_RUNS, Level, level_of
+
+__all__ = [
+    "NOMINAL",
+    "REPEATED",
+    "TOLERANCES",
+    "Proof",
+    "Trials",
+    "check_loops",
+    "check_machine",
+    "open_job",
+    "plan_job",
+    "prove",
+    "prove_plan",
+    "simulate",
+    "target_names",
+    "target_of",
+    "try_plan",
+    "with_shaping",
+    "write",
+    "yielding",
+]
+
+REPEAT_SEED = 1994
+VARIANT_SEED = 1994
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trials:
+    """Which runs a verdict is made of: its level.
+
+    Parameters
+    ----------
+    repeats
+        Runs of the machine in all. Beyond the first, which is the machine as its file says,
+        friction is drawn within +-30 % and supply within +-5 %, and so is what nobody sets at the
+        start (phases of the encoders and of the PLC's scan), from a fixed seed. The spread of
+        these runs is the repeatability.
+    machines
+        Other machines within the tolerances of the file: each number at either end of its
+        tolerance alone, and the rest drawn over all of them from a fixed seed.
+    wished
+        The share of the machines, all drawn at random, that must be in spec: a yield. None asks for
+        every machine.
+    ends
+        Share of the tolerances of loads and springs: the machines at its ends are judged as well,
+        in one run each.
+    """
+
+    repeats: int = 1
+    machines: int = 0
+    wished: float | None = None
+    ends: float | None = None
+
+    @property
+    def level(self) -> Level:
+        """How far a verdict over these runs reaches."""
+        return level_of(self.repeats, self.machines, self.wished)
+
+
+NOMINAL: Trials = Trials()
+REPEATED = Trials(repeats=REPEATED_RUNS)
+TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
+
+
+def yielding(share: float) -> Trials:
+    """Return the trials that ask for a yield, as a share."""
+    return Trials(repeats=REPEATED_RUNS, machines=1000, wished=share)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proof:
+    """A plan, what the simulated machine made of it, what was asked, and the verdict.
+
+    Parameters
+    ----------
+    recording
+        The first run: of the machine as its file says, with every channel.
+    judged
+        All recordings that were judged, those of other machines last; one may hold several runs.
+    runs
+        How many runs were judged.
+    actual
+        The machine that ran, where it isn't the one of the plan.
+    """
+
+    plan: Plan
+    recording: Recording
+    verdict: Verdict
+    spec: Spec
+    judged: tuple[Recording, ...]
+    runs: int = 1
+    actual: Machine | None = None
+
+    def run(self, number: int) -> Recording:
+        """Return a run that was judged by its number, as ``Result.run`` has it.
+
+        Raises
+        ------
+        IndexError
+            If there is no such run.
+        """
+        for recording in self.judged:
+            if number <= recording.runs:
+                return recording.run(number)
+            number -= recording.runs
+        raise IndexError(number)
+
+
+def check_machine(machine: Machine) -> None:
+    """Refuse a machine that can do no work, before any motion is planned.
+
+    Raises
+    ------
+    PlanError
+        If a loop of it is unstable.
+    """
+    kind_of(machine).check(machine)
+
+
+def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
+    """Return the job in a file, read as the options say.
+
+    Raises
+    ------
+    JobError
+        If it cannot be read.
+    OptionError
+        If an option means nothing to this kind of machine, or F is given a meaning that the
+        format or the machine does not have.
+    """
+    kind_of(machine).check_options(machine, options)
+    told = {} if options.dialect is None else {"dialect": options.dialect}
+    if options.feed_mode is not None:
+        told |= parse_feed_mode(options.feed_mode)
+    if options.needle is not None:
+        told["needle_speed"] = options.needle
+    known = with_radii(machine, options.radius)
+    return shifted(read_job(job_file, known, **told), known, options.offset)
+
+
+def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
+    """Plan ``job`` on ``machine``: what is intended, and the commands for it.
+
+    Raises
+    ------
+    PlanError
+        If the machine cannot do the job.
+    OptionError
+        If an option means nothing to this kind of machine.
+    """
+    kind, options = kind_of(machine), options.on(machine)
+    kind.check_options(machine, options)
+    return kind.plan(job, with_radii(machine, options.radius), options)
+
+
+def simulate(commands: Commands, machine: Machine) -> Recording:
+    """Return what happens when ``machine`` plays ``commands`` once, of whatever kind they are.
+
+    Raises
+    ------
+    MachineError
+        If the machine's parts cannot be simulated.
+    OptionError, RecordingError
+        If the commands are not for this machine, or an input that they wait for never comes.
+    """
+    return kind_of_commands(commands).simulate(commands, machine)
+
+
+def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
+    """Return the specification with the criteria that the options add to it.
+
+    What shaping and smoothing do to a path is always listed, with or without a limit.
+    """
+    return kind_of(machine).asked(spec, options)
+
+
+def target_names() -> tuple[str, ...]:
+    """Return the names of all targets."""
+    return tuple(sorted(name for kind in KINDS.values() for name in kind.targets))
+
+
+def target_of(name: str, machine: Machine) -> Target:
+    """Return a target of a machine, and refuse others before anything is planned.
+
+    Raises
+    ------
+    OptionError
+        If it is unknown or of another kind of machine.
+    """
+    own = kind_of(machine).targets
+    if name in own:
+        return own[name]
+    if name not in target_names():
+        raise OptionError(f"unknown target {name[:40]!r}", remedy=nearest(name, sorted(own)))
+    raise OptionError(
+        f"target {name!r} is of another kind of machine than {machine.name}, which is "
+        f"commanded by {machine.commanded_by}",
+        remedy=f"Use {' or '.join(own)}.",
+    )
+
+
+def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> list[Written]:
+    """Write ``plan`` for a controller; whole files or none.
+
+    Parameters
+    ----------
+    target
+        ``csv``: every tick on a line. ``npz``: the same as arrays. ``ticks``: the trajectory
+        array of the 1994 controller. ``nc``: the planned motion as a part program for LinuxCNC,
+        a block for each stretch of time. ``grbl``, ``fluidnc``, ``marlin``, ``klipper``,
+        ``reprapfirmware``, ``linuxcnc``, ``fanuc``: chords for a controller that plans its own
+        ramps. ``st``: structured text for a PLC, its configuration in a second file. ``plcopen``:
+        the same as PLCopen XML. ``scl``: the same for a Siemens S7. ``steps``: step tables and
+        stitches, binary and CSV, with a manifest. ``t15``: a Saurer T15 card.
+    slower
+        Whether a program may take longer on its firmware than the job as it stands.
+
+    Returns
+    -------
+    list of Written
+        The files with their hashes.
+
+    Raises
+    ------
+    OptionError
+        If there is no such target, or not of this kind of machine.
+    PlanError
+        If the commands break a limit, or the program is slower than it may be; nothing is written
+        then.
+    """
+    chosen = target_of(target, plan.machine)
+    kind_of(plan.machine).release(plan)
+    with together():
+        writer = chosen.write if slower else chosen.write_no_slower or chosen.write
+        files = writer(plan, Path(out))
+    if chosen.takes_shaped or not files:
+        return files
+    # What is written was held against the plan; the plan itself leaves the program, too.
+    return [replace(files[0], facts=(*files[0].facts, _off_program(plan))), *files[1:]]
+
+
+def _off_program(plan: Plan) -> str:
+    (found,) = measure_motion_deviation(plan)
+    where = "" if found.job_line is None else f" (job line {found.job_line})"
+    off_mm = 1e3 * (found.value or 0.0)
+    return f"the plan itself leaves the program by {off_mm:.2g} mm at most, at the tool{where}"
+
+
+def prove(
+    job_file: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    progress: Progress | None = None,
+    trials: Trials = NOMINAL,
+    actual: Machine | None = None,
+) -> Proof:
+    """Plan, simulate and judge a job.
+
+    ``progress``, ``trials`` and ``actual`` are as ``prove_plan`` takes them.
+
+    Raises
+    ------
+    InputError
+        If the job cannot be read, planned or judged on this machine.
+    """
+    check_machine(machine)
+    if progress is not None:
+        PLANNING.reach(0.0)
+        progress("planning", 0.0)
+    plan = plan_job(open_job(job_file, machine, options), machine, options)
+    return prove_plan(plan, spec, progress, trials, actual)
+
+
+def prove_plan(
+    plan: Plan,
+    spec: Spec,
+    progress: Progress | None = None,
+    trials: Trials = NOMINAL,
+    actual: Machine | None = None,
+    judge: Judge | None = None,
+) -> Proof:
+    """Simulate and judge a plan.
+
+    Parameters
+    ----------
+    trials
+        Which runs the verdict is made of.
+    actual
+        The machine that runs it, where it isn't the one that the plan was made for: with other
+        masses or stiffnesses than feed-forward believes in, for instance.
+    judge
+        One that has judged this plan by this spec already knows what is measured of the plan alone.
+
+    Raises
+    ------
+    OptionError
+        If other machines are asked for, and no number has a tolerance or one has no dynamics.
+    """
+    judge = Judge(plan, spec) if judge is None else judge
+    if trials.ends is not None:
+        return _with_ends(plan, spec, progress, trials, actual, judge)
+    if actual is not None or trials.machines:
+        check_dynamics("what another machine makes of the plan", plan.machine, actual)
+    kind = kind_of_commands(plan.commands)
+    random = np.random.default_rng(REPEAT_SEED)
+    machine = plan.machine if actual is None else actual
+    origin = dict(plan.options) | ({} if actual is None else {"actual": actual.reference})
+    commands = plan.commands if actual is None else played_by(plan.commands, plan.machine, actual)
+    recordings = kind.days(commands, machine, trials.repeats, random)
+    parts = np.empty((0, 0))
+    if trials.machines and trials.wished is None:
+        check_uncertain(machine)
+        parts = ends_then_drawn(machine, trials.machines, VARIANT_SEED)
+    others = kind.others(commands, machine, parts, random) if len(parts) else ()
+
+    share = Share(plan, progress, len(recordings) + len(others))
+    try:
+        verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
+    except (MachineError, RecordingError):
+        if not len(parts):
+            raise
+        # A machine as drawn may never come to the end: the others are judged without it.
+        others, why = answering(kind, commands, machine, parts, random)
+        verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
+        stuck = unanswered(len(parts), why)
+        verdict = replace(verdict, results=(*verdict.results, stuck), machines=len(parts))
+    if trials.wished is not None:
+        check_uncertain(machine)
+        parts = drawn(machine, VARIANT_SEED, np.arange(trials.machines))
+        of_them = plan if actual is None else replace(plan, machine=machine)
+        found, tried = rejects(kind, of_them, judge, parts, trials.wished, random)
+        results = (*verdict.results, found)
+        verdict = replace(verdict, results=results, machines=tried, wished=trials.wished)
+    return Proof(
+        plan=plan,
+        recording=replace(kind.simulate(commands, machine), origin=origin),
+        verdict=verdict,
+        spec=spec,
+        judged=(*recordings, *others),
+        runs=verdict.runs,
+        actual=actual,
+    )
+
+
+def _with_ends(
+    plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None,
+    judge: Judge,
+) -> Proof:  # fmt: skip
+    """Prove a plan, and judge it on the machines at the ends of the tolerances as well."""
+    proof = prove_plan(plan, spec, progress, replace(trials, ends=None), actual, judge)
+    machine = plan.machine if actual is None else actual
+    ends = [
+        (told, prove_plan(plan, spec, None, NOMINAL, other, judge).verdict)
+        for told, other in ends_of(machine, trials.ends or 0.0)
+    ]
+    return replace(proof, verdict=worst_of(proof.verdict, ends))
+
+
+def try_plan(
+    plan: Plan, spec: Spec, trials: Trials = NOMINAL, actual: Machine | None = None
+) -> Proof:
+    """Prove a plan for a search; where one run is out of spec already, that is proof enough."""
+    judge = Judge(plan, spec)
+    nominal = prove_plan(plan, spec, None, NOMINAL, actual, judge)
+    failed = any(result.status is Status.FAILED for result in nominal.verdict.results)
+    if trials == NOMINAL or failed:
+        return nominal
+    return prove_plan(plan, spec, None, trials, actual, judge)

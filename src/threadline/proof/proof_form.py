@@ -1,0 +1,239 @@
+"""The form of a proof's file: what has to be in it, of which type, and without contradiction.
+
+Anybody can write a file whose hash is that of its content. So the word of a proof, whether the work
+is in specification and at which level, is derived from its criteria, and its criteria have to be
+those of the specification. What only a simulation could tell, the measured values, is taken as it
+is written: equal proofs have equal bytes, so that proving again shows it, and a signature shows
+who wrote it.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from types import UnionType
+from typing import Any
+
+from threadline.base.arrays import finite
+from threadline.commands.plan import Plan
+from threadline.proof.kinds.variants import REJECTS, UNANSWERED
+from threadline.verdict import Spec
+from threadline.verdict.demands import with_needle
+from threadline.verdict.each_run import limit_of, unit_of
+from threadline.verdict.registry import MEASURES
+from threadline.verdict.types import Criterion, Level, Status, level_of
+
+_Form = Mapping[str, Any] | list[Any] | type | UnionType
+"""Entries by name; a list of one form for all its entries; or a type."""
+_MACHINE: _Form = {"name": str, "reference": str, "par": str | None, "sha256": str}
+_CRITERION: _Form = {
+    "name": str,
+    "axis": str | None,
+    "status": str,
+    "required": bool,
+    "measured": float | int | None,
+    "limit": float | int | None,
+    "unit": str,
+}
+_PROOF: Mapping[str, _Form] = {
+    "threadline": str,
+    "level": str,
+    "runs": int,
+    "machines": int,
+    "job": {"name": str, "file": str, "sha256": str},
+    "machine": _MACHINE,
+    "actual": dict | None,  # as "machine", where it is there
+    "options": {"given": dict, "sha256": str},
+    "spec": {"name": str, "file": str | None, "sha256": str},
+    "commands": {"kind": str, "sha256": str},
+    "verdict": {"passed": bool, "simulated": bool, "criteria": [_CRITERION]},
+}
+_HASHED = ("job", "machine", "actual", "options", "spec", "commands")
+_SHA256 = re.compile("[0-9a-f]{64}")
+_OF_MACHINES = (REJECTS, UNANSWERED)
+"""Criteria of many machines together, which no specification names."""
+
+
+def misformed(content: Mapping[str, Any]) -> str:
+    """Return the name of the first entry of a proof that lacks or is of another type; else empty.
+
+    Parameters
+    ----------
+    content
+        All that the file says.
+    """
+    given = content.get("options")
+    options = given.get("given") if isinstance(given, dict) else None
+    return (
+        _wrong(content, _PROOF, "")
+        or ("" if content["actual"] is None else _wrong(content["actual"], _MACHINE, "actual"))
+        or _wrong(options, dict.fromkeys(options or (), str), "options.given")
+    )
+
+
+def _wrong(found: object, form: _Form, at: str) -> str:
+    if isinstance(form, Mapping):
+        if not isinstance(found, dict):
+            return at
+        names = ((found.get(key, ...), of, f"{at}.{key}".lstrip(".")) for key, of in form.items())
+    elif isinstance(form, list):
+        if not isinstance(found, list):
+            return at
+        names = ((one, form[0], f"{at}.{number}") for number, one in enumerate(found))
+    else:
+        fits = isinstance(found, form) and (form is bool or not isinstance(found, bool))
+        return "" if fits else at
+    return next(filter(None, (_wrong(*one) for one in names)), "")
+
+
+def contradiction(content: Mapping[str, Any]) -> str:
+    """Return how a proof of the right form contradicts itself; empty where it does not.
+
+    Parameters
+    ----------
+    content
+        All that the file says.
+    """
+    return next(filter(None, _contradictions(content)), "")
+
+
+def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
+    verdict, level = content["verdict"], content["level"]
+    runs, machines, criteria = content["runs"], content["machines"], verdict["criteria"]
+    for what in _HASHED:
+        part = content[what]
+        if part is not None and not _SHA256.fullmatch(part["sha256"]):
+            yield f"the sha256 of {what} is none: {part['sha256'][:20]!r}"
+    if runs < 1 or machines < 0:
+        yield f"it is of {runs} runs and {machines} other machines"
+    if not criteria:
+        yield "it has no criteria"
+    if not verdict["simulated"]:
+        yield "it says that its runs were not simulated"
+    rows = [tuple(c.get(key) or "" for key in ("name", "axis", "step")) for c in criteria]
+    for criterion, row in zip(criteria, rows, strict=True):
+        yield _of_criterion(criterion)
+        if rows.count(row) > 1:
+            yield f"{_name(criterion)} stands in it {rows.count(row)} times"
+    wished = [c["limit"] for c in criteria if c["name"] == REJECTS]
+    if level != Level.LIMITS:
+        reached = level_of(runs, machines, wished[0] if wished else None)
+        if level != reached:
+            yield (
+                f"its level is {level[:40]!r}, where {runs} runs and {machines} other machines "
+                f"reach {reached.value!r}"
+            )
+    said, derived = verdict["passed"], in_spec(content)
+    if said and not derived:
+        yield f"it says that it passed, where {_against(criteria) or 'a run was not complete'}"
+    if derived and not said:
+        yield "it says that it did not pass, where no criterion failed"
+
+
+def in_spec(content: Mapping[str, Any]) -> bool:
+    """Say whether the criteria of a proof come to a verdict in specification."""
+    verdict = content["verdict"]
+    return not verdict.get("incomplete") and not _against(verdict["criteria"])
+
+
+def _against(criteria: list[Any]) -> str:
+    """Return which criterion is against a verdict that passes, and how; empty where none is."""
+    for criterion in criteria:
+        status = criterion["status"]
+        if status == Status.FAILED:
+            return f"{_name(criterion)} failed"
+        if status == Status.NOT_MEASURED and criterion["required"]:
+            return f"{_name(criterion)} is required and was not measured"
+    return ""
+
+
+def _name(criterion: Mapping[str, Any]) -> str:
+    return f"{criterion['name']} {criterion['axis'] or ''}".strip()[:60]
+
+
+def _of_criterion(criterion: Mapping[str, Any]) -> str:
+    """Return how the status of a criterion contradicts its measured value and its limit."""
+    name, measured, limit = _name(criterion), criterion["measured"], criterion["limit"]
+    kind = MEASURES.get(criterion["name"])
+    if kind is None and criterion["name"] not in _OF_MACHINES:
+        return f"there is no criterion {name!r}"
+    status = criterion["status"]
+    if status not in {*Status}:
+        return f"{name} has the unknown status {status[:40]!r}"
+    if measured is None:
+        # A time that has no end is no number, and fails any limit.
+        endless = criterion["unit"] == "s" and status == (
+            Status.REPORTED if limit is None else Status.FAILED
+        )
+        found = status if endless else Status.NOT_MEASURED
+    elif kind is not None:
+        found = kind.status(measured, limit)
+    else:
+        found = Status.PASSED if limit is not None and measured <= limit else Status.FAILED
+    if status == found:
+        return ""
+    told = "nothing measured" if measured is None else f"{measured:.6g}"
+    under = "no limit" if limit is None else f"a limit of {limit:.6g}"
+    return f"{name} is {status!r} with {told} under {under}, which is {found.value!r}"
+
+
+def unlike(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
+    """Return how the criteria of a proof are not those of plan and specification; else empty.
+
+    Parameters
+    ----------
+    content
+        All that the file says; its hashes are those of ``plan`` and ``spec``.
+    plan
+        What was proved.
+    spec
+        What it was asked to keep.
+    """
+    alone = content["level"] == Level.LIMITS
+    if alone and not plan.machine.without_dynamics:
+        return f"its level is {content['level']!r}, and {plan.machine.name} has dynamics"
+    asked = with_needle(spec, plan.job).criteria
+    rows = [c for c in content["verdict"]["criteria"] if c["name"] not in _OF_MACHINES]
+    return next(
+        filter(None, (*(_unasked(row, asked, plan) for row in rows), *_missing(rows, asked, plan))),
+        "",
+    )
+
+
+def _unasked(row: Mapping[str, Any], asked: tuple[Criterion, ...], plan: Plan) -> str:
+    """Return how a criterion of a proof is not one of the specification."""
+    axis, step = row["axis"] or "", row.get("step", "")
+    mine = [
+        criterion
+        for criterion in asked
+        if (criterion.name, criterion.axis or axis, criterion.step or step)
+        == (row["name"], axis, step)
+    ]
+    if not mine:
+        return f"{_name(row)} is no criterion of the specification"
+    limits = [finite(limit_of(criterion, plan)) for criterion in mine]
+    if row["limit"] not in limits:
+        told = ["none" if limit is None else f"{limit:.6g}" for limit in (row["limit"], limits[0])]
+        return f"the limit of {_name(row)} is {told[0]}, of the specification {told[1]}"
+    if row["required"] not in {criterion.required for criterion in mine}:
+        return f"{_name(row)} is required by one of proof and specification, and not by the other"
+    unit = unit_of(MEASURES[row["name"]], axis, plan)
+    if row["unit"] != unit:
+        return f"{_name(row)} is measured in {unit or 'shares'}, not in {row['unit'][:20]!r}"
+    return ""
+
+
+def _missing(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
+    """Yield what the specification asks of an axis, or of the tool, and a proof leaves out."""
+    known = {(row["name"], row["axis"] or "") for row in rows}
+    for criterion in asked:
+        axes: tuple[str, ...] = ("",)
+        if MEASURES[criterion.name].per_axis:
+            axes = (criterion.axis,) if criterion.axis else tuple(plan.axes)
+        for axis in axes:
+            idle = axis not in plan.axes and criterion.every_axis
+            endless = axis in plan.machine.axes and plan.machine.axes[axis].endless
+            if (axis and idle) or (criterion.name == "travel" and endless):
+                continue
+            if (criterion.name, axis) not in known:
+                yield f"it lacks {f'{criterion.name} {axis}'.strip()}, which the specification asks"

@@ -1,0 +1,285 @@
+"""The plan and the specification of a recording, and doubts about job, machine and plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import file_digest
+from itertools import islice
+from pathlib import Path
+
+from threadline.base.option_defaults import DEFAULT_INTERPOLATION, DEFAULT_TOLERANCE, FEED_FORWARD
+from threadline.commands.plan import Plan
+from threadline.dynamics.suspicions import suspicions
+from threadline.errors import OptionError
+from threadline.files import Recording
+from threadline.files.formats import read_recording
+from threadline.jobs.operations import FeedMode, Job, MoveRun
+from threadline.machine import Machine
+from threadline.motion.path.interpolations import KEEPING_TOLERANCE, on_chords
+from threadline.proof.asked import Words, chosen_machine
+from threadline.proof.option_table import RECORDED
+from threadline.proof.option_words import parse_tolerance_m
+from threadline.proof.options import options_from, options_of
+from threadline.proof.pipeline import Proof, open_job, plan_job, with_shaping
+from threadline.verdict import Spec, Verdict, judge
+from threadline.verdict.deviation import measure_path_deviation
+from threadline.verdict.registry import MEASURES
+
+_ALWAYS_SAID = ("interpolation", "feed", "tolerance", "limits")
+_PLANNED_WITH = tuple(recorded.key for _, recorded in RECORDED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judged:
+    """Recordings of one job, the plan that they were judged by, what was asked, and the verdict."""
+
+    recordings: tuple[Recording, ...]
+    plan: Plan
+    spec: Spec
+    verdict: Verdict
+
+
+def judge_files(
+    recordings: Sequence[Path],
+    words: Words,
+    *,
+    job: Path | None = None,
+    machine: str | None = None,
+    read_one: Callable[[Path], Recording] = read_recording,
+) -> Judged:
+    """Judge recordings of one and the same job.
+
+    Parameters
+    ----------
+    recordings
+        Their files.
+    words
+        What was asked of ``judge``. An option that is left out is what the recording says of
+        itself, else the default.
+    job, machine
+        The job and the machine, where the recording does not name them or others are meant.
+    read_one
+        Reads a file.
+
+    Raises
+    ------
+    OptionError
+        If a recording does not say of which job and machine it is, or says that it is of others.
+    InputError
+        If a file cannot be read.
+    """
+    _refuse_copies(recordings)
+    read = [read_one(path) for path in recordings]
+    given = _given(words, job, machine, read[0].origin)
+    origin = _origin(recordings[0], read[0], given)
+    settings = Path(origin["par"]) if "par" in origin else None
+    chosen = chosen_machine(origin["machine"], settings)
+    ran = chosen_machine(origin["actual"], settings) if "actual" in origin else chosen
+    options = options_from(origin)
+    for path, recording in zip(recordings, read, strict=True):
+        _refuse_other_options(path, recording.origin, origin)
+    plan = plan_job(open_job(Path(origin["job"]), chosen, options), chosen, options)
+    for path, recording in zip(recordings, read, strict=True):
+        _refuse_other_files(path, recording, plan.job, ran)
+    asked = with_shaping(words.spec(chosen), chosen, options)
+    verdict = judge(read, plan, asked)
+    return Judged(recordings=tuple(read), plan=plan, spec=asked, verdict=verdict)
+
+
+def _given(
+    words: Words, job: Path | None, machine: str | None, recorded: Mapping[str, str]
+) -> dict[str, str | None]:
+    """Return the options that were given, by the keys of ``describe``.
+
+    Raises
+    ------
+    OptionError
+        If a smoothing is given to a plan without feed-forward, or two options exclude each other.
+    """
+    given: dict[str, str | None] = {
+        "job": None if job is None else str(job),
+        "machine": machine,
+        "par": words.text("par"),
+        "actual": words.text("actual"),
+    }
+    for one, known in RECORDED:
+        text = words.text(one.word)
+        read = None if text is None or one.parse is None else one.parse(text)
+        given[known.key] = read if isinstance(read, str) else text
+    if (law := words.text("law")) is not None:
+        of_law = options_of(interpolation=given["interpolation"], law=law)
+        given["interpolation"] = of_law.interpolation
+    smoothing = words.text("smoothing")
+    of_loads = words.flag("feed_forward") or "feed-forward" in recorded
+    if smoothing is not None and not of_loads:
+        raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")
+    robust = words.text("robust") is not None or "robust" in recorded
+    given["change"] = smoothing if robust else None
+    given["feed-forward"] = None if robust else smoothing
+    if words.flag("feed_forward") and given["feed-forward"] is None:
+        given["feed-forward"] = recorded.get("feed-forward", FEED_FORWARD)
+    return given
+
+
+def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:
+    """Return the options of the recorded plan: given, else recorded, else the defaults."""
+    found = {
+        "interpolation": DEFAULT_INTERPOLATION,
+        "feed": "programmed",
+        "tolerance": DEFAULT_TOLERANCE,
+        **recording.origin,
+        **{key: text for key, text in given.items() if text is not None},
+    }
+    for key, option in (("job", "--job"), ("machine", "--machine")):
+        if key not in found:
+            raise OptionError(
+                f"{path.name} does not say which {key} it is a recording of",
+                remedy=f"Give it with {option}.",
+            )
+    return found
+
+
+def _refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
+    """Refuse a job or a machine that is not, to the byte, the one that was run."""
+    if recording.job_sha256 and recording.job_sha256 != job.sha256:
+        raise OptionError(
+            f"{path.name} was recorded from another version of {job.name} "
+            f"(sha256 {recording.job_sha256[:12]}, now {job.sha256[:12]})",
+            remedy="Give the job file that was run with --job.",
+        )
+    if recording.machine_sha256 and recording.machine_sha256 != ran.sha256:
+        raise OptionError(
+            f"{path.name} was recorded on another machine, or another version of its file, "
+            f"than {ran.name} (sha256 {recording.machine_sha256[:12]}, now {ran.sha256[:12]})",
+            remedy="Give the machine file of the run with --machine, and what else it was made "
+            "with: --par, --actual.",
+        )
+
+
+def _refuse_copies(recordings: Sequence[Path]) -> None:
+    """Refuse one run given twice: it would pass for perfect repeatability."""
+    seen: dict[str, Path] = {}
+    for path in recordings if len(recordings) > 1 else ():
+        if path.is_file():
+            with path.open("rb") as file:
+                other = seen.setdefault(file_digest(file, "sha256").hexdigest(), path)
+            if other is not path:
+                raise OptionError(
+                    f"{path.name} holds the same bytes as {other.name}: it is the same run",
+                    remedy="Give every run once.",
+                )
+
+
+def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[str, str]) -> None:
+    """Refuse a plan made with other options than the run that is to be judged by it."""
+    if not recorded:
+        return  # of another controller: it says nothing of a plan
+    for key in _PLANNED_WITH:
+        ours = {name: text for name, text in chosen.items() if name != key}
+        if key in recorded:
+            ours[key] = recorded[key]
+        elif key in _ALWAYS_SAID:
+            continue
+        if options_from(ours) != options_from(chosen):
+            raise OptionError(
+                f"{path.name} was recorded with {key} {recorded.get(key, 'none')}, "
+                f"not {chosen.get(key, 'none')}",
+                remedy="Judge each run against its own plan: leave the option out, "
+                "and give runs with other options apart.",
+            )
+
+
+LIMIT = 0.05
+"""Relative error of the time of a stitch up to which no warning is given, where the specification
+has no limit of ``stitch_length_error``."""
+_RUNS = 16
+_ROUNDING = 1e-6  # relative: of what is measured on points of the path
+
+
+def doubts(proof: Proof) -> list[str]:
+    """Return every warning of a proof: of its machine, its job, its plan and its verdict."""
+    plan = proof.plan
+    return [
+        *suspicions(plan.machine),
+        *(plan.machine.planner.left_out if plan.machine.planner is not None else []),
+        *plan.job.suspicions(own_feed=plan.feed_override is not None),
+        *plan.intent.warnings,
+        *proof_warnings(proof),
+        *needle_warnings(proof),
+    ]
+
+
+def doubts_of_all(proofs: Sequence[Proof]) -> list[str]:
+    """Return the warnings of several proofs, each once."""
+    return list(dict.fromkeys(said for proof in proofs for said in doubts(proof)))
+
+
+def tolerance_warnings(plan: Plan) -> list[str]:
+    """Return a line if the planned path leaves the programmed one by more than the tolerance."""
+    if MEASURES["path_deviation"].of_plan(plan) is None or _keeps(plan):
+        return []
+    (worst,) = measure_path_deviation(plan)
+    return _told(plan, worst.value, worst.job_line)
+
+
+def proof_warnings(proof: Proof) -> list[str]:
+    """Return the line of ``tolerance_warnings`` for a proof, whose verdict has the deviation."""
+    found = [r for r in proof.verdict.results if r.name == "path_deviation"]
+    if not found or found[0].measured is None or _keeps(proof.plan):
+        return []
+    return _told(proof.plan, found[0].measured, found[0].job_line)
+
+
+def _keeps(plan: Plan) -> bool:
+    name = plan.motion.path.interpolation
+    return name in KEEPING_TOLERANCE or on_chords(name)
+
+
+def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
+    tolerance_m = parse_tolerance_m(plan.options["tolerance"])
+    if deviation_m is None or deviation_m <= tolerance_m * (1.0 + _ROUNDING):
+        return []
+    at = f" at line {line}" if line else ""
+    return [
+        f"{plan.motion.path.interpolation} does not keep the tolerance of "
+        f"{tolerance_m * 1e3:g} mm: the planned path is "
+        f"{deviation_m * 1e3:.3g} mm off the programmed one{at}; "
+        f"{', '.join(KEEPING_TOLERANCE[:-1])} and {KEEPING_TOLERANCE[-1]} keep it"
+    ]
+
+
+def needle_warnings(proof: Proof) -> list[str]:
+    """Return a line if a stitch takes much more or less than a turn of an even needle.
+
+    The limit is that of ``stitch_length_error``: with a needle that turned evenly the error of
+    time would be an error of length of the same share.
+    """
+    found = {result.name: result for result in proof.verdict.results}
+    time, length = found.get("needle_time_error"), found.get("stitch_length_error")
+    limit = LIMIT if length is None or length.limit is None else length.limit
+    if time is None or time.measured is None or time.measured <= limit:
+        return []
+    if not _even(proof.plan.job):
+        return []
+    way = "more" if time.note == "too long" else "less"
+    at = f" at line {time.job_line}" if time.job_line else ""
+    return [
+        f"the needle is to turn evenly, but {proof.plan.motion.path.interpolation} gives a "
+        f"stitch{at} "
+        f"{100.0 * time.measured:.2g} % {way} than a turn, limit {100.0 * limit:g} %: stitches are "
+        f"judged as if it waited for the head; --feed-forward and --interpolation linear keep "
+        f"its time"
+    ]
+
+
+def _even(job: Job) -> bool:
+    """Say whether the stitches at the beginning of a job all take one time."""
+    times = {
+        feed.value
+        for run in islice(job.runs(), _RUNS)
+        if isinstance(run, MoveRun)
+        for _, feed in run.feeds
+        if feed is not None and feed.mode is FeedMode.INVERSE_TIME
+    }
+    return len(times) == 1

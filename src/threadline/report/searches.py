@@ -1,0 +1,198 @@
+"""Figures of searches and experiments: yield, mismatch, binding limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from threadline.base.arrays import FloatArray
+from threadline.base.writing import staging_folder
+from threadline.report.document import Table
+from threadline.report.style import ACTUAL, AXES, LIMIT, PLANNED, WORST, figure_style
+from threadline.search.experiments import Campaign, StepRun
+from threadline.search.machine_yield import Yield, limited_rows
+from threadline.search.mismatch import Mismatch, Searched
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+NOTHING_TRIED: Mapping[str, Campaign] = MappingProxyType({})
+_LATEST_S = 3.0
+_STILL = 0.02
+
+
+def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
+    """Return a figure of the steps of an axis, and its caption.
+
+    Above are motor and load over time, as shares of the step; below, over the size of the step, its
+    largest current and the overshoot of the load.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.2, 6.4), layout="constrained")
+    grid = figure.subplots(2, 2)
+    forth = sorted((s for s in campaign.steps if s[0] > 0), key=lambda step: step[0])
+    shades = np.linspace(0.75, 0.0, len(forth))
+    until = 0.0
+    for (size, run), shade in zip(forth, shades, strict=True):
+        label = f"{size / np.pi:.4g} pi rad"
+        for axes, share in ((grid[0, 0], run.share), (grid[0, 1], run.load_share)):
+            axes.plot(run.time_s, share, color=str(shade), lw=0.9, label=label)
+        away = np.flatnonzero(np.abs(run.load_share - 1.0) > _STILL)
+        until = max(until, float(run.time_s[away[-1]]) if len(away) else 0.0)
+    for axes, what in ((grid[0, 0], "motor"), (grid[0, 1], "load")):
+        axes.axhline(1.0, color="0.6", lw=0.6)
+        axes.set_xlim(0.0, min(1.05 * until, _LATEST_S))
+        axes.set_xlabel("time [s]")
+        axes.set_ylabel(f"{what}, share of the step")
+    grid[0, 1].legend(fontsize=6, loc="lower right")
+    _over_size(grid[1, 0], campaign, lambda run: run.peak_current_a)
+    top = max((run.peak_current_a for _, run in campaign.steps if run.saturated), default=None)
+    if top is not None:
+        grid[1, 0].axhline(top, label="limit", **LIMIT)
+        grid[1, 0].legend(fontsize=6, loc="lower right")
+    grid[1, 0].set_ylabel("largest current [A]")
+    _over_size(grid[1, 1], campaign, lambda run: 100.0 * run.load_overshoot)
+    grid[1, 1].set_ylabel("overshoot of the load [%]")
+    grid[1, 1].legend(fontsize=6, loc="upper right")
+    figure.suptitle(f"Axis {campaign.axis}: steps of the simulated machine, words quantised")
+    onset = campaign.saturates_from_rad
+    limited = "no step reaches the current limit" if onset is None else (
+        f"the current is limited from {onset:.3f} rad on"
+    )  # fmt: skip
+    return figure, f"Steps of the motor forth, larger ones darker; {limited}."
+
+
+def _over_size(axes: Axes, campaign: Campaign, of: Callable[[StepRun], float]) -> None:
+    """Draw one number of every step over the size of the step, forward and back separately."""
+    back = {**WORST, "markersize": 6}
+    for sign, label, style in (
+        (1, "forth", {**ACTUAL, "marker": "o", "markersize": 3}),
+        (-1, "back", back),
+    ):
+        shown = [(abs(size), of(run)) for size, run in campaign.steps if sign * size > 0]
+        if shown:
+            sizes, values = zip(*sorted(shown), strict=True)
+            axes.semilogx(np.array(sizes) / np.pi, values, label=label, **style)
+    ticks = 2.0 ** np.arange(-3, 4)
+    axes.set_xticks(ticks, ["1/8", "1/4", "1/2", "1", "2", "4", "8"])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("step of the motor [pi rad]")
+
+
+def experiment_table(campaign: Campaign) -> Table:
+    """Return the table of the steps of an axis; sweep and constant speed stand in its note."""
+    title, header, rows = campaign.table()
+    return Table(title=title, header=tuple(header), rows=rows, note=campaign.summary())
+
+
+_MOST = 8
+_POINTS = 400
+
+
+def draw_yield(found: Yield, title: str) -> Figure:
+    """Return a figure with the cumulative distribution of each criterion that has a limit."""
+    rows = limited_rows(found)[:_MOST]
+    with figure_style():
+        figure = Figure(figsize=(7.2, 1.2 + 1.5 * max((len(rows) + 1) // 2, 1)))
+        panels = figure.subplots((len(rows) + 1) // 2 or 1, 2, squeeze=False).ravel()
+        for panel, row in zip(panels, rows, strict=False):
+            values, share = _up_to(row.values)
+            assert row.limit is not None
+            scale = row.limit or 1.0
+            panel.step(100.0 * values / scale, 100.0 * share, where="post", **ACTUAL)
+            panel.axvline(100.0 if row.limit else 0.0, **LIMIT)
+            panel.axhline(100.0 * (1.0 - (row.failed | row.missed).mean()), **PLANNED)
+            panel.set_title(row.text)
+            panel.set_xlabel("share of the limit [%]")
+            panel.set_ylabel("machines up to [%]")
+            panel.set_ylim(0.0, 102.0)
+        for panel in panels[len(rows) :]:
+            panel.set_axis_off()
+        figure.suptitle(title, x=0.02, ha="left", fontsize=10)
+    return figure
+
+
+def _up_to(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return at most ``_POINTS`` values, and the share of machines up to each."""
+    known = np.sort(values[np.isfinite(values)])
+    if not len(known):
+        return known, known
+    at = np.unique(np.linspace(0, len(known) - 1, _POINTS).astype(np.int64))
+    return known[at], (at + 1.0) / len(values)
+
+
+def write_yield(found: Yield, title: str, folder: Path) -> Path:
+    """Write the figure into ``folder`` as PNG and SVG; return the path of the PNG."""
+    figure = draw_yield(found, title)
+    with staging_folder(folder) as temporary:
+        figure.savefig(temporary / "yield.png")
+        figure.savefig(temporary / "yield.svg", metadata={"Date": None})
+    return folder / "yield.png"
+
+
+_NAMES = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+
+
+def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> Figure:
+    """Return a figure: the fastest in spec over stiffness, a line for each mass."""
+    with figure_style():
+        figure = Figure(figsize=(5.6, 3.4))
+        axes, gaps = figure.add_subplot(), False
+        for style, mass in zip(AXES, sorted({cell.mass for cell in cells}), strict=False):
+            row = sorted((c for c in cells if c.mass == mass), key=lambda cell: cell.stiffness)
+            axes.plot(
+                [cell.stiffness for cell in row],
+                [_drawn(cell, searched) for cell in row],
+                marker="o",
+                label=f"loads: {_NAMES[mass]}",
+                **style,
+            )
+            below = [
+                (cell.stiffness, searched.per_unit * one.high)
+                for cell in row
+                for one in sorted(cell.intervals, key=lambda one: -one.high)[1:]
+            ]
+            if below:
+                axes.plot(*zip(*below, strict=True), "o", mfc="white", mec=style["color"])
+                gaps = True
+        if gaps:
+            axes.plot([], [], "o", mfc="white", mec="0.3", label="end of a slower range in spec")
+        axes.set_xticks(list(_NAMES), [f"springs: {name}" for name in _NAMES.values()])
+        axes.set_ylim(bottom=0.0)
+        axes.set_ylabel(f"{searched.best} in spec, {searched.unit}")
+        axes.set_title(title)
+        if any(cell.best for cell in cells):
+            axes.legend(loc="lower center")
+        else:
+            axes.set_ylim(0.0, 1.0)
+            axes.set_yticks([0.0])
+            said = _nothing(cells, searched.name)
+            axes.text(0.5, 0.5, said, transform=axes.transAxes, ha="center", va="center")
+    return figure
+
+
+def _drawn(cell: Mismatch, searched: Searched) -> float:
+    return searched.nothing if cell.best is None else searched.per_unit * cell.best
+
+
+def _nothing(cells: Sequence[Mismatch], what: str) -> str:
+    """Return the text for a figure without points: no machine is in spec, and which limit fails."""
+    limits = dict.fromkeys(cell.limited_by.replace("_", " ") for cell in cells)
+    failing = " and ".join(limits)
+    return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"
+
+
+def write_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched, folder: Path) -> Path:
+    """Write the figure into ``folder`` as PNG and SVG; return the path of the PNG."""
+    figure = draw_mismatch(cells, title, searched)
+    with staging_folder(folder) as temporary:
+        figure.savefig(temporary / "tolerances.png")
+        figure.savefig(temporary / "tolerances.svg", metadata={"Date": None})
+    return folder / "tolerances.png"
