@@ -60,8 +60,10 @@ def test_settings_that_give_its_numbers_another_meaning_are_refused(
 
 
 def test_settings_that_say_the_usual_are_taken() -> None:
-    with meeting(GrblModel(settings() | {10: 255.0, 13: 0.0})) as (one, _, _):
+    model = GrblModel(settings() | {10: 255.0, 13: 0.0})
+    with meeting(model) as (one, _, _):
         one.controller.meet()
+    assert b"$$" in model.heard and b"$I" in model.heard  # they were asked for, and let pass
 
 
 def test_a_small_receive_buffer_is_not_overflowed() -> None:

@@ -350,7 +350,8 @@ def test_what_the_project_holds_is_read(tmp_path: Path, monkeypatch: pytest.Monk
         Path("project"),
         Path("other-name/../project"),
     ):
-        planned(folder, asked, load_machine("stitcher"))
+        plan, _ = planned(folder, asked, load_machine("stitcher"))
+        assert plan.duration_s > 1.0
 
 
 # --- who connects and does not finish a request -------------------------------------------

@@ -135,7 +135,7 @@ def test_a_place_that_strays_by_nothing_is_not_slowed():
     """A share of 0 has no negative power; 1.69 times too much is slowed by its power 1.3."""
     shares, known = np.array([0.0, 0.5, 1.0, 1.69]), np.array([np.inf, 3.0, np.inf, np.inf])
     with np.errstate(all="raise"):
-        most = following_error._following_error_slowed(known, np.full(4, 2.0), shares)
+        most = following_error._slowed_where_loads_stray(known, np.full(4, 2.0), shares)
     assert most[:3].tolist() == [np.inf, 3.0, np.inf]
     assert most[3] == pytest.approx(2.0 / 1.3**2.6, rel=1e-12)
 

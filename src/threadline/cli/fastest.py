@@ -50,7 +50,8 @@ def fastest(
 ) -> None:
     """Find every interval of feed at which JOB stays in spec on the machine, the highest first.
 
-    For a seam the needle speed is searched, in stitch/s. With --margin "20 %" a fifth of every
+    A program with several F keeps their ratios: the feed override in percent is searched. For a
+    seam the needle speed is searched, in stitch/s. With --margin "20 %" a fifth of every
     limit is kept free. For an on/off machine the shortest cycle is searched: every move gets a
     shaper or switchings of its own, and every wait its length; with --band "20 %" the commands
     hold wherever the modes are within 20 % of their frequency. With --robust "100 %" one plan

@@ -107,7 +107,7 @@ def fastest_seam(asked: Asked) -> NoReturn:
     else:
         for line in until_words(asked.until.ended):
             say(line)
-        _fastest_seam_show(found, title)
+        _show_needle_speeds(found, title)
         if sure is not None:
             say(sure.line())
         if again is not None:
@@ -140,7 +140,7 @@ def _fastest_seam_content(found: Fastest) -> dict[str, Any]:
     }
 
 
-def _fastest_seam_show(found: Fastest, title: str) -> None:
+def _show_needle_speeds(found: Fastest, title: str) -> None:
     if found.best is None:
         why, *more = forbidden_words(
             found.forbidden, found.limited_by, lambda speed: f"{typed(speed)} stitch/s"
@@ -251,7 +251,7 @@ def fastest_design(asked: Asked) -> NoReturn:
     else:
         for line in until_words(asked.until.ended):
             say(line)
-        _fastest_shaft_show(found, title)
+        _show_shaft_speeds(found, title)
         if sure is not None:
             say(sure.line())
         if again is not None:
@@ -319,7 +319,7 @@ def _fastest_shaft_content(found: FastestShaft) -> dict[str, Any]:
     }
 
 
-def _fastest_shaft_show(found: FastestShaft, title: str) -> None:
+def _show_shaft_speeds(found: FastestShaft, title: str) -> None:
     begun = found.constant.low
     rows = [
         [

@@ -346,12 +346,12 @@ def followed(
             over = strays.worst(begin_s + middles)
             ease, straight = ease[at], straight[at]
             known = np.full(len(x), np.inf) if most is None else most[at]
-            most = _following_error_slowed(known, x, over)
+            most = _slowed_where_loads_stray(known, x, over)
         problem.regard(follower.guarded(elements, ease, straight, most))
     return polished(problem, _slower(block, follower, past), limits, follower, past)
 
 
-def _following_error_slowed(known: FloatArray, x: FloatArray, over: FloatArray) -> FloatArray:
+def _slowed_where_loads_stray(known: FloatArray, x: FloatArray, over: FloatArray) -> FloatArray:
     """Return the (n,) caps ``known``, lowered below ``x`` where the share ``over`` is above 1."""
     lower = np.minimum(known, x * np.maximum(over, 1.0) ** -_SLOWED)
     return np.where(over > 1.0, lower, known)
