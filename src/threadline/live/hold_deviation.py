@@ -23,7 +23,7 @@ from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import HALTS, PathWindow, rest_rows
 from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import simulate
-from threadline.verdict import Result, Spec, Status, Judge
+from threadline.verdict import Judge, Result, Spec, Status
 from threadline.verdict.rendering import shown
 
 _AROUND_S = 2.0  # time before and after, in s, in which the nearest place of the path is sought
