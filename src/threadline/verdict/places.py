@@ -1,4 +1,4 @@
-"""Places of the command that the tools of many runs can have come to, sample by sample."""
+"""Places of the command that the tools of many runs can have reached, sample by sample."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.verdict.boxes import MORE, Boxes
 
-_CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up
+_CEILING = 4.0  # times the largest squared error: a worse trailing place is dropped
 
 
 def _given_up(value: FloatArray, row: int, ceiling: float, dropped: FloatArray) -> bool:
-    """Say whether all values of a row are above the ceiling; if so lower ``dropped`` to them."""
+    """Return whether all values of a row exceed the ceiling; if so lower ``dropped`` to them."""
     near = 0
     for r in range(len(dropped)):
         near += value[row, r] <= ceiling
@@ -31,7 +31,7 @@ _given_up_fast = njit(nogil=True)(_given_up)
 def _ahead(
     point: FloatArray, start: FloatArray, way: FloatArray, per_length: float, heading: FloatArray
 ) -> float:
-    """Return how far a point is from the nearest place of a way, along a heading."""
+    """Return how far a point is from the nearest place of a segment, along a heading."""
     length, along = 0.0, 0.0
     for a in range(len(point)):
         length += (point[a] - start[a]) * way[a]
@@ -54,7 +54,7 @@ def _bounds(
     k: int,
     per_length: float,
 ) -> tuple[float, float]:
-    """Return what no place of box i is nearer to way k than, and none farther; both squared."""
+    """Return a lower and an upper bound of the distance of box i to segment k, both squared."""
     middle, half = 0.0, 0.0
     for a in range(way.shape[1]):
         place = 0.5 * (lower[i, a] + upper[i, a])
@@ -89,11 +89,11 @@ def _stay_at(
     worst: FloatArray,
     ceiling: float,
 ) -> tuple[int, int, int]:
-    """Advance ``row`` of ``value``, that of place k, by sample i; with it ``carry`` and ``least``.
+    """Advance ``row`` of ``value``, the row of place k, by sample i, and ``carry``, ``least``.
 
-    Return in how many runs it is more than ``worst``, in how many no more than ``ceiling``, and in
-    how many the least of all places so far is more than ``worst``. ``axes`` has one entry for each
-    axis: of a tuple the length is known when this is compiled, and the loops over axes are gone.
+    Return the number of runs in which the row exceeds ``worst``, in which it is at most
+    ``ceiling``, and in which the least of all places so far exceeds ``worst``. ``axes`` is a tuple
+    with one entry per axis: its length is known at compile time, and loops over axes are unrolled.
     """
     more, near, farther = 0, 0, 0
     for r in range(len(carry)):
@@ -123,10 +123,10 @@ _stay_at_fast = njit(nogil=True)(_stay_at)
 
 
 class ProgressPart(NamedTuple):
-    """What a sweep over a block takes from the measure and brings back: see ``_advance``.
+    """Arrays that a sweep over a block reads and updates for the progress error: see ``_advance``.
 
-    Place ``first`` is that of the first sample of the block, which is the ``number``-th of all.
-    ``places`` are the first and the last that have a value; ``ceiling`` has one entry.
+    Place ``first`` belongs to the first sample of the block, which has the number ``number``.
+    ``places`` are the first and the last place with a value; ``ceiling`` has one entry.
     """
 
     command: FloatArray
@@ -150,27 +150,26 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
 ) -> None:
     """Advance the places of the command by the samples ``points``, the first of them ``beginning``.
 
-    Place k is the way of the command from its sample k - 1 to k. Its value, of each run, is the
-    least of the largest squared errors with which the tool can have come to place k by now without
-    going back. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
-    its squared distance from the path, which is no error of progress. The least of all values only
-    grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
-    the tool was then, along the way of the command from the place that is nearest to being right.
+    Place k is the segment of the command from its sample k - 1 to k. The value of place k, in each
+    run, is the least possible largest squared error of a tool that has reached place k by now
+    without going back. Sample i, with the number ``number + i``, belongs to place ``first + i``.
+    ``off`` is its squared distance from the path, which is not an error of progress. The least of
+    all values can only grow: ``worst`` is its present value, ``at`` the sample at which it was
+    reached, and ``side`` the tool's position then, along the command from its best matching place.
 
-    Places before the first and after the last of ``places`` have no value. A place that is the
-    first to have one, and has more than ``ceiling`` in every run, is given up: ``dropped`` is the
-    least that was given up, of each run, or less where the box of all runs told it. As long as it
-    is more than ``worst``, nothing was lost: the ceiling stays at four times the largest ``worst``
-    or more.
+    Places before the first and after the last of ``places`` have no value. The first place with a
+    value is dropped if it exceeds ``ceiling`` in every run: ``dropped`` is the least dropped value
+    of each run, or a lower bound from the box of all runs. As long as it exceeds ``worst``, nothing
+    was lost: the ceiling stays at least four times the largest ``worst``.
 
-    A value that is no more than ``worst`` is as good as 0, for nothing is found below that. A place
-    where this is so of every run is quiet; where the box of all runs tells that it stays so, it is
-    not looked at, and its value is 0 from then on.
+    A value of at most ``worst`` is as good as 0, for it cannot change the result. A place where
+    this holds in every run is quiet; if the box of all runs shows that it stays so, it is skipped,
+    and its value is 0 from then on.
 
-    What goes over the axes of a place is compiled for two and for three of them, and for any
-    number; the rest is compiled once.
+    Loops over the axes of a place are compiled for two axes, for three, and for any number; the
+    rest is compiled once.
     """
-    # Each look into a tuple would count references.
+    # Each tuple access would count references.
     known, lower, upper, _, _ = boxes
     (
         command, way, inverse, heading, first, number, lag, places, value, worst, at, side,
@@ -181,7 +180,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
     carry, least = np.empty(runs), np.empty(runs)
-    # Of each place, whether it is quiet, whether its value was left out, and where it is near.
+    # For each place: whether it is quiet, whether its value was skipped, and where it is near.
     quiet, blank = np.zeros(rows, dtype=np.bool_), np.zeros(rows, dtype=np.bool_)
     near = np.zeros(rows, dtype=np.int64)
     raised, floor, lost = known, 0.0, np.inf
@@ -200,14 +199,14 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
             for r in range(runs):
                 floor = min(floor, worst[r])
         raised = carried_quiet = cleared = False
-        for k in range(low, begin):  # the lag excuses them no longer: the tool has moved on
+        for k in range(low, begin):  # beyond the lag: the tool must have passed these
             row = (origin + k) % rows
             carried_quiet = carried_quiet or quiet[row]
             for r in range(0 if carried_quiet else runs):
                 carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
         low, farther = max(low, begin), 0
         for k in range(low, last + 1):
-            # Of the first place only its end is within the lag.
+            # Only the end of the first place is within the lag.
             start = k - 1 if k > begin else k
             per_length = inverse[k] if k > begin else 0.0
             row = (origin + k) % rows
@@ -224,7 +223,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                     near[row] = 0
                     for r in range(runs):
                         near[row] += apart - off[i, r] <= ceiling
-                    if not near[row]:  # given up unseen
+                    if not near[row]:  # dropped without a value
                         lost = min(lost, ceiling)
                         for r in range(0 if carried_quiet else runs):
                             carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
@@ -254,7 +253,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                     carry, least, worst, ceiling,
                 )  # fmt: skip
             quiet[row] = more == 0 and known
-            if not farther:  # here every run has been good enough: no later place is better
+            if not farther:  # good enough in every run: no later place is better
                 break
         for later in range(k + 1, high + 1):
             row = (origin + later) % rows
