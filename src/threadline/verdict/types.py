@@ -33,6 +33,7 @@ class Level(StrEnum):
     REPEATED = "repeated"  # so many runs that what varies from run to run is in them
     YIELD = "yield over tolerances"  # of a share of the machines within the tolerances of the file
     TOLERANCES = "over tolerances"  # of every other machine that was drawn within them
+    DRAWN = "drawn machines"  # of machines that were all drawn within them, in one run each
 
 
 REPEATED_RUNS = 20
@@ -265,6 +266,8 @@ class Verdict:
         Share of these machines that has to be in specification; None where every one has to be.
     ends
         How many machines at the ends of the tolerances of loads and springs were, one run each.
+    band
+        How many machines with modes all over a band were, one run each.
     incomplete
         How a run ended before its last row; empty where none did.
     late_ticks
@@ -284,6 +287,7 @@ class Verdict:
     machines: int = 0
     wished: float | None = None
     ends: int = 0
+    band: int = 0
     incomplete: str = ""
     late_ticks: int = 0
     limits_alone: bool = False
