@@ -1,4 +1,4 @@
-"""Every command of the tutorials runs, and answers what its page shows; so do the examples in Python.
+"""Every command of the tutorials runs and answers what its page shows; every example runs.
 
 A page shows some lines of an answer, of which it may leave out the end. A number agrees where it
 differs by no more than one in its last digit.
@@ -105,3 +105,9 @@ def test_the_page_of_the_examples_names_each_of_them() -> None:
     page = (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")
     for example in EXAMPLES:
         assert f"`{example.name}`" in page
+
+
+def test_the_gallery_shows_every_picture() -> None:
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    for picture in (ROOT / "docs" / "pictures").iterdir():
+        assert f"](pictures/{picture.name})" in page
