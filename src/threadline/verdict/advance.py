@@ -33,8 +33,9 @@ class _Progress(SweptMeasure):
 
     A recording without the command of every axis is held against the plan at the same instant.
 
-    Lengths at the tool, over all axes, rotary ones times their radius. Between two samples the
-    tool can be ahead or behind by half its way in a sample interval more.
+    Lengths at the tool, over all axes, rotary ones times their radius. Tool and command are taken
+    as straight between samples: along a straight piece of the path the figure does not depend on
+    the rate of the samples.
 
     Of many runs, places far behind them all are given up while the recording is read. If in the
     end one of them could have been the better one, the recording is read again with every place.
@@ -78,6 +79,7 @@ class _Progress(SweptMeasure):
             command=command,
             way=way,
             inverse=1.0 / length,
+            length=np.sqrt(lengths_squared(way)),
             heading=heading,
             first=first,
             number=self._number,
