@@ -19,6 +19,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 OUTPUTS = ("-o", "--report", "--recording", "--proof")
 SLOW = {"design": "its search takes minutes; tests/cli/test_design.py runs the command"}
 SLOW["panel"] = "it serves until it is ended; tests/panel/test_panel_command.py runs it"
+SLOW["connect"] = "it needs a controller; tests/live/test_connect.py has some"
 
 
 def commands() -> list[tuple[list[str], int]]:

@@ -199,7 +199,9 @@ def test_capital_letters_are_as_high_as_asked() -> None:
 
 
 def test_what_cannot_be_is_one_line() -> None:
-    with pytest.raises(JobError, match=r"shape 1: a polygon needs 3 points or more, this one has 2"):
+    with pytest.raises(
+        JobError, match=r"shape 1: a polygon needs 3 points or more, this one has 2"
+    ):
         dxf([Shape(kind="polygon", points=[(0, 0), (1, 1)])])
     with pytest.raises(JobError, match="is not a known kind of drawing"):
         shapes_of("a.step", b"")

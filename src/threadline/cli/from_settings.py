@@ -162,6 +162,11 @@ def settings_files(
     return FromSettings(contents, form, rows, settings.notes, settings.unheeded)
 
 
+def read_rows(settings: Settings) -> list[Row]:
+    """Return what the settings alone say of each axis and of the planner, with their lines."""
+    return list(_rows(settings, parse_answers(())))
+
+
 def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
     """Yield the settings of each axis and of the planner, read or given."""
     turning = turning_axes(settings, answers)

@@ -34,6 +34,7 @@ class LazyCommand:
 
 COMMANDS = {
     "new": LazyCommand("new", "Make a working project: machine, specification, job."),
+    "connect": LazyCommand("connect", "Read the settings of a controller from itself."),
     "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
     "verify": LazyCommand("verify", "Check that a proof still matches its files."),
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),

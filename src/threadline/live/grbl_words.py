@@ -309,6 +309,10 @@ def settings_of(lines: Iterable[str]) -> dict[int, float]:
     return found
 
 
+BAUD = 115200
+"""Speed of a serial line to grbl, in bits a second."""
+# struct termios2 of Linux (asm-generic/termbits.h): four words of flags, 20 bytes, two speeds.
+_TERMIOS2_BYTES, _TCGETS2, _TCSETS2, _CBAUD, _BOTHER = 44, 0x802C542A, 0x402C542B, 0x100F, 0x1000
 _CONNECT_S = 5.0
 _AT_ONCE = 4096
 _DIGITS = 5  # of a port
@@ -360,6 +364,8 @@ class Port:
     ----------
     address
         ``HOST:PORT`` or the path of a serial device.
+    baud
+        Speed of a serial device, in bits a second.
 
     Attributes
     ----------
@@ -374,14 +380,14 @@ class Port:
         If it is not an address.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, baud: int = BAUD) -> None:
         self._socket: socket.socket | None = None
         self.lost = False
         self._bytes = bytearray()
         self._lines: deque[str] = deque()
         try:
             if address.startswith("/"):
-                self._number = _serial(address)
+                self._number = _serial(address, baud)
             else:
                 self._socket = socket.create_connection(host_and_port(address), _CONNECT_S)
                 self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -414,7 +420,12 @@ class Port:
                 self.lost = True
 
     def receive(self, timeout_s: float) -> str | None:
-        """Return the next line without its end; None if none came in time or the link is gone."""
+        """Return the next line, stripped; None if none came in time or the link is gone."""
+        line = self.receive_indented(timeout_s)
+        return None if line is None else line.strip()
+
+    def receive_indented(self, timeout_s: float) -> str | None:
+        """Return the next line with the spaces before it, which count in YAML; or None."""
         until = clock_s() + timeout_s
         while not self._lines and not self.lost:
             left = max(until - clock_s(), 0.0)
@@ -446,7 +457,7 @@ class Port:
         self._bytes += more
         *whole, rest = self._bytes.split(b"\n")
         self._bytes = bytearray(rest[:_LONGEST_LINE])
-        self._lines.extend(line.decode("latin-1").strip() for line in whole if line.strip())
+        self._lines.extend(line.decode("latin-1").rstrip() for line in whole if line.strip())
 
     def close(self) -> None:
         """Close the port."""
@@ -457,8 +468,9 @@ class Port:
             os.close(self._number)
 
 
-def _serial(path: str) -> int:
+def _serial(path: str, baud: int) -> int:
     """Open a serial device, raw and exclusively, and return its descriptor."""
+    import array
     import fcntl
     import termios
     import tty
@@ -472,10 +484,20 @@ def _serial(path: str) -> int:
     try:
         tty.setraw(number)
         mode = termios.tcgetattr(number)
-        mode[4] = mode[5] = termios.B115200
+        known = getattr(termios, f"B{baud}", None)
+        mode[4] = mode[5] = termios.B115200 if known is None else known
         mode[2] |= termios.CLOCAL | termios.CREAD
         mode[2] &= ~termios.HUPCL  # closing it must not reset the controller
         termios.tcsetattr(number, termios.TCSANOW, mode)
+        if known is None:  # Marlin's 250000 has no name: Linux takes it as a number
+            speeds = array.array("I", bytes(_TERMIOS2_BYTES))
+            fcntl.ioctl(number, _TCGETS2, speeds)
+            speeds[2] = speeds[2] & ~_CBAUD | _BOTHER
+            speeds[-2] = speeds[-1] = baud
+            fcntl.ioctl(number, _TCSETS2, speeds)
+    except OSError as error:
+        os.close(number)
+        raise OSError(error.errno, f"it does not take {baud} bits a second") from error
     except termios.error as error:
         os.close(number)
         raise OSError(error.args[0], "it is not a serial line") from error

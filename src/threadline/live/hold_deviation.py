@@ -23,7 +23,7 @@ from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import HALTS, PathWindow, rest_rows
 from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import simulate
-from threadline.verdict import Result, Spec, Status, judge
+from threadline.verdict import Judge, Result, Spec, Status
 from threadline.verdict.rendering import shown
 
 _AROUND_S = 2.0  # time before and after, in s, in which the nearest place of the path is sought
@@ -134,11 +134,11 @@ def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
     recording = replace(held, blocks=Stream(_with_events, held.blocks, told, table.clock.name))
     failed = [
         result
-        for result in judge([recording], plan, replace(spec, criteria=narrower)).results
+        for result in Judge(plan, replace(spec, criteria=narrower)).verdict([recording]).results
         if result.status is Status.FAILED
     ]
     if failed:
-        alone = judge([simulate(plan.commands, plan.machine)], plan, spec)
+        alone = Judge(plan, spec).verdict([simulate(plan.commands, plan.machine)])
         bad = {(r.name, r.axis) for r in alone.results if r.status is Status.FAILED}
         failed = [result for result in failed if (result.name, result.axis) not in bad]
     limits = {(c.name, c.axis): c.limit for c in asked}

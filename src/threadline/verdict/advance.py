@@ -33,8 +33,9 @@ class _Progress(SweptMeasure):
 
     Without a recorded command for every axis, the plan at the same instant takes its place.
 
-    Lengths are at the tool, over all axes, rotary ones times their radius. Between two samples the
-    error may be larger by half the tool's motion in a sample interval.
+    Lengths are at the tool, over all axes, rotary ones times their radius. Tool and command are
+    taken as straight between samples, so that on a straight piece of the path the result does not
+    depend on the sampling rate.
 
     With many runs, places far behind all of them are dropped while the recording is read. If one of
     them might have been the better match, the recording is read again with every place kept.
@@ -78,6 +79,7 @@ class _Progress(SweptMeasure):
             command=command,
             way=way,
             inverse=1.0 / length,
+            length=np.sqrt(lengths_squared(way)),
             heading=heading,
             first=first,
             number=self._number,

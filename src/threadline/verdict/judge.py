@@ -112,9 +112,9 @@ class Judge:
             Recordings of other machines within the tolerances. Their worst counts too, except in
             measures of many runs together (repeatability), which compare runs of one machine.
         recorded
-            Whether these are recordings from elsewhere, not runs simulated for this verdict.
-            Limits of travel and velocity are then measured on them as well; a simulated run plays
-            exactly the commands of the plan.
+            Whether these are recordings, and not runs simulated for this verdict. Limits of travel
+            and velocity are then measured on them as well, whatever origin a recording names; a run
+            simulated for its verdict plays exactly the commands of the plan.
 
         Raises
         ------
@@ -123,10 +123,9 @@ class Judge:
             lengths for a rotary one, or a trace is damaged.
         """
         plan, spec = self.plan, self.spec
-        live = recorded and not all(recording.simulated for recording in recordings)
-        findings, runs, listened = self._measured(recordings, recorded=live)
+        findings, runs, listened = self._measured(recordings, recorded=recorded)
         for other in others:
-            measured, _, ended = self._measured([other], together=False, recorded=live)
+            measured, _, ended = self._measured([other], together=False, recorded=recorded)
             listened = [*listened, *ended]
             for key, found in measured.items():
                 if key not in self._of_plan:
@@ -141,7 +140,7 @@ class Judge:
         stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
         told = [
-            with_recording(result, findings, plan, spec, complete=not why, recorded=live)
+            with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
                 _told(_run_told(result, found, count), runs),

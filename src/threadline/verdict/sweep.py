@@ -172,9 +172,9 @@ _NO_CONTOUR = ContourPart(
     best_time_s=_NO_ROWS,
 )  # fmt: skip
 _NO_PROGRESS = ProgressPart(
-    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, heading=_NO_ROWS, first=0, number=0,
-    lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS, side=_NONE,
-    ceiling=_NONE, dropped=_NONE,
+    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, length=_NONE, heading=_NO_ROWS, first=0,
+    number=0, lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS,
+    side=_NONE, ceiling=_NONE, dropped=_NONE,
 )  # fmt: skip
 _NO_TURNING = TurningPart(
     chord=_NO_NUMBERS, first=0, lag=0, values=_NONE, leaves=_NO_NUMBERS, starts=_NO_NUMBERS,
