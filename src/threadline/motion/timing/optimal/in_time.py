@@ -11,7 +11,7 @@ from threadline.base.arrays import FloatArray
 from threadline.motion.timing.optimal.along_path import across, true_shares
 from threadline.motion.timing.optimal.elements import restricted
 from threadline.motion.timing.optimal.motion_limits import Limits
-from threadline.motion.timing.optimal.rows import asked as asked_of_sides
+from threadline.motion.timing.optimal.rows import used_shares
 from threadline.motion.timing.optimal.solve import Solution
 from threadline.motion.timing.types import TrajectoryBlock
 
@@ -173,7 +173,7 @@ def _shares(
     time_s = duration_s[:, None, None]
     if limits.deceleration is not None:
         pushes = _bernstein(acceleration) / time_s**2
-        yield 2, asked_of_sides(_bernstein(velocity), pushes, limits.sides).max(axis=1)
+        yield 2, used_shares(_bernstein(velocity), pushes, limits.sides).max(axis=1)
     if limits.along is not None and np.isfinite(limits.along.centripetal):
         bent = across(coefficients[:, :, :-1] * limits.along.radius_m)
         yield 2, bent / (limits.along.centripetal * duration_s**2)
