@@ -118,7 +118,7 @@ class SwitchRun:
     of: ClassVar[str] = "an on/off machine"
     absent: ClassVar[str] = "nothing of axis {axis} was measured"
     by_time = False
-    untold = None
+    fallback = None
 
     def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan
