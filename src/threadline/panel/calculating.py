@@ -20,7 +20,7 @@ from threadline.base.reading import noting_inputs, reading_within
 from threadline.errors import ThreadlineError
 from threadline.files import ChannelKind
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source, begins_circuit
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.machine import Machine
 from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
 from threadline.panel.welcoming import mandrel_of
@@ -34,7 +34,7 @@ from threadline.proof.pipeline import (
     with_shaping,
 )
 from threadline.proof.proof_file import read_proof, write_proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
 
@@ -66,7 +66,7 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
             spec = with_shaping(asked, machine, options)
             proof = prove_plan(plan, spec, _share, trials)
         write_proof(proof, told["proof_file"])
-    starts = way_of(machine).start(plan.commands).tolist()
+    starts = run_kind_of(machine).start(plan.commands).tolist()
     return {
         **figures(proof),
         "program": str(told["program"]),
@@ -103,7 +103,7 @@ def figures(proof: Proof) -> dict[str, Any]:
         "circuits": circuits,
         "ticks_per_circuit": None if not circuits or ticks is None else round(ticks / circuits),
         "points": points,
-        "warnings": doubts(proof),
+        "warnings": warnings_of(proof),
         "criteria": criteria_json(verdict),
         "times_s": [round(float(t), 6) for t in times_s],
         "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),

@@ -197,7 +197,7 @@ _RUNS = 16
 _ROUNDING = 1e-6  # relative: of values measured at points of the path
 
 
-def doubts(proof: Proof) -> list[str]:
+def warnings_of(proof: Proof) -> list[str]:
     """Return every warning of a proof: about its machine, job, plan and verdict."""
     plan = proof.plan
     return [
@@ -210,9 +210,9 @@ def doubts(proof: Proof) -> list[str]:
     ]
 
 
-def doubts_of_all(proofs: Sequence[Proof]) -> list[str]:
+def warnings_of_all(proofs: Sequence[Proof]) -> list[str]:
     """Return the warnings of several proofs, each once."""
-    return list(dict.fromkeys(said for proof in proofs for said in doubts(proof)))
+    return list(dict.fromkeys(said for proof in proofs for said in warnings_of(proof)))
 
 
 def tolerance_warnings(plan: Plan) -> list[str]:
