@@ -88,7 +88,7 @@ class Controller:
         found = self.ask_status()
         if found.state not in {"Idle", "Alarm"}:
             raise LinkFaultError(
-                f"the controller is not at rest: it{found.told.removeprefix('the controller')}",
+                f"the controller is not at rest: it{found.words.removeprefix('the controller')}",
                 remedy="Bring it to Idle by its own means; no motion was sent.",
             )
         self.port.send(RESET)  # at rest: clears modes and lines of an earlier sender

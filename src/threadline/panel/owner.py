@@ -370,7 +370,7 @@ class Owner:
             busy=self._runs.busy,
             lost=executor.lost,
             progress=self._runs.progress(executor),
-            rest=None if self._rest is None else self._rest.told_rest(),
+            rest=None if self._rest is None else self._rest.rest_notes(),
             age_s=executor.age_s,
         )
 

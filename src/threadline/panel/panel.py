@@ -10,7 +10,7 @@ from typing import Any, assert_never
 from threadline.errors import CommandError, ThreadlineError
 from threadline.live.guards import clock_s
 from threadline.live.jogging import manual_feed
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.wire import Message
@@ -291,7 +291,7 @@ class Panel:
             and (stands or cause not in _OF_REST_ALONE)
             and (free or cause is not Cause.START)
         ]
-        if not way_of(self.machine).by_hand:
+        if not run_kind_of(self.machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if calculation.proven is None:
             found = [what for what in found if what not in _OF_PROVEN]
