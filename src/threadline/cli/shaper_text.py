@@ -327,7 +327,7 @@ DEFAULT_DAMPING = 0.1
 """Klipper's default damping ratio: modes that use it give no warning."""
 
 
-def doubted(modes: Sequence[FlexibleMode]) -> list[str]:
+def damping_warnings(modes: Sequence[FlexibleMode]) -> list[str]:
     """Return warnings for suspicious damping ratios, except Klipper's default."""
     own = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
     return list(suspicions(tuple(own)))
@@ -375,7 +375,7 @@ def shape_two_axes(
         notes = {axis: export.explanation for axis, export in found.items()}
         print_json({"klipper": whole or None, "klipper_note": notes})
         return
-    for said in doubted([one.mode for one in asked]):
+    for said in damping_warnings([one.mode for one in asked]):
         warning(said)
     for axis, export in found.items():
         say(f"{axis.upper()}: {export.explanation}")
