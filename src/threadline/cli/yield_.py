@@ -135,7 +135,7 @@ def yield_(
             told_set = counted(progress, "looking for the cheapest set of tolerances")
             machines = MACHINES if judged.together else min(MACHINES, variants)
             better = cheapest_set(judged, wished, seed, machines=machines, done=told_set)
-        level = Level.TOLERANCES if wished is None else Level.YIELD
+        level = Level.DRAWN
         title = f"{plan.job.name} on {chosen.name}: {_words(found, level)}"
         drawn = None
         with together(worst):

@@ -24,6 +24,7 @@ from threadline.proof.option_table import options_for
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import Trials, open_job, plan_job
 from threadline.search.least_limits import fastest_job
+from threadline.search.paced import Question
 from threadline.verdict import Spec
 
 PROGRAMMED = "programmed"
@@ -70,9 +71,11 @@ def by_priority(
                 remedy="Give operator.normal_feed in the machine file, or a feed.",
             )
         return {"feed": f"{machine.operator.normal_feed.si!r} count/tick"}
-    found = fastest_job(
-        job, machine, spec.with_margin(_MARGINS[priority]), options, progress=share, trials=trials
-    ).best
+    spec = spec.with_margin(_MARGINS[priority])
+    asked = Question(
+        job=job, machine=machine, spec=spec, options=options, progress=share, trials=trials
+    )
+    found = fastest_job(asked).best
     if found.found.best is None:
         raise OptionError(
             f"{job.name} is out of specification at every feed: {found.found.limited_by}",

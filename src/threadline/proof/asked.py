@@ -22,7 +22,7 @@ from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_form import Door, Group, Option, Type, Word
 from threadline.proof.option_table import known_words, options_for
-from threadline.proof.option_words import parse_ends, parse_yield
+from threadline.proof.option_words import parse_band, parse_ends, parse_yield
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
 from threadline.verdict import Spec, load_spec
@@ -185,7 +185,7 @@ class Words:
         return typed
 
 
-_OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends")
+_OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends", "band")
 
 
 def _typed(value: Word) -> str | Path:
@@ -202,6 +202,7 @@ def trials_of(
     tolerances: Word = None,
     yield_: Word = None,
     ends: Word = None,
+    band: Word = None,
 ) -> Trials:
     """Return the level that the words ask for: its number of runs and of machines.
 
@@ -226,7 +227,11 @@ def trials_of(
         found = yielding(parse_yield(str(yield_)))
     elif repeats is not None:
         found = Trials(repeats=_runs(repeats), machines=found.machines)
-    return found if ends is None else replace(found, ends=parse_ends(str(ends)))
+    return replace(
+        found,
+        ends=None if ends is None else parse_ends(str(ends)),
+        band=None if band is None else parse_band(str(band)),
+    )
 
 
 def _runs(repeats: Word) -> int:
@@ -278,9 +283,10 @@ def check_target(target: str, machine: Machine, options: Options) -> None:
 
 def level_option(trials: Trials) -> dict[str, str]:
     """Return the options, with values, that select the level ``trials``; none for the default."""
-    if trials.ends is not None:
-        ends = {"--ends": f"{100.0 * trials.ends:.12g} %"}
-        return level_option(replace(trials, ends=None)) | ends
+    others = {"--ends": trials.ends, "--band": trials.band}
+    if trials != trials.alone:
+        shares = {name: f"{100.0 * n:.12g} %" for name, n in others.items() if n is not None}
+        return level_option(trials.alone) | shares
     if trials == REPEATED:
         return {}
     if trials.wished is not None:

@@ -184,7 +184,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="limits", group=Group.PLAN, kinds=(TICKS,),
-        verbs=("prove", "run", "compile", "compare", "yield", "judge", "panel"),
+        verbs=("prove", "run", "compile", "compare", "yield", "design", "judge", "panel"),
         help="Share of the acceleration and jerk limits that the planner uses.",
         default=DEFAULT_LIMITS, attribute="limit_share", parse=parse_share,
         recorded=Recorded(key="limits", write=_exact("%", 100.0), read=parse_share),
@@ -302,9 +302,24 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
-        name="ends", group=Group.LEVEL, verbs=("prove", "run", "compare"),
+        name="ends", group=Group.LEVEL, verbs=_PROVING,
         help="Also judge the machines with loads and springs at the ends of this share of their "
         'tolerances, one run each: "100 %".',
+        helps={
+            "fastest": "Every plan must also pass on the machines with loads and springs at the "
+            'ends of this share of their tolerances, one run each: "100 %"; --robust plans for '
+            "them.",
+        },
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="band", group=Group.LEVEL, verbs=_PROVING,
+        help="Also judge machines whose modes lie all over this share of their frequencies, one "
+        'run each: "20 %".',
+        helps={
+            "fastest": "Every plan must also pass on machines whose modes lie all over this share "
+            'of their frequencies: "20 %". An on/off machine gets commands made for that band.',
+        },
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
@@ -315,29 +330,23 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="low", group=Group.SEARCH, unit="m/s", verbs=("fastest",),
-        help='Lowest feed to try; of a seam "5 stitch/s".', doors=(Door.LINE,),
+        help='Lowest feed to try; of a seam "5 stitch/s".', doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="high", group=Group.SEARCH, unit="m/s", verbs=("fastest",),
-        help="Highest feed to try.", doors=(Door.LINE,),
-    ),
-    Option(
-        name="band", group=Group.SEARCH, verbs=("fastest",), kinds=(SWITCHES,),
-        help="Of an on/off machine: the shortest cycle that is in spec with every mode within "
-        'this share of its frequency: "20 %".',
-        doors=(Door.LINE,),
+        help="Highest feed to try.", doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="mismatch", group=Group.SEARCH, type=Type.FLAG, verbs=("fastest",), default=False,
         help="Search again with masses and stiffnesses at the ends of their tolerances, "
         "planned for the machine as its file says.",
-        doors=(Door.LINE,),
+        doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="within", group=Group.SEARCH, unit="s", verbs=("fastest",),
         help='How long the search may take, "5 min"; then the best so far is told. Ctrl-C '
         "asks for it at once.",
-        doors=(Door.LINE,),
+        doors=(Door.LINE, Door.PYTHON),
     ),
 )  # fmt: skip
 """The options, in the order in which help, reference and recordings name them."""

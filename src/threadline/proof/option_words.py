@@ -182,6 +182,23 @@ def parse_ends(text: str) -> float:
     return value
 
 
+def parse_band(text: str) -> float:
+    """Return the half width of a band, ``"20 %"`` of the frequency, as a share: 0.2.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and at most 60 %.
+    """
+    value = parse_number("band", text, "", "20 %")
+    if not 0.0 < value <= 0.6:
+        raise OptionError(
+            f"band {text!r} must be above 0 % and at most 60 % of the frequency",
+            remedy='Modes that may be a fifth off to either side are "20 %".',
+        )
+    return value
+
+
 def parse_robust(text: str) -> float:
     """Return the share of the tolerances that a robust plan covers, ``"100 %"`` as 1.0.
 

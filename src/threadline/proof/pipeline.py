@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
-from threadline.machine.vary import ends_of
+from threadline.machine.vary import Others, band_of, ends_of
 from threadline.proof.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.proof.kinds.kind import Share
 from threadline.proof.kinds.variants import answering, played_by, rejects, unanswered
@@ -78,12 +79,36 @@ class Trials:
     ends
         Share of the tolerances of loads and springs: machines at its ends are judged as well, in
         one run each.
+    band
+        Share of the frequency of every mode: machines with modes all over that band are judged as
+        well, in one run each.
     """
 
     repeats: int = 1
     machines: int = 0
     wished: float | None = None
     ends: float | None = None
+    band: float | None = None
+
+    def others(self, machine: Machine) -> dict[Literal["ends", "band"], Others]:
+        """Return the machines that must pass besides those that are drawn, by their option.
+
+        Raises
+        ------
+        OptionError
+            If ``machine`` has no tolerance at whose ends others are, or no mode.
+        """
+        found: dict[Literal["ends", "band"], Others] = {}
+        if self.ends is not None:
+            found["ends"] = ends_of(machine, self.ends)
+        if self.band is not None:
+            found["band"] = band_of(machine, self.band)
+        return found
+
+    @property
+    def alone(self) -> Trials:
+        """The same without the machines of ``others``."""
+        return replace(self, ends=None, band=None)
 
     @property
     def level(self) -> Level:
@@ -332,8 +357,8 @@ def prove_plan(
         If other machines are asked for, and no number has a tolerance or there are no dynamics.
     """
     judge = Judge(plan, spec) if judge is None else judge
-    if trials.ends is not None:
-        return _with_ends(plan, spec, progress, trials, actual, judge)
+    if trials != trials.alone:
+        return _with_others(plan, spec, progress, trials, actual, judge)
     if actual is not None or trials.machines:
         check_dynamics("what another machine makes of the plan", plan.machine, actual)
     kind = kind_of_commands(plan.commands)
@@ -377,18 +402,21 @@ def prove_plan(
     )
 
 
-def _with_ends(
+def _with_others(
     plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None,
     judge: Judge,
 ) -> Proof:  # fmt: skip
-    """Prove a plan, also on the machines at the ends of the tolerances."""
-    proof = prove_plan(plan, spec, progress, replace(trials, ends=None), actual, judge)
-    machine = plan.machine if actual is None else actual
-    ends = [
-        (told, prove_plan(plan, spec, None, NOMINAL, other, judge).verdict)
-        for told, other in ends_of(machine, trials.ends or 0.0)
-    ]
-    return replace(proof, verdict=worst_of(proof.verdict, ends))
+    """Prove a plan, and judge it on the other machines that must pass as well."""
+    proof = prove_plan(plan, spec, progress, trials.alone, actual, judge)
+    verdict = proof.verdict
+    for name, others in trials.others(plan.machine if actual is None else actual).items():
+        found = []
+        for told, other in others.machines:
+            # Amplitudes that follow from place and speed go by the mode of the machine that ran.
+            own = Judge(replace(plan, machine=other), spec) if name == "band" else judge
+            found.append((told, prove_plan(plan, spec, None, NOMINAL, other, own).verdict))
+        verdict = worst_of(verdict, found, name)
+    return replace(proof, verdict=verdict)
 
 
 def try_plan(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,26 +184,33 @@ def exceeded(kind: MeasureKind, limit: float | None, values: FloatArray) -> NDAr
     return np.asarray(values > kind.slack * limit + kind.allowance)
 
 
-def worst_of(verdict: Verdict, ends: Sequence[tuple[str, Verdict]]) -> Verdict:
+def worst_of(
+    verdict: Verdict,
+    others: Sequence[tuple[str, Verdict]],
+    over: Literal["ends", "band"] = "ends",
+) -> Verdict:
     """Return ``verdict`` with every result replaced by the worst of all machines.
 
     Parameters
     ----------
     verdict
         The verdict on the nominal machine.
-    ends
+    others
         For each other machine, how it differs, and its verdict by the same specification. A
         criterion that is not measured there (repeatability in one run) keeps its result.
+    over
+        Which machines they are: the attribute of a verdict that counts them.
     """
     results = list(verdict.results)
-    for told, other in ends:
+    for told, other in others:
         found = {(r.name, r.axis, r.step): r for r in other.results}
         for k, result in enumerate(results):
             one = found.get((result.name, result.axis, result.step))
             if one is not None and _worse(one, result):
                 note = ", ".join(filter(None, (one.note, told)))
                 results[k] = replace(one, note=note, run=None)
-    return replace(verdict, results=tuple(results), ends=len(ends))
+    worst, count = replace(verdict, results=tuple(results)), len(others)
+    return replace(worst, ends=count) if over == "ends" else replace(worst, band=count)
 
 
 def _worse(one: Result, than: Result) -> bool:

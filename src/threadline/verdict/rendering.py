@@ -48,6 +48,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "runs": verdict.runs,
         "machines": verdict.machines,
         **({"ends": verdict.ends} if verdict.ends else {}),
+        **({"band": verdict.band} if verdict.band else {}),
         "tightest": _tightest_json(verdict.tightest),
         "incomplete": verdict.incomplete,
         "late_ticks": verdict.late_ticks,
@@ -203,6 +204,8 @@ def _level(verdict: Verdict) -> str:
         told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
     if verdict.ends:
         told += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
+    if verdict.band:
+        told += f", {verdict.band} with modes all over the band, one run each"
     if verdict.wished is not None:
         told += f", {100.0 * verdict.wished:.6g} % of all to pass"
     return told

@@ -33,6 +33,7 @@ class Level(StrEnum):
     REPEATED = "repeated"  # enough runs to contain the variation from run to run
     YIELD = "yield over tolerances"  # a share of the machines within the tolerances of the file
     TOLERANCES = "over tolerances"  # every other machine that was drawn within them
+    DRAWN = "drawn machines"  # machines that were all drawn within them, in one run each
 
 
 REPEATED_RUNS = 20
@@ -265,6 +266,8 @@ class Verdict:
         Share of these machines that must be in specification; None: every one.
     ends
         Number of judged machines at the ends of the tolerances of loads and springs, one run each.
+    band
+        Number of judged machines with modes all over a band, one run each.
     incomplete
         How a run ended before its last row; empty if none did.
     late_ticks
@@ -284,6 +287,7 @@ class Verdict:
     machines: int = 0
     wished: float | None = None
     ends: int = 0
+    band: int = 0
     incomplete: str = ""
     late_ticks: int = 0
     limits_alone: bool = False
