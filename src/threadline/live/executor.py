@@ -200,7 +200,7 @@ class Executor(AtRest):
         self._owes_go = not self._real_time
 
     @property
-    def _passes(self) -> bool:
+    def _needs_no_decision(self) -> bool:
         """Whether a run needs no decision within the next ``MANY_S``."""
         ahead = self._ahead
         return (
@@ -217,7 +217,7 @@ class Executor(AtRest):
         if self._owes_go:  # the machine's clock waits: execute commands before it goes on
             self.obey()
             self._owes_go = False
-            self._link.send(Message("go", {"ticks": self._many} if self._passes else {}))
+            self._link.send(Message("go", {"ticks": self._many} if self._needs_no_decision else {}))
         if not self._link.waiting:
             silence_s = 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
             waited = [self._desk.fileno(), self._link.fileno()]

@@ -425,7 +425,7 @@ class GrblJog:
         if self.cancelled or refusal:
             self.cancel()  # a line read after the first cancel began a motion of its own
 
-    def asked(self) -> None:
+    def note_request(self) -> None:
         """Note a position request: its report includes all answered lines."""
         self._asked_since = not self._waits
 

@@ -263,7 +263,7 @@ class GrblOperated(GrblRun):
     def _ask(self, now_s: float) -> None:
         super()._ask(now_s)
         if self._jog is not None:
-            self._jog.asked()
+            self._jog.note_request()
 
     def _brake(self) -> None:
         if self._jog is None:

@@ -253,7 +253,7 @@ class SimMachine(ABC):
     def _simulate(self, ticks: int) -> list[RecordingBlock]:
         """Go on for a number of ticks."""
 
-    def _told_besides(self) -> dict[str, Any]:
+    def _extra_entries(self) -> dict[str, Any]:
         """Return entries of a report beyond the common ones."""
         return {}
 
@@ -389,7 +389,7 @@ class SimMachine(ABC):
         head = {
             "run": self._number, "tick": first, "sample": sample, "now": self.tick,
             "held": self.held, "starved": self.starved, "late": late, "late_by": late_by,
-            "events": events, "position": self.position.tolist(), **self._told_besides(),
+            "events": events, "position": self.position.tolist(), **self._extra_entries(),
         }  # fmt: skip
         self._tell(Message("report", head, arrays))
 

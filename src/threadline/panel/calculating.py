@@ -121,7 +121,7 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
     for item, times, _ in job.folded():
         if times == 0:  # the end of repeated passes
             continue
-        first, last = _ends(item)
+        first, last = _end_sources(item)
         if begins_circuit(before, first):
             # The moves of a pass that are in no inner call happen least often.
             circuits, least = circuits + least, times
@@ -134,7 +134,7 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
     return (circuits if circuits > 1 else None), points
 
 
-def _ends(item: Operation | MoveRun) -> tuple[Source, Source]:
+def _end_sources(item: Operation | MoveRun) -> tuple[Source, Source]:
     """Return the sources of a run's first and last move; for an operation, twice its own."""
     if not isinstance(item, MoveRun):
         return item.source, item.source

@@ -171,7 +171,7 @@ class ControlLease:
         self._until_s = 0.0
         return True
 
-    def passes(self, now_s: float) -> Lease | None:
+    def pass_if_due(self, now_s: float) -> Lease | None:
         """Pass control to the asking client if that is due; return the new lease, or None."""
         if self._asks is None:
             return None

@@ -92,7 +92,7 @@ class Prepared:
     again: Continued | None = None
     continues: str = ""
 
-    def ways(self, machine: Machine) -> list[tuple[str, int]]:
+    def moves(self, machine: Machine) -> list[tuple[str, int]]:
         """Return the moves to where the rest begins, in their order."""
         assert self.again is not None
         return list(zip(machine.axes, self.again.rest.begins.tolist(), strict=False))

@@ -386,16 +386,18 @@ def not_beyond(
     if result.status is Status.FAILED and not by_stop:
         return result
     so_far = (
-        "" if result.measured is None else f" ({_told(result.measured, result.unit)} until then)"
+        ""
+        if result.measured is None
+        else f" ({_with_unit(result.measured, result.unit)} until then)"
     )
     note = "; ".join(filter(None, (result.note, f"{why}{so_far}")))
     return replace(result, status=Status.NOT_MEASURED, measured=None, note=note)
 
 
-def _told(value: float, unit: str) -> str:
+def _with_unit(value: float, unit: str) -> str:
     """Return a value with its unit; without a unit it is a share.
 
-    >>> _told(0.25e-3, "m"), _told(0.05, "")
+    >>> _with_unit(0.25e-3, "m"), _with_unit(0.05, "")
     ('0.00025 m', '5 %')
     """
     return f"{value:.4g} {unit}" if unit else f"{100.0 * value:.4g} %"

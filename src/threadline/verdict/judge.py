@@ -149,7 +149,7 @@ class Judge:
             with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
-                _told(_run_told(result, found, count), runs),
+                _with_operation_note(_with_run_number(result, found, count), runs),
                 why,
                 stopped_s,
                 of_worst=kind.of_worst,
@@ -259,7 +259,7 @@ def _check_units(recording: Recording, plan: Plan) -> None:
             )
 
 
-def _told(result: Result, runs: Sequence[Run]) -> Result:
+def _with_operation_note(result: Result, runs: Sequence[Run]) -> Result:
     """Add a note to a result that needs operations if they were not recorded."""
     reading = MEASURES[result.name].of_run(runs[0])
     if result.measured is None or reading is None or not any(run.by_time for run in runs):
@@ -269,7 +269,7 @@ def _told(result: Result, runs: Sequence[Run]) -> Result:
     return replace(result, note="; ".join(filter(None, (result.note, OPERATION_BY_TIME))))
 
 
-def _run_told(result: Result, found: Found, runs: int) -> Result:
+def _with_run_number(result: Result, found: Found, runs: int) -> Result:
     """Add to a result the number of the worst run, unless its value is 0."""
     if runs == 1 or len(found) != runs or not result.measured:
         return result

@@ -31,7 +31,7 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     would exceed a limit in between, it is cut in two. If some still do after a few cuts the whole
     motion is slowed evenly, as a motion from rest to rest may be.
     """
-    return _told(solution, limits, begin_s, np.inf)[0]
+    return _stretched_motion(solution, limits, begin_s, np.inf)[0]
 
 
 def as_it_is(
@@ -41,11 +41,11 @@ def as_it_is(
 
     None if it would have to be stretched by more than a share ``most``.
     """
-    block, factor = _told(solution, limits, begin_s, 1.0)
+    block, factor = _stretched_motion(solution, limits, begin_s, 1.0)
     return block if factor <= 1.0 + most else None
 
 
-def _told(
+def _stretched_motion(
     solution: Solution, limits: Limits, begin_s: float, most: float
 ) -> tuple[TrajectoryBlock, float]:
     """Return the motion, stretched at most by the factor ``most``, and the factor it needs."""
