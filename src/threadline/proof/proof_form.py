@@ -54,7 +54,7 @@ _OF_MACHINES = (REJECTS, UNANSWERED)
 """Criteria of many machines together, which no specification names."""
 
 
-def misformed(content: Mapping[str, Any]) -> str:
+def malformed_entry(content: Mapping[str, Any]) -> str:
     """Return the name of the first entry that is missing or has a wrong type; else empty.
 
     Parameters
@@ -177,7 +177,7 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
     return f"{name} is {status!r} with {told} under {under}, which is {found.value!r}"
 
 
-def unlike(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
+def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
     """Return how the criteria of a proof differ from plan and specification; else empty.
 
     Parameters
