@@ -80,7 +80,7 @@ def test_the_panel_proves_what_the_command_line_proves(
     assert found["proof"] == json.loads(by_line.read_text("utf-8"))["sha256"]
     assert found["passed"] == (ended.value.code == 0)
     if machine == "stitcher":
-        assert found["passed"]  # as the example and docs/results-stitcher.md have it
+        assert found["passed"]  # as the example and docs/validation-stitcher.md have it
 
 
 def test_the_page_tells_the_defaults_of_the_command_line() -> None:
