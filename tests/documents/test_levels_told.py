@@ -67,6 +67,7 @@ def test_every_table_of_what_is_judged_says_its_level(document: Path) -> None:
 def test_a_reader_of_the_readme_cannot_take_a_nominal_figure_for_a_proven_one() -> None:
     """A paragraph, or a remark on a command, with a figure of a machine says the level of it."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    readme += "\n\n" + (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     remarks = re.findall(r"^threadline .*?  (#.*)", readme, re.MULTILINE)
     # A picture and the words under it are one.
     paragraphs = re.split(r"\n\s*\n(?!\*)", re.sub(r"```.*?```", "", readme, flags=re.DOTALL))
