@@ -80,9 +80,9 @@ def test_mistakes_are_told_as_on_the_command_line() -> None:
         tl.judge([])
     with pytest.raises(OptionError, match="no interpolation to compare"):
         tl.compare(example, "lathe-winder", [])
-    with pytest.raises(InputError, match="is of another kind of machine"):
+    with pytest.raises(InputError, match="is for another kind of machine"):
         tl.compile(example, "lathe-winder", "st", "x.st")
-    with pytest.raises(OptionError, match="is of feed-forward"):
+    with pytest.raises(OptionError, match="needs feed-forward"):
         tl.prove(example, "lathe-winder", smoothing="40 ms")
 
 

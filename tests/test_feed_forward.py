@@ -338,7 +338,7 @@ def test_a_trace_of_another_controller_is_judged_against_the_table_it_ran(capsys
     for key in (("stitch_length_error", ""), ("shaping_deviation", "")):
         assert found[key]["measured"] == pytest.approx(proved[key]["measured"], rel=1e-3)
     code, _, err = run(capsys, *judging, "--smoothing", "40 ms")
-    assert code == 2 and "--smoothing is of --feed-forward" in err
+    assert code == 2 and "--smoothing needs --feed-forward" in err
 
 
 def test_a_machine_without_controllers_is_told_so(examples: Path) -> None:

@@ -260,7 +260,7 @@ def _kept(
         planned = reader.ladder(block.due_s, 3)
         reader.drop(float(block.due_s[0]))
         if block.slow is not None:
-            _pass_slowly(planned, block.due_s - block.time_s, interval_s)
+            pass_slowly(planned, block.due_s - block.time_s, interval_s)
         keep = np.ones(len(actual), dtype=bool)
         if stride > 1:
             told = planned.reshape(len(planned), -1)
@@ -279,7 +279,7 @@ def _kept(
         )
 
 
-def _pass_slowly(planned: FloatArray, ahead_s: FloatArray, interval_s: float) -> None:
+def pass_slowly(planned: FloatArray, ahead_s: FloatArray, interval_s: float) -> None:
     """Give (n, 3, axes) planned velocity and acceleration the rate at which they were run.
 
     Where rows were held a motion x(p) of the plan's time p has the velocity x' p' and the
