@@ -99,8 +99,8 @@ def test_what_goes_one_by_one_is_not_asked_of_thousands(variants: int) -> None:
             asked.append(2 * count)
             return np.ones(2)
 
-    hangs = why.why_of(OneByOne(), variants, 1, lambda stage, share: None)
-    assert hangs.machines == variants
+    sensitivities = why.sensitivities_of(OneByOne(), variants, 1, lambda stage, share: None)
+    assert sensitivities.machines == variants
     assert sum(asked) == 3 * variants + 4 * 16
 
 

@@ -17,7 +17,7 @@ from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.proof.kinds import kind_of
-from threadline.proof.kinds.variants import retold
+from threadline.proof.kinds.variants import with_machine_hash
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, Trials, open_job, plan_job, simulate, try_plan
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
@@ -431,7 +431,7 @@ def _at_corners(
         off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
         machine = with_numbers(redesigned, off)
         kind_of(machine).check(machine)
-        recordings.append(simulate(retold(plan.commands, machine), machine))
+        recordings.append(simulate(with_machine_hash(plan.commands, machine), machine))
     return Judge(plan, spec).verdict(recordings[:1], recordings[1:])
 
 

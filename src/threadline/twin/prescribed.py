@@ -70,6 +70,9 @@ class Advance:
     averaged
         (s,) ticks over which a stepper's acceleration is averaged: half a period of its own
         resonance, in which its magnetic spring takes up a microstep more or less.
+    spread
+        (s,) ticks over which a stepper makes a step: a quarter of that period, which is what its
+        rotor takes to the next stand. 1 where a tick is longer.
     """
 
     piece: Prescribed
@@ -79,6 +82,7 @@ class Advance:
     by_speed: FloatArray
     servo: IntArray
     averaged: IntArray
+    spread: IntArray
     tick_s: float
 
 
@@ -150,6 +154,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
         by_speed=moved[:size, size + count :].copy(),
         servo=servo,
         averaged=averaged,
+        spread=np.maximum(averaged // 2, 1),
         tick_s=tick_s,
     )
 
@@ -180,6 +185,8 @@ class Moving:
             for drive in advance.piece.drives
         ]
         self.phases = phases[self.columns]
+        # Counts of the ticks before, the latest last: it starts where it stands.
+        self.counts = np.zeros((int(advance.spread.max()), len(advance.sources)), dtype=np.int64)
         # Speeds of the ticks before, the latest last.
         self.before = np.zeros((int(advance.averaged.max()), len(advance.sources)))
 
@@ -197,13 +204,16 @@ class Moving:
             (n + 1, axes) counts from the start at the ticks, and at the one behind the last.
         """
         a, count = self.advance, len(self.advance.sources)
+        stood = np.concatenate((self.counts, travelled[:, self.columns]))
         told = np.stack(
             [
-                _stands(source, travelled[:, column], phase)
-                for source, column, phase in zip(a.sources, self.columns, self.phases, strict=True)
+                _stands(source, stood[:, k], phase, len(travelled), int(a.spread[k]))
+                for k, (source, phase) in enumerate(zip(a.sources, self.phases, strict=True))
             ],
             axis=1,
         )
+        # The last row comes again as the first of the next part.
+        self.counts = stood[len(stood) - 1 - len(self.counts) : -1]
         speed = np.diff(told, axis=0) / a.tick_s
         pushed = in_order(told[:-1], a.by_position) + in_order(speed, a.by_speed)
         states = follow(a.step, pushed, self.state)
@@ -271,14 +281,32 @@ def _summed(rows: FloatArray, factors: FloatArray) -> FloatArray:
 summed = njit(nogil=True)(_summed)
 
 
-def _stands(source: Source, counts: IntArray, phase: float) -> FloatArray:
-    """Return where a drive is told to stand, rad or m from the start, its own error included."""
-    position = counts / source.counts
-    if isinstance(source, PulseServo) or source.microstep_error is None:
-        return position
-    turns = 2.0 * np.pi * (source.full_steps.si * position + phase)
-    error = np.sin(turns) - np.sin(2.0 * np.pi * phase)
-    return np.asarray(position + source.microstep_error.si * error)
+_FINEST = 2.0**40  # parts of a radian in which errors are summed up: whole numbers, exactly
+
+
+def _stands(source: Source, counts: IntArray, phase: float, rows: int, ticks: int) -> FloatArray:
+    """Return where a drive is told to stand at the last ``rows`` of ``counts``.
+
+    rad or m from the start, its own error included; the mean over the last ``ticks``.
+    """
+    kept = counts[len(counts) - rows - ticks + 1 :]
+    position = kept / source.counts
+    error: FloatArray | None = None
+    if not isinstance(source, PulseServo) and source.microstep_error is not None:
+        turns = 2.0 * np.pi * (source.full_steps.si * position + phase)
+        error = source.microstep_error.si * (np.sin(turns) - np.sin(2.0 * np.pi * phase))
+    if ticks == 1:
+        return np.asarray(position if error is None else position + error)
+    told = _means(kept, ticks) / source.counts
+    if error is not None:
+        told += _means(np.rint(_FINEST * error).astype(np.int64), ticks) / _FINEST
+    return np.asarray(told)
+
+
+def _means(numbers: IntArray, ticks: int) -> FloatArray:
+    """Return the means of each ``ticks`` numbers in a row; they do not depend on the first."""
+    total = np.concatenate(([0], np.cumsum(numbers)))
+    return np.asarray((total[ticks:] - total[:-ticks]) / ticks)
 
 
 def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:

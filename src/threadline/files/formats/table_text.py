@@ -203,7 +203,7 @@ def _cut_off(place: Place) -> RecordingError:
     )
 
 
-def told_end(path: Path) -> int:
+def end_words(path: Path) -> int:
     """Return the number of ticks that the last line of a table gives, without reading the others.
 
     Raises

@@ -24,8 +24,8 @@ from threadline.files.formats.recording_meta import events_cell, parse_events_ce
 from threadline.files.formats.table_text import (
     body_lines,
     check_end,
+    end_words,
     read_text_table,
-    told_end,
     whole_number,
 )
 from threadline.files.formats.tick_table import (
@@ -163,7 +163,7 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 def _check_within(end: int, path: Path, place: Place) -> None:
     """Refuse a long line beyond the end that the table tells, before its rows are made."""
-    told = told_end(path)
+    told = end_words(path)
     if end > told:
         raise RecordingError(
             f"the line goes on until tick {end}, and the table ends after {told}",
