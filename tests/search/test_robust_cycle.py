@@ -249,4 +249,7 @@ def test_the_line_of_a_band_says_that_each_machine_ran_once(
     )
     show(robust_lines(cast("RobustCycle", none_found)))
     said = " ".join(capsys.readouterr().out.split())
-    assert "residual vibration at most 0.0975 mm on 17 machines, one run each, with modes of X 2.33" in said
+    assert (
+        "residual vibration at most 0.0975 mm on 17 machines, one run each, with modes of X 2.33"
+        in said
+    )
