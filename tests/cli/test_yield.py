@@ -125,7 +125,7 @@ def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
         assert plain.count(line) == 2 and told.endswith(f"{line}\n")
         assert ended.value.code == 0
         assert "the same in every machine, excluded by the machine file: drives.x.torque" in plain
-        assert "the same in every machine, only plans go by it: axes.A.acceleration," in plain
+        assert "the same in every machine, it affects only plans: axes.A.acceleration," in plain
 
 
 CONTOUR = '[[criteria]]\nname = "contour_error"\nlimit = "0.6 mm"\n'

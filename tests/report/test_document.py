@@ -20,9 +20,9 @@ from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, prove_plan
-from threadline.report.analysis import _figures
+from threadline.report.analysis import axis_figures
 from threadline.report.document import Document, Table, changes, run_facts
-from threadline.report.figures import _bars, error_figure
+from threadline.report.figures import criteria_figure, error_figure
 from threadline.report.proof import write_comparison
 from threadline.report.publish import write_document
 from threadline.report.searches import draw_mismatch
@@ -257,8 +257,8 @@ def test_a_bar_that_passed_is_within_its_limit(tmp_path) -> None:
         replace(row, measured=1.0004 * row.limit, status=status)
         for status in (Status.PASSED, Status.FAILED)
     ]
-    panel = Figure().add_subplot()
-    _bars(replace(proof, verdict=replace(proof.verdict, results=tuple(over))), panel)
+    verdict = replace(proof.verdict, results=tuple(over))
+    (panel,) = criteria_figure(replace(proof, verdict=verdict)).axes
     assert [text.get_text() for text in panel.texts] == ["100 %", "101 %"]
 
 
@@ -302,7 +302,7 @@ def test_a_case_of_limits_alone_is_told_without_runs() -> None:
 def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:
     analysis = analyse_axis(load_machine("stitcher"), "X")
     with figure_style():
-        figures = {name: figure for name, (figure, _) in _figures(analysis, None).items()}
+        figures = {name: figure for name, (figure, _) in axis_figures(analysis, None).items()}
     size, turn = figures["bode"].axes
     named = [t.get_text() for panel in (size, turn) for t in panel.get_legend().get_texts()]
     assert "phase crossover: gain margin" in named

@@ -112,7 +112,7 @@ def panel(
             access_log=False,
         )
         logging.getLogger("uvicorn.error").addFilter(_of_the_panel)
-        logging.getLogger("asyncio").addHandler(_to_standard_error())
+        logging.getLogger("asyncio").addHandler(to_standard_error())
         try:
             uvicorn.Server(config).run(sockets=[listening])
         except TerminatedError:
@@ -123,7 +123,7 @@ def panel(
         say(f"The panel has ended: {served.ended.rstrip('.')}.")
 
 
-def _to_standard_error() -> logging.Handler:
+def to_standard_error() -> logging.Handler:
     """Return a log handler for errors of tasks and connections, which no caller catches."""
     handler = logging.StreamHandler()
     handler.setLevel(logging.ERROR)

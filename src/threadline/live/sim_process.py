@@ -107,7 +107,7 @@ def serve(
         if speed == REAL_TIME:
             _in_real_time(connection, simulated, group, period_s)
         else:
-            _in_step(connection, simulated, group, period_s / speed if speed else 0.0)
+            in_step(connection, simulated, group, period_s / speed if speed else 0.0)
         while (
             not simulated.standing and simulated.silenced != "power-loss"
         ):  # the executor is gone: play the braking tail
@@ -115,7 +115,7 @@ def serve(
     connection.close()
 
 
-def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s: float) -> None:
+def in_step(connection: Connection, simulated: SimMachine, group: int, period_s: float) -> None:
     """Play the ticks that each answer asks for, at least a group, at ``period_s`` for each."""
     due = time.monotonic()
     while not (connection.lost or simulated.left):

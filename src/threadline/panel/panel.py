@@ -112,7 +112,7 @@ class Panel:
         while not owner.gone and clock_s() < since_s + _STANDS_S:
             known = owner.heard_s > since_s + 2.0 * TELL_S  # reports on their way have come
             if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
-                return _end_words(owner.now)
+                return end_words(owner.now)
             owner.send("alive")
             await asyncio.sleep(BEAT_S)
         return owner.gone or "the machine was told to stop, and has not said that it stands"
@@ -377,7 +377,7 @@ class Panel:
             await asyncio.sleep(BEAT_S)
 
 
-def _end_words(now: Mapping[str, Any]) -> str:
+def end_words(now: Mapping[str, Any]) -> str:
     """Return the final state of a machine that was stopped, in words."""
     if State(now["state"]) is State.FAULT:
         return f"the machine stands, in a fault: {now['why'] or 'it tells of none'}"

@@ -245,7 +245,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="robust", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb != "design"),
+        verbs=PLANNERS,
         help="With --feed-forward: keep the loads from ringing for all masses and stiffnesses "
         'within this share of their tolerances: "100 %". --smoothing is then the time in which '
         "the speed may change, by default four turns of a seam's needle.",

@@ -103,7 +103,7 @@ def _bracketed(c, target, low, high, u):
 
 
 @njit()
-def _nearest_on_piece(c, target, limit, gaps):
+def nearest_on_piece(c, target, limit, gaps):
     """Return u and the squared distance of the point of a piece that is nearest to ``target``.
 
     If it is farther away than ``limit`` (a squared distance), only the nearest sample is returned.
@@ -207,7 +207,7 @@ def compare(c, vertex, vertices, window, best, offset):
         for v in range(max(vertex[i] - 2, 0), min(vertex[i] + 2, len(vertices))):
             if best[v] == 0.0:
                 continue
-            u, gap = _nearest_on_piece(c[i], vertices[v], best[v], gaps)
+            u, gap = nearest_on_piece(c[i], vertices[v], best[v], gaps)
             if gap < best[v]:
                 best[v] = gap
                 _at(c[i], u, point)

@@ -92,10 +92,10 @@ def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-un
     if _all_away(places, before, begins, radius_m, near_m):
         return True, rests > 0, np.zeros(0, dtype=np.bool_)
     away = np.zeros(len(places), dtype=np.bool_)
-    last = -1
+    kept, last = 0, -1
     if begins:
         away[0] = True
-        last = 0
+        kept, last = 1, 0
     for k in range(last + 1, len(places)):
         least_m = COINCIDENT_M if rest[k] > 0 else near_m
         for axis in range(places.shape[1]):  # a difference of rows would allocate an array
@@ -103,9 +103,10 @@ def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-un
             there_m = (places[last, axis] if last >= 0 else before[axis]) * radius_m[axis]
             if abs(here_m - there_m) > max(least_m, ROUNDING * abs(here_m)):
                 away[k] = True
+                kept += 1
                 last = k
                 break
-    return away.all(), rests > 0, away
+    return kept == len(away), rests > 0, away
 
 
 @njit()

@@ -283,7 +283,11 @@ def _note(zones, reach):  # type: ignore[no-untyped-def]
         if reach <= zones[k] <= reach * _ALIKE or zones[k] <= reach <= zones[k] * _ALIKE:
             zones[k] = max(zones[k], reach)
             return
-    zones[np.argmax(zones)] = max(reach, zones.max())
+    longest = 0
+    for k in range(1, len(zones)):  # argmax() and max() take longer to compile than all of this
+        if zones[k] > zones[longest]:
+            longest = k
+    zones[longest] = max(reach, zones[longest])
 
 
 @njit()
@@ -325,7 +329,13 @@ def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  
                 if end[i, k] > 0.0:
                     places[used] = 1.0 - end[i, k] / length[i]
                     used += 1
-            for place in np.sort(places[:used]):
+            for k in range(1, used):  # np.sort() takes as long to compile as all of this
+                place, m = places[k], k
+                while m > 0 and places[m - 1] > place:
+                    places[m] = places[m - 1]
+                    m -= 1
+                places[m] = place
+            for place in places[:used]:
                 if place > at + _NEAR and place < 1.0 - _NEAR:
                     rows[n], start[n], stop[n] = i, at, place
                     n += 1

@@ -62,7 +62,10 @@ def _fastest(c, j, degree):
     for k in range(degree):
         slope[k] = (k + 1) * c[k + 1, j]
     bernstein_of(slope, degree - 1, one)
-    return np.abs(one).max()
+    most = 0.0
+    for k in range(ORDER):  # of an array, max() and min() take as long to compile as this function
+        most = max(most, abs(one[k]))
+    return most
 
 
 @njit()
@@ -164,8 +167,9 @@ def _demand_rows(c, j, degree, share_v, share_a, out):
     for k in range(1, degree + 1):
         power[k - 1] = share_v * k * c[k, j]
     bernstein_of(power, top, one)
-    low, high = one[: top + 1].min(), one[: top + 1].max()
+    low, high = one[0], one[0]
     for i in range(top + 1):
+        low, high = min(low, one[i]), max(high, one[i])
         out[i, 6] = one[i]
     for m in range(3):
         power[:] = 0.0
@@ -276,9 +280,12 @@ def direction_of(c, j):
     for k in range(degree):
         slope[k] = (k + 1) * c[k + 1, j]
     bernstein_of(slope, degree - 1, one)
-    if one.min() >= 0.0:
+    low, high = one[0], one[0]
+    for k in range(1, ORDER):
+        low, high = min(low, one[k]), max(high, one[k])
+    if low >= 0.0:
         return 1.0
-    return -1.0 if one.max() <= 0.0 else 0.0
+    return -1.0 if high <= 0.0 else 0.0
 
 
 @njit()
