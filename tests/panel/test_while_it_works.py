@@ -27,7 +27,7 @@ from threadline.panel.owner_process import OwnerLink
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate, Figures
 
-ASKED = Calculate(what="calculate", program="there.prg")
+QUESTIONS = Calculate(what="calculate", program="there.prg")
 
 
 @pytest.fixture(scope="module")
@@ -154,9 +154,9 @@ def test_a_calculation_that_is_cancelled_at_once_is_over(tmp_path: Path, turns: 
 
     async def cancelled(calculation: Calculation, tell: Any) -> None:
         for _ in range(2):
-            calculation.begin(ASKED, tell)
+            calculation.begin(QUESTIONS, tell)
             with pytest.raises(CommandError, match="a calculation is under way"):
-                calculation.begin(ASKED, tell)
+                calculation.begin(QUESTIONS, tell)
             for _ in range(turns):
                 await asyncio.sleep(0)
             calculation.cancel()
@@ -183,7 +183,7 @@ def test_a_calculation_that_cannot_be_started_is_told_and_over(
     monkeypatch.setattr(asyncio, "create_subprocess_exec", no_process)
 
     async def refused(calculation: Calculation, tell: Any) -> None:
-        calculation.begin(ASKED, tell)
+        calculation.begin(QUESTIONS, tell)
         async with asyncio.timeout(60.0):
             while calculation.share is not None:
                 await asyncio.sleep(0.01)

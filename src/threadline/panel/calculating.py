@@ -22,7 +22,13 @@ from threadline.files import ChannelKind
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source, begins_circuit
 from threadline.live.kinds_run import way_of
 from threadline.machine import Machine
-from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
+from threadline.panel.programs import (
+    PROGRAMMED,
+    by_priority,
+    import_and_call,
+    planned,
+    program_path,
+)
 from threadline.panel.welcoming import mandrel_of
 from threadline.proof.asked import chosen_machine, trials_of
 from threadline.proof.pipeline import (
@@ -82,7 +88,7 @@ def _by_priority(
 ) -> Mapping[str, Any]:
     if told["priority"] == PROGRAMMED:
         return {}
-    options = words_of(told)
+    options = import_and_call(told)
     job = open_job(program_path(folder, str(told["program"])), machine, options)
     spec = with_shaping(asked, machine, options)
     return by_priority(str(told["priority"]), job, machine, spec, options, trials, _share)

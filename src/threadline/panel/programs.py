@@ -221,7 +221,7 @@ def _refuse_realtime(name: str, content: bytes) -> None:
             )
 
 
-def words_of(told: Mapping[str, Any]) -> Options:
+def import_and_call(told: Mapping[str, Any]) -> Options:
     """Return the options of a calculation, as a client has asked for them.
 
     Raises
@@ -244,6 +244,6 @@ def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Pl
         If the program cannot be read or planned.
     """
     with reading_within(folder):
-        options = words_of(told)
+        options = import_and_call(told)
         job = open_job(program_path(folder, str(told["program"])), machine, options)
         return plan_job(job, machine, options), options

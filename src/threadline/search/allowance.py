@@ -162,7 +162,7 @@ def fastest_allowed(
     """
     top = feed_range_m_s(machine)[1] if high is None else high
     options = replace(options, feed=Feed(FeedMode.FASTEST_AXIS, top))
-    by_contour = options.follows_contour and not machine.told_positions  # no loop, no lag
+    by_contour = options.follows_contour and not machine.takes_positions  # no loop, no lag
 
     def proved(amount: float) -> Rung:
         if until is not None:

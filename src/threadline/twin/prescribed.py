@@ -169,7 +169,7 @@ def _half_period(machine: Machine, drive: str, swing_hz: float, tick_s: float) -
     return max(1, round(ticks))
 
 
-class Moving:
+class PieceRun:
     """One connected piece during a simulation: its state between blocks."""
 
     def __init__(self, machine: Machine, advance: Advance, phases: FloatArray) -> None:
@@ -200,7 +200,7 @@ class Moving:
         a, count = self.advance, len(self.advance.sources)
         told = np.stack(
             [
-                _stands(source, travelled[:, column], phase)
+                _commanded_position(source, travelled[:, column], phase)
                 for source, column, phase in zip(a.sources, self.columns, self.phases, strict=True)
             ],
             axis=1,
@@ -231,9 +231,9 @@ class Moving:
         most = np.stack([s.most_torque(rate[:, k]) for k, s in enumerate(a.sources)], axis=1)
         # If the drive has no torque left, the share becomes a very large number.
         share = np.abs(demand) / np.maximum(most, 1e-9 * np.abs(demand) + 1e-300)
-        return whole, share.reshape(-1, count), self._tight(whole)
+        return whole, share.reshape(-1, count), self._check_belts(whole)
 
-    def _tight(self, whole: FloatArray) -> tuple[int, str]:
+    def _check_belts(self, whole: FloatArray) -> tuple[int, str]:
         known, why = len(whole), ""
         for belt in self.advance.piece.belts:
             force = in_order(whole, belt.row[None])[:, 0]
@@ -272,7 +272,7 @@ def _summed(rows: FloatArray, factors: FloatArray) -> FloatArray:
 summed = njit(nogil=True)(_summed)
 
 
-def _stands(source: Source, counts: IntArray, phase: float) -> FloatArray:
+def _commanded_position(source: Source, counts: IntArray, phase: float) -> FloatArray:
     """Return the commanded position of a drive with its microstep error, rad or m."""
     position = counts / source.counts
     if isinstance(source, PulseServo) or source.microstep_error is None:
@@ -300,7 +300,7 @@ def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArr
 follow = njit(nogil=True)(_follow)
 
 
-class ToldSession(RowSession):
+class PositionSession(RowSession):
     """One simulated machine whose drives take positions, which receives its rows in pieces.
 
     Channels, per axis: ``X.commanded``, ``X.load`` and, if the axis has a frame, ``X.frame`` in m
@@ -346,8 +346,8 @@ class ToldSession(RowSession):
         at = encoder_phases(machine, phases)
         self._every = record_every
         found = advances_of(machine) if advances is None else advances
-        self._pieces = [Moving(machine, advance, at) for advance in found]
-        self.channels = told_channels(machine, record_every)
+        self._pieces = [PieceRun(machine, advance, at) for advance in found]
+        self.channels = position_channels(machine, record_every)
         self._tick = 0
         self._carried: FloatArray = np.zeros(len(machine.axes))
 
@@ -384,13 +384,13 @@ class ToldSession(RowSession):
 
     def _fail(self, tick: int, operation: int, why: str) -> None:
         """End the run with a fault at ``tick``, and drop all later events."""
-        self._told = [event for event in self._told if event.tick < tick]
+        self._pending_events = [event for event in self._pending_events if event.tick < tick]
         self._rows.clear()
         self._events.clear()
         self.failed, self._operation = True, operation
         self._halted, self._held = None, False
         self._ended, self._final = (Ended.FAULT, why), True
-        self._tell("fault", tick=tick, name=why)
+        self._record_event("fault", tick=tick, name=why)
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
         begin = -(-first // self._every)
@@ -411,14 +411,14 @@ class ToldSession(RowSession):
                 samples[name] = values[kept]
         operation = np.concatenate([nothing[:, 0], *(part.operation for part in parts)])
         samples["operation"] = operation[kept].astype(np.float64)
-        events, self._told = tuple(self._told), []
+        events, self._pending_events = tuple(self._pending_events), []
         clock = self._machine.tick_clock.name
         return RecordingBlock(
             first_tick={clock: begin * self._every}, samples=samples, events=events
         )
 
 
-def told_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
+def position_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
     """Return the channels of a machine whose drives take positions."""
     return tuple(_channels(machine, every))
 

@@ -202,7 +202,7 @@ def _cut_off(place: Place) -> RecordingError:
     )
 
 
-def told_end(path: Path) -> int:
+def stated_tick_count(path: Path) -> int:
     """Return the number of ticks that the end line of a table states; reads only that line.
 
     Raises
