@@ -137,17 +137,21 @@ def _report(
     tables: Sequence[Table], warnings: Sequence[str],
 ) -> Path:  # fmt: skip
     """Write the report on the best laws, ``COPIED`` and the made one; return its page."""
-    from threadline.report.laws import Curve, write_laws
+    from threadline.report.laws import Curve, ResidualPlot, write_laws
 
     drawn = [Curve(one.law, window_s) for one in found[:_DRAWN]]
     if all(one.law.name != COPIED for one in drawn) and len(laws) > 1:
         drawn[-1] = Curve(LAWS[COPIED], window_s)
     if made is not None:
         drawn.insert(0, Curve(made.law, made.window_s))
-    return write_laws(
-        [curve.law for curve in drawn], tables, warnings, folder, curves=drawn, mode=mode,
-        move_m=move_m, residual_m=still, band=None if made is None else made.demand.band,
-    )  # fmt: skip
+    residual = ResidualPlot(
+        curves=drawn,
+        mode=mode,
+        move_m=move_m,
+        limit_m=still,
+        band=None if made is None else made.demand.band,
+    )
+    return write_laws([curve.law for curve in drawn], tables, warnings, folder, residual=residual)
 
 
 def _demand(
