@@ -11,7 +11,7 @@ from tests.live.bench import winder
 from tests.panel.bench import CASES, PROGRAM
 from threadline.errors import OptionError
 from threadline.machine import load_machine
-from threadline.panel.programs import by_priority, import_and_call, planned, program_path
+from threadline.panel.programs import by_priority, planned, program_path, words_of
 from threadline.proof.pipeline import NOMINAL, open_job, prove_plan
 from threadline.verdict import load_spec
 
@@ -25,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def told(folder: Path, priority: str) -> dict[str, Any]:
     asked = CASES["lathe-winder"].model_dump(exclude={"what"})
-    options = import_and_call(asked)
+    options = words_of(asked)
     job = open_job(program_path(folder, "there.prg"), winder(), options)
     spec = load_spec(None, winder())
     words = by_priority(priority, job, winder(), spec, options, NOMINAL, lambda *_: None)
@@ -50,7 +50,7 @@ def test_speed_is_in_spec_and_optimum_keeps_a_fifth_of_every_limit(folder: Path)
 
 def test_what_is_not_paced_by_a_feed_has_no_priority() -> None:
     machine = load_machine("letter-placer")
-    options = import_and_call(CASES["letter-placer"].model_dump(exclude={"what"}))
+    options = words_of(CASES["letter-placer"].model_dump(exclude={"what"}))
     job = open_job(Path(__file__).parents[2] / "examples" / "letter-cycle.toml", machine, options)
     with pytest.raises(OptionError, match="is not paced by a feed, but by: switchings"):
         by_priority(

@@ -16,7 +16,7 @@ import pytest
 from tests.live.bench import winder
 from tests.panel import bench
 from tests.panel.bench import Known, Operator, operator, proven, served
-from threadline.cli.panel_ import _to_standard_error
+from threadline.cli.panel_ import to_standard_error
 from threadline.errors import CommandError
 from threadline.live.guards import clock_s
 from threadline.panel import kept_runs
@@ -27,7 +27,7 @@ from threadline.panel.owner_process import OwnerLink
 from threadline.panel.panel import Panel
 from threadline.panel.protocol import Calculate, Figures
 
-QUESTIONS = Calculate(what="calculate", program="there.prg")
+ASKED = Calculate(what="calculate", program="there.prg")
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def test_a_start_that_is_being_checked_is_given_up(
         check.set()
         while (answer := anna.until("answer"))["number"] != number:
             pass
-        assert answer["text"] == f"it was not begun: {what!r} was asked for meanwhile"
+        assert answer["text"] == f"it was not begun: the command {what!r} came meanwhile"
         anna.allows("calculate")
         assert anna.state["progress"] is None  # no run was opened
 
@@ -154,9 +154,9 @@ def test_a_calculation_that_is_cancelled_at_once_is_over(tmp_path: Path, turns: 
 
     async def cancelled(calculation: Calculation, tell: Any) -> None:
         for _ in range(2):
-            calculation.begin(QUESTIONS, tell)
+            calculation.begin(ASKED, tell)
             with pytest.raises(CommandError, match="a calculation is under way"):
-                calculation.begin(QUESTIONS, tell)
+                calculation.begin(ASKED, tell)
             for _ in range(turns):
                 await asyncio.sleep(0)
             calculation.cancel()
@@ -183,7 +183,7 @@ def test_a_calculation_that_cannot_be_started_is_told_and_over(
     monkeypatch.setattr(asyncio, "create_subprocess_exec", no_process)
 
     async def refused(calculation: Calculation, tell: Any) -> None:
-        calculation.begin(QUESTIONS, tell)
+        calculation.begin(ASKED, tell)
         async with asyncio.timeout(60.0):
             while calculation.share is not None:
                 await asyncio.sleep(0.01)
@@ -295,7 +295,7 @@ def test_errors_of_asyncio_are_written(
     """Nothing else writes them: libraries are silenced."""
     monkeypatch.setattr(logging, "lastResort", None)
     log = logging.getLogger("asyncio")
-    monkeypatch.setattr(log, "handlers", [_to_standard_error()])
+    monkeypatch.setattr(log, "handlers", [to_standard_error()])
 
     async def work() -> None:
         asyncio.get_running_loop().call_exception_handler({"message": "no files left"})

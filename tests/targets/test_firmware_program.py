@@ -246,7 +246,7 @@ def head_of(folder: Path, machine: Machine, target: str) -> list[str]:
     return [line[2:] for line in out.read_text().splitlines() if line.startswith("; ")]
 
 
-def import_and_call(line: str) -> dict[str, float]:
+def words_of(line: str) -> dict[str, float]:
     return {word[0]: float(word[1:]) for word in line.split() if word[0] in "FDS"}
 
 
@@ -258,7 +258,7 @@ def test_marlin_gets_the_damped_frequency(tmp_path: Path) -> None:
     machine = load_machine("stepper-winder")
     head = head_of(tmp_path, machine, "marlin")
     (command,) = (line for line in head if line.startswith("M593"))
-    said = import_and_call(command)
+    said = words_of(command)
     zeta = 33.0 / (2.0 * math.sqrt(60e3 * 1.2))
     hz = math.sqrt(60e3 / 1.2) / (2.0 * math.pi)
     assert command.startswith("M593 X F")
@@ -285,7 +285,7 @@ def test_reprapfirmware_gets_one_shaper_for_all(tmp_path: Path) -> None:
     machine = load_machine("stepper-winder")
     head = head_of(tmp_path, machine, "reprapfirmware")
     (command,) = (line for line in head if line.startswith("M593"))
-    name, said = command.split('"')[1], import_and_call(command.split('"')[2])
+    name, said = command.split('"')[1], words_of(command.split('"')[2])
     modes = [
         [float(number) for number in re.findall(r"[\d.]+(?= Hz)|(?<=ratio )[\d.]+", line)]
         for line in head

@@ -194,11 +194,11 @@ class _Clock(Listener):
     """Reports to ``COMPILING`` the start and end of every compilation."""
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002
-        """Note the start."""
+        """Report the start of a compilation."""
         COMPILING.begin()
 
     def on_end(self, event: Event) -> None:  # noqa: ARG002
-        """Note the end, with or without success."""
+        """Report the end of a compilation, with or without success."""
         COMPILING.end()
 
 

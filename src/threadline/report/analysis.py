@@ -55,7 +55,7 @@ def write_analysis(
         for axis, analysis in analyses.items():
             if not isinstance(analysis, AxisAnalysis):
                 continue  # an axis without a control loop has no figures
-            for name, (figure, caption) in _figures(analysis, measured).items():
+            for name, (figure, caption) in axis_figures(analysis, measured).items():
                 figures[f"{name}-{axis}"] = figure
                 captions[f"{name}-{axis}"] = f"Axis {axis}. {caption}"
             if axis in tried:
@@ -203,7 +203,10 @@ def _text(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _figures(a: AxisAnalysis, measured: MeasuredResponse | None) -> dict[str, tuple[Figure, str]]:
+def axis_figures(
+    a: AxisAnalysis, measured: MeasuredResponse | None
+) -> dict[str, tuple[Figure, str]]:
+    """Return the figures of an axis with a loop, each with its caption, by its name."""
     found = {
         "bode": (_bode(a), "Open loop, sampled and continuous; crossovers marked."),
         "plant": (

@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.base.wording import grouped
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts_of_all
+from threadline.proof.recorded import warnings_of_all
 from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
 from threadline.report.motion import shared_facts, summary_facts
@@ -197,7 +197,7 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
             title=f"{first.plan.job.name} on {first.plan.machine.name}: comparison",
             subtitle=first.plan.machine.title,
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
-            warnings=grouped(doubts_of_all(found.proofs)),
+            warnings=grouped(warnings_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,

@@ -19,7 +19,7 @@ from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.motion.timing.optimal.binding import BINDS
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.report.document import (
     Document,
     Table,
@@ -195,7 +195,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
             subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
             f"feed {plan.options.get('feed', 'programmed')}",
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=grouped(doubts(proof)),
+            warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 *changes(proof.verdict),

@@ -15,7 +15,7 @@ from threadline.base.writing import staged_file, together
 from threadline.commands.plan import Plan
 from threadline.files import Recording
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts, doubts_of_all
+from threadline.proof.recorded import warnings_of, warnings_of_all
 from threadline.report.document import (
     Document,
     Printed,
@@ -216,7 +216,7 @@ def write_stitched(studied: Studied, folder: Path) -> Path:
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; {plan.planned_with}",
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=grouped(doubts(proof)),
+            warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 *changes(proof.verdict),
@@ -251,7 +251,7 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
-            warnings=grouped(doubts_of_all(found.proofs)),
+            warnings=grouped(warnings_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,

@@ -17,7 +17,7 @@ from threadline.commands.schedule_moves import shaping_words
 from threadline.errors import PlanError
 from threadline.proof.options import OF_AXES
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts, doubts_of_all
+from threadline.proof.recorded import warnings_of, warnings_of_all
 from threadline.report.document import (
     Document,
     Printed,
@@ -290,7 +290,7 @@ def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = 
                 ]
             ),
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=grouped(doubts(proof)),
+            warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 *changes(proof.verdict),
@@ -325,7 +325,7 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
             warnings=[
                 *(f"{name} is refused: {why}" for name, why in found.refused),
-                *grouped(doubts_of_all(found.proofs)),
+                *grouped(warnings_of_all(found.proofs)),
             ],
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,

@@ -70,6 +70,9 @@ class Advance:
     averaged
         (s,) number of ticks over which a stepper's acceleration is averaged: half a period of its
         resonance, because its magnetic spring absorbs single microsteps.
+    spread
+        (s,) number of ticks over which a stepper makes a step: a quarter of that period, the time
+        of its rotor to the next position; 1 if a tick is longer.
     """
 
     piece: Prescribed
@@ -79,6 +82,7 @@ class Advance:
     by_speed: FloatArray
     servo: IntArray
     averaged: IntArray
+    spread: IntArray
     tick_s: float
 
 
@@ -151,6 +155,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
         by_speed=moved[:size, size + count :].copy(),
         servo=servo,
         averaged=averaged,
+        spread=np.maximum(averaged // 2, 1),
         tick_s=tick_s,
     )
 
@@ -181,6 +186,8 @@ class PieceRun:
             for drive in advance.piece.drives
         ]
         self.phases = phases[self.columns]
+        # Counts at the previous ticks, the latest last; 0 at the start.
+        self.counts = np.zeros((int(advance.spread.max()), len(advance.sources)), dtype=np.int64)
         # Speeds in the previous ticks, the latest last.
         self.before = np.zeros((int(advance.averaged.max()), len(advance.sources)))
 
@@ -198,13 +205,16 @@ class PieceRun:
             (n + 1, axes) counts since the start, at the ticks and at the tick after the last one.
         """
         a, count = self.advance, len(self.advance.sources)
+        stood = np.concatenate((self.counts, travelled[:, self.columns]))
         told = np.stack(
             [
-                _commanded_position(source, travelled[:, column], phase)
-                for source, column, phase in zip(a.sources, self.columns, self.phases, strict=True)
+                _commanded_position(source, stood[:, k], phase, len(travelled), int(a.spread[k]))
+                for k, (source, phase) in enumerate(zip(a.sources, self.phases, strict=True))
             ],
             axis=1,
         )
+        # The last row comes again as the first of the next part.
+        self.counts = stood[len(stood) - 1 - len(self.counts) : -1]
         speed = np.diff(told, axis=0) / a.tick_s
         pushed = in_order(told[:-1], a.by_position) + in_order(speed, a.by_speed)
         states = follow(a.step, pushed, self.state)
@@ -272,14 +282,34 @@ def _summed(rows: FloatArray, factors: FloatArray) -> FloatArray:
 summed = njit(nogil=True)(_summed)
 
 
-def _commanded_position(source: Source, counts: IntArray, phase: float) -> FloatArray:
-    """Return the commanded position of a drive with its microstep error, rad or m."""
-    position = counts / source.counts
-    if isinstance(source, PulseServo) or source.microstep_error is None:
-        return position
-    turns = 2.0 * np.pi * (source.full_steps.si * position + phase)
-    error = np.sin(turns) - np.sin(2.0 * np.pi * phase)
-    return np.asarray(position + source.microstep_error.si * error)
+_FINEST = 2.0**40  # parts of a radian: errors are summed exactly, as whole numbers of them
+
+
+def _commanded_position(
+    source: Source, counts: IntArray, phase: float, rows: int, ticks: int
+) -> FloatArray:
+    """Return the commanded position of a drive at the last ``rows`` of ``counts``, rad or m.
+
+    The position includes the microstep error, and is the mean over the last ``ticks``.
+    """
+    kept = counts[len(counts) - rows - ticks + 1 :]
+    position = kept / source.counts
+    error: FloatArray | None = None
+    if not isinstance(source, PulseServo) and source.microstep_error is not None:
+        turns = 2.0 * np.pi * (source.full_steps.si * position + phase)
+        error = source.microstep_error.si * (np.sin(turns) - np.sin(2.0 * np.pi * phase))
+    if ticks == 1:
+        return np.asarray(position if error is None else position + error)
+    told = _means(kept, ticks) / source.counts
+    if error is not None:
+        told += _means(np.rint(_FINEST * error).astype(np.int64), ticks) / _FINEST
+    return np.asarray(told)
+
+
+def _means(numbers: IntArray, ticks: int) -> FloatArray:
+    """Return the means of every ``ticks`` consecutive numbers, without rounding of sums."""
+    total = np.concatenate(([0], np.cumsum(numbers)))
+    return np.asarray((total[ticks:] - total[:-ticks]) / ticks)
 
 
 def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:

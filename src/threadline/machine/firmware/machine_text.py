@@ -249,13 +249,19 @@ def check_answers(settings: Settings, answers: Answers) -> None:
         if base == "rotary":
             continue
         turns = bool(axis) and axis in turning  # without an axis letter: linear axes
+        if turns and base == "travel":
+            raise OptionError(
+                f"--set {key}={text[:40]!r}: axis {axis} turns without end, it has no travel",
+                remedy="Leave it out, or name the letters that do turn with rotary.",
+            )
         unit = _UNITS[base] if base in _UNITS else (_TURNING if turns else _STRAIGHT)[base]
         try:
             positive = parse_quantity(text, unit) > 0
         except UnitError as error:
+            asked = {**QUESTIONS, **OPTIONAL, **(_TURNS if turns else {})}
             raise OptionError(
                 f"--set {key}={text!r}: {error.message}",
-                remedy=f'Write it like "{key}={ {**QUESTIONS, **OPTIONAL}[base][1] }".',
+                remedy=f'Write it like "{key}={asked[base][1]}".',
             ) from error
         if not positive:
             raise OptionError(f"--set {key}={text!r} must be greater than 0")
