@@ -9,7 +9,7 @@ import numpy as np
 
 from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Event, Outcome, Recording, RecordingBlock, Stream
-from threadline.files.recording import said_once
+from threadline.files.recording import end_with_reason
 from threadline.machine import Machine
 from threadline.verdict.types import Change, Disturbance, Result, Status
 
@@ -254,7 +254,7 @@ class _Events:
             last = self._found[-1] if self._found else None
             if self._brakes[1] >= event.tick and last and last.change is Change.HOLD:
                 self._found.pop()  # braking went on to the end of the run
-            why = said_once(event.kind, event.name)
+            why = end_with_reason(event.kind, event.name)
             self._add(_ENDS[event.kind], f"the run ended early, {why},", event)
 
     def found(self) -> list[Disturbance]:
@@ -362,7 +362,7 @@ def end_words(outcome: Outcome) -> str:
     # A controller that reports no operation leaves -1.
     told = outcome.operation is not None and outcome.operation >= 0
     where = f" in operation {outcome.operation}" if told else ""
-    return f"the run ended{where}, {said_once(outcome.ended.value, outcome.text)}"
+    return f"the run ended{where}, {end_with_reason(outcome.ended.value, outcome.text)}"
 
 
 def not_beyond(
