@@ -103,8 +103,9 @@ def test_the_progress_is_that_of_every_place_of_every_run(runs, spread, at_once)
     found = []
     for known in (True, False):
         part = ProgressPart(
-            command=command, way=way, inverse=1.0 / length, heading=way, first=0,
-            number=0, lag=LAG, places=np.array([0, -1]), value=np.full((LAG + 2, runs), np.inf),
+            command=command, way=way, inverse=1.0 / length,
+            length=np.sqrt((way**2).sum(axis=1)), heading=way, first=0, number=0, lag=LAG,
+            places=np.array([0, -1]), value=np.full((LAG + 2, runs), np.inf),
             worst=np.full(runs, -np.inf), at=np.zeros(runs, dtype=np.int64), side=np.zeros(runs),
             ceiling=np.full(1, (way**2).sum(axis=1).max() if known else np.inf),
             dropped=np.full(runs, np.inf),

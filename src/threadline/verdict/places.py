@@ -13,15 +13,22 @@ from threadline.verdict.boxes import MORE, Boxes
 _CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up
 
 
-def _given_up(value: FloatArray, row: int, ceiling: float, dropped: FloatArray) -> bool:
-    """Say whether all values of a row are above the ceiling; if so lower ``dropped`` to them."""
-    near = 0
+def _given_up(
+    value: FloatArray, row: int, long: float, ceiling: float, dropped: FloatArray
+) -> bool:
+    """Say whether all values of a row are above the ceiling; if so lower ``dropped`` to them.
+
+    What counts is the least of the place behind it, ``long`` m long, that could be reached from
+    there: it falls with its length.
+    """
+    least, near = np.sqrt(ceiling) + long, 0
     for r in range(len(dropped)):
-        near += value[row, r] <= ceiling
+        near += value[row, r] <= least * least
     if near:
         return False
     for r in range(len(dropped)):
-        dropped[r] = value[row, r] if value[row, r] < dropped[r] else dropped[r]
+        left = (np.sqrt(value[row, r]) - long) ** 2
+        dropped[r] = left if left < dropped[r] else dropped[r]
     return True
 
 
@@ -81,42 +88,53 @@ def _stay_at(
     way: FloatArray,
     k: int,
     per_length: float,
+    long: float,
     axes: tuple[int, ...] | FloatArray,
     value: FloatArray,
     row: int,
     carry: FloatArray,
     least: FloatArray,
     worst: FloatArray,
-    ceiling: float,
-) -> tuple[int, int, int]:
+    limit: float,
+) -> tuple[int, int]:
     """Advance ``row`` of ``value``, that of place k, by sample i; with it ``carry`` and ``least``.
 
-    Return in how many runs it is more than ``worst``, in how many no more than ``ceiling``, and in
-    how many the least of all places so far is more than ``worst``. ``axes`` has one entry for each
-    axis: of a tuple the length is known when this is compiled, and the loops over axes are gone.
+    Return in how many runs the least of all places so far is no more than ``limit``, and in how
+    many it is more than ``worst``. ``axes`` has one entry for each axis: of a tuple the length is
+    known when this is compiled, and the loops over axes are gone.
+
+    The values at the place's begin and end were ``carry`` and that of ``row``. From its begin on
+    the root of the value falls with the way, down to that at its end. So the least is where the
+    tool is nearest, or farther on, where its distance has grown to what the root has fallen to.
     """
-    more, near, farther = 0, 0, 0
+    near, farther = 0, 0
     for r in range(len(carry)):
-        carried = value[row, r] if value[row, r] < carry[r] else carry[r]
+        left, held = carry[r], value[row, r]
         along = 0.0
         for a in range(len(axes)):
             along += (points[i, a, r] - command[start, a]) * way[k, a]
-        where = along * per_length
-        where = where if where > 0.0 else 0.0
+        place = along * per_length
+        where = place if place > 0.0 else 0.0
         where = where if where < 1.0 else 1.0
         away = 0.0
         for a in range(len(axes)):
             gap = points[i, a, r] - command[start, a] - where * way[k, a]
             away += gap * gap
         error = away - off[i, r]
-        error = error if error > carried else carried
-        carry[r] = carried
-        value[row, r] = error
+        behind = np.sqrt(left) - where * long
+        beside, room = (where - place) * long, (1.0 - where) * long
+        on = (behind * behind - error) / (2.0 * (behind + beside))
+        on = on if on < room else room  # room too where it is no number
+        on = on if on > 0.0 else 0.0
+        on = on if behind > 0.0 and behind * behind > error else 0.0
+        error += on * (2.0 * beside + on)
+        error = error if error > held else held
+        carry[r] = held
         least[r] = error if error < least[r] else least[r]
-        more += error > worst[r]
-        near += error <= ceiling
+        value[row, r] = least[r]
+        near += least[r] <= limit
         farther += least[r] > worst[r]
-    return more, near, farther
+    return near, farther
 
 
 _stay_at_fast = njit(nogil=True)(_stay_at)
@@ -126,12 +144,14 @@ class ProgressPart(NamedTuple):
     """What a sweep over a block takes from the measure and brings back: see ``_advance``.
 
     Place ``first`` is that of the first sample of the block, which is the ``number``-th of all.
-    ``places`` are the first and the last that have a value; ``ceiling`` has one entry.
+    ``inverse`` is 1 over the squared ``length`` of each place. ``places`` are the first and the
+    last that have a value; ``ceiling`` has one entry.
     """
 
     command: FloatArray
     way: FloatArray
     inverse: FloatArray
+    length: FloatArray
     heading: FloatArray
     first: int
     number: int
@@ -151,21 +171,23 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     """Advance the places of the command by the samples ``points``, the first of them ``beginning``.
 
     Place k is the way of the command from its sample k - 1 to k. Its value, of each run, is the
-    least of the largest squared errors with which the tool can have come to place k by now without
-    going back. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
+    least of the largest squared errors with which the tool can have come to the end of place k, or
+    to one before it, by now without going back; within a place too it does not go back: see
+    ``_stay_at``. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
     its squared distance from the path, which is no error of progress. The least of all values only
     grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
     the tool was then, along the way of the command from the place that is nearest to being right.
 
-    Places before the first and after the last of ``places`` have no value. A place that is the
-    first to have one, and has more than ``ceiling`` in every run, is given up: ``dropped`` is the
+    Places before the first of ``places`` have no value; those after the last have its value. A
+    place that is the first to have one, and has more than ``ceiling`` in every run, is given up,
+    and so is the way from its end to where that may have fallen to the ceiling: ``dropped`` is the
     least that was given up, of each run, or less where the box of all runs told it. As long as it
     is more than ``worst``, nothing was lost: the ceiling stays at four times the largest ``worst``
     or more.
 
-    A value that is no more than ``worst`` is as good as 0, for nothing is found below that. A place
-    where this is so of every run is quiet; where the box of all runs tells that it stays so, it is
-    not looked at, and its value is 0 from then on.
+    A value that is no more than ``worst`` is as good as 0, for nothing is found below that. Only
+    the last place can have it in every run: it is settled. Where the box of all runs tells that a
+    place behind it stays so, that is not looked at, and its value is 0 from then on.
 
     What goes over the axes of a place is compiled for two and for three of them, and for any
     number; the rest is compiled once.
@@ -173,7 +195,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     # Each look into a tuple would count references.
     known, lower, upper, _, _ = boxes
     (
-        command, way, inverse, heading, first, number, lag, places, value, worst, at, side,
+        command, way, inverse, length, heading, first, number, lag, places, value, worst, at, side,
         ceilings, dropped,
     ) = part  # fmt: skip
     samples, axes, runs = points.shape
@@ -181,87 +203,74 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
     carry, least = np.empty(runs), np.empty(runs)
-    # Of each place, whether it is quiet, whether its value was left out, and where it is near.
-    quiet, blank = np.zeros(rows, dtype=np.bool_), np.zeros(rows, dtype=np.bool_)
-    near = np.zeros(rows, dtype=np.int64)
-    raised, floor, lost = known, 0.0, np.inf
+    near = np.zeros(rows, dtype=np.int64)  # of each place, in how many runs it is worth keeping
+    settled, raised, floor, lost, farther = False, known, 0.0, np.inf, 0
     for i in range(samples):
         last = first + i
         begin = max(last - lag, 0)
         for r in range(runs):
             carry[r] = 0.0 if number + i == 0 else np.inf
             least[r] = np.inf
-        row = (origin + last) % rows
-        for r in range(runs):
-            value[row, r] = np.inf
-        quiet[row] = blank[row] = False
         if raised and known:
             floor = np.inf
             for r in range(runs):
                 floor = min(floor, worst[r])
-        raised = carried_quiet = cleared = False
-        for k in range(low, begin):  # the lag excuses them no longer: the tool has moved on
-            row = (origin + k) % rows
-            carried_quiet = carried_quiet or quiet[row]
-            for r in range(0 if carried_quiet else runs):
-                carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
-        low, farther = max(low, begin), 0
-        for k in range(low, last + 1):
+        raised = False
+        if low < begin:  # the lag excuses them no longer: the tool has moved on
+            row = (origin + min(begin - 1, high)) % rows
+            for r in range(runs):
+                carry[r] = value[row, r]
+            low = begin
+        k, farther = low, 0
+        while True:
             # Of the first place only its end is within the lag.
             start = k - 1 if k > begin else k
-            per_length = inverse[k] if k > begin else 0.0
+            per_length, long = (inverse[k], length[k]) if k > begin else (0.0, 0.0)
+            limit = (np.sqrt(ceiling) + (length[k + 1] if k < last else 0.0)) ** 2
             row = (origin + k) % rows
-            carried_quiet = carried_quiet or quiet[row]
+            if k > high:
+                for r in range(runs):
+                    value[row, r] = carry[r]
+            apart, across = 0.0, np.inf
             if known:
                 apart, across = _bounds_fast(
                     lower, upper, i + 1, command, start, way, k, per_length
                 )
-                if carried_quiet and across <= floor:
-                    quiet[row] = blank[row] = True
-                    farther = 0
-                    break
-                if k == low and k < last and apart > ceiling:
-                    near[row] = 0
-                    for r in range(runs):
-                        near[row] += apart - off[i, r] <= ceiling
-                    if not near[row]:  # given up unseen
-                        lost = min(lost, ceiling)
-                        for r in range(0 if carried_quiet else runs):
-                            carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
-                        low += 1
-                        continue
-                if carried_quiet and not cleared:
-                    for r in range(runs):
-                        carry[r] = 0.0
-                    cleared = True
-            if blank[row]:
+            if k > high and settled and across <= floor:
                 for r in range(runs):
                     value[row, r] = 0.0
-                blank[row] = False
+                farther = 0
+                break
+            if k == low and k < last and apart > limit:
+                near[row] = 0
+                for r in range(runs):
+                    near[row] += apart - off[i, r] <= limit
+                if not near[row]:  # given up unseen
+                    lost = min(lost, ceiling)
+                    for r in range(runs):
+                        carry[r] = value[row, r]
+                    low, k = low + 1, k + 1
+                    continue
             if axes == 3:
-                more, near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, (0, 0, 0), value, row,
-                    carry, least, worst, ceiling,
+                near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, long, (0, 0, 0), value, row,
+                    carry, least, worst, limit,
                 )  # fmt: skip
             elif axes == 2:
-                more, near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, (0, 0), value, row,
-                    carry, least, worst, ceiling,
+                near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, long, (0, 0), value, row,
+                    carry, least, worst, limit,
                 )  # fmt: skip
             else:
-                more, near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, way[k], value, row,
-                    carry, least, worst, ceiling,
+                near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, long, way[k], value, row,
+                    carry, least, worst, limit,
                 )  # fmt: skip
-            quiet[row] = more == 0 and known
-            if not farther:  # here every run has been good enough: no later place is better
+            # Where every run has been good enough no later place is better.
+            if k == last or not farther:
                 break
-        for later in range(k + 1, high + 1):
-            row = (origin + later) % rows
-            for r in range(runs):
-                value[row, r] = np.inf
-            quiet[row] = blank[row] = False
-        high = k
+            k += 1
+        high, settled = k, not farther
         if farther:
             raised = True
             for r in range(runs):
@@ -281,15 +290,11 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                     )
         while low < high:
             row = (origin + low) % rows
-            if quiet[row] or (near[row] and not raised):
+            if near[row] and not raised:
                 break
-            if not _given_up_fast(value, row, ceiling, dropped):
+            if not _given_up_fast(value, row, length[low + 1], ceiling, dropped):
                 break
             low += 1
-    for row in range(rows):
-        if blank[row]:
-            for r in range(runs):
-                value[row, r] = 0.0
     if lost < np.inf:
         for r in range(runs):
             dropped[r] = min(dropped[r], lost)

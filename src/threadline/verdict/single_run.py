@@ -156,6 +156,7 @@ def _advance(
     command: FloatArray,
     way: FloatArray,
     inverse: FloatArray,
+    length: FloatArray,
     heading: FloatArray,
     counts: tuple[int, int, int],
     places: IntArray,
@@ -176,34 +177,38 @@ def _advance(
         last = first + i
         begin = max(last - lag, 0)
         carry, least = 0.0 if number + i == 0 else np.inf, np.inf
-        value[(origin + last) % rows, 0] = np.inf
-        row = (origin + low) % rows
-        while low < begin:  # the lag excuses them no longer: the tool has moved on
-            carry = value[row, 0] if value[row, 0] < carry else carry
-            low, row = low + 1, row + 1 if row + 1 < rows else 0
-        k = low
+        if low < begin:  # the lag excuses them no longer: the tool has moved on
+            carry = value[(origin + min(begin - 1, high)) % rows, 0]
+            low = begin
+        k, row = low, (origin + low) % rows
         while True:
             # Of the first place only its end is within the lag.
-            start, per_length = (k - 1, inverse[k]) if k > begin else (k, 0.0)
-            carry = value[row, 0] if value[row, 0] < carry else carry
+            start, per_length, long = (k - 1, inverse[k], length[k]) if k > begin else (k, 0.0, 0.0)
+            left, held = carry, value[row, 0] if k <= high else carry
             along, away = 0.0, 0.0
             for a in range(axes):
                 along += (points[i, a] - command[start, a]) * way[k, a]
-            where = along * per_length
-            where = where if where > 0.0 else 0.0
+            place = along * per_length
+            where = place if place > 0.0 else 0.0
             where = where if where < 1.0 else 1.0
             for a in range(axes):
                 gap = points[i, a] - command[start, a] - where * way[k, a]
                 away += gap * gap
             error = away - off[i]
-            error = error if error > carry else carry
-            value[row, 0] = error
+            behind = np.sqrt(left) - where * long
+            if behind > 0.0 and behind * behind > error:
+                beside, room = (where - place) * long, (1.0 - where) * long
+                on = (behind * behind - error) / (2.0 * (behind + beside))
+                on = on if on < room else room
+                on = on if on > 0.0 else 0.0
+                error += on * (2.0 * beside + on)
+            error = error if error > held else held
             least = error if error < least else least
+            value[row, 0] = least
+            carry = held
             if k == last or not least > most:  # good enough: no later place is better
                 break
             k, row = k + 1, row + 1 if row + 1 < rows else 0
-        for later in range(k + 1, high + 1):
-            value[(origin + later) % rows, 0] = np.inf
         high = k
         if least > most:
             most, at[0] = least, number + i
@@ -222,7 +227,7 @@ _advance_fast = njit(nogil=True)(_advance)
 def progress_of_one(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
     """Advance the places of the command by (n, axes) samples that are ``off`` the path, squared."""
     _advance_fast(
-        points, off, part.command, part.way, part.inverse, part.heading,
+        points, off, part.command, part.way, part.inverse, part.length, part.heading,
         (part.first, part.number, part.lag), part.places, part.value, part.worst, part.at,
         part.side,
     )  # fmt: skip
