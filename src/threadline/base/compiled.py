@@ -52,7 +52,7 @@ if _config.DISABLE_JIT:
 __all__ = ["FileLock", "njit", "where_kept"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-_WAITS_S = 120.0
+WAITS_S = 120.0
 """How long a process waits for another's machine code; it compiles for itself after that."""
 _LOOKS_EACH_S = 0.02
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
@@ -68,7 +68,7 @@ class FileLock:
         self._path, self._file = path, -1
         if sys.platform == "win32":
             return
-        end_s = time.monotonic() + _WAITS_S
+        end_s = time.monotonic() + WAITS_S
         # It goes on where the file cannot be written, or its file system has no locks.
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
