@@ -356,6 +356,18 @@ FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         "its level is 'limits and time alone', and lathe-winder has dynamics",
     ),
     "less than no runs": (lambda c: c.update(runs=-5), "it counts -5 runs"),
+    "more runs than there can be": (
+        lambda c: c.update(runs=10**30, level="repeated"),
+        "it counts more than 1e12 runs, and a verdict has at most 1000",
+    ),
+    "more runs than a verdict may have": (
+        lambda c: c.update(runs=1001, level="repeated"),
+        "it counts 1001 runs, and a verdict has at most 1000",
+    ),
+    "more machines than there can be": (
+        lambda c: c.update(machines=10**7, level="over tolerances"),
+        "it counts 10000000 other machines, and a verdict has at most 1000000",
+    ),
     "less than no machines": (lambda c: c.update(machines=-1), "and -1 other machines"),
     "a hash that is none": (
         lambda c: c["commands"].update(sha256="0" * 63), "the sha256 of commands is not one"

@@ -39,6 +39,8 @@ LIMIT_MM = 0.5
 """What the winder's specification allows of ``contour_error``."""
 ERROR = LinearSegmentedColormap.from_list("error", ["#a9c4dc", "#3f7fb5", "#c04f00", "#2b0f00"])
 """From light to dark without a turn, so that a grey print says the same."""
+STEEL: dict[str, Any] = {"facecolor": "0.88", "edgecolor": "0.25"}
+DARK: dict[str, Any] = {"facecolor": "0.7", "edgecolor": "0.25"}
 RING: dict[str, Any] = {"linestyle": "none", "color": "black", "fillstyle": "none", "zorder": 6}
 
 OF_REPORTS = {
@@ -155,22 +157,18 @@ def draw_machine(panel: Axes, traces: Traces, error_mm: FloatArray, worst: int) 
     y_mm = RADIUS_MM * np.sin(turned)
     front = np.cos(turned) > 0.0
 
-    steel, dark = (
-        {"facecolor": "0.88", "edgecolor": "0.25"},
-        {"facecolor": "0.7", "edgecolor": "0.25"},
-    )
-    panel.add_patch(Rectangle((-95, -118), 500, 10, **dark))  # the bed
-    panel.add_patch(FancyBboxPatch((-88, -105), 42, 170, boxstyle="round,pad=3", **steel))
-    panel.add_patch(Rectangle((-44, -24), 16, 48, **dark))  # the chuck
-    panel.add_patch(FancyBboxPatch((358, -105), 30, 135, boxstyle="round,pad=3", **steel))
-    panel.add_patch(Polygon([(356, -12), (356, 12), (330, 0)], **dark))  # the centre
+    panel.add_patch(Rectangle((-95, -118), 500, 10, **DARK))  # the bed
+    panel.add_patch(FancyBboxPatch((-88, -105), 42, 170, boxstyle="round,pad=3", **STEEL))
+    panel.add_patch(Rectangle((-44, -24), 16, 48, **DARK))  # the chuck
+    panel.add_patch(FancyBboxPatch((358, -105), 30, 135, boxstyle="round,pad=3", **STEEL))
+    panel.add_patch(Polygon([(356, -12), (356, 12), (330, 0)], **DARK))  # the centre
     panel.add_patch(
         Rectangle((-28, -RADIUS_MM), 356, 2 * RADIUS_MM, facecolor="0.97", edgecolor="0.25")
     )
     panel.axhline(0.0, color="0.6", linewidth=0.7, dashes=(12, 3, 2, 3))
 
     at = float(x_mm[worst])
-    panel.add_patch(Rectangle((at - 26, -106), 52, 20, zorder=4, **dark))  # the carriage
+    panel.add_patch(Rectangle((at - 26, -106), 52, 20, zorder=4, **DARK))  # the carriage
     panel.add_patch(Rectangle((at - 4, -88), 8, 12, zorder=4, facecolor="0.4", edgecolor="0.25"))
     panel.plot([at, at], [-76, y_mm[worst]], color="0.35", linewidth=1.2, zorder=2)
     panel.plot(at, y_mm[worst], marker="o", markersize=15, **RING)
@@ -181,12 +179,13 @@ def draw_machine(panel: Axes, traces: Traces, error_mm: FloatArray, worst: int) 
     fibre = coloured(pieces(x_mm, y_mm)[seen], error_mm[:-1][seen])
     panel.add_collection(fibre)
 
-    for text, place in (
-        ("head: turns A", (-67, 74)),
-        ("tube (mandrel)", (150, 55)),
-        ("carriage: moves X", (at - 36, -104)),
+    for text, x, y in (
+        ("head: turns A", -67, 74),
+        ("tube (mandrel)", 150, 55),
+        ("carriage: moves X", at - 36, -104),
     ):
-        panel.text(*place, text, ha="right" if "X" in text else "center", va="bottom", fontsize=8)
+        side = "right" if "X" in text else "center"
+        panel.text(x, y, text, ha=side, va="bottom", fontsize=8)
     panel.set_xlim(-98, 408)
     panel.set_ylim(-122, 88)
     panel.set_aspect("equal")
@@ -202,10 +201,11 @@ def pieces(x_mm: FloatArray, y_mm: FloatArray) -> FloatArray:
 
 def coloured(ends: FloatArray, error_mm: FloatArray) -> LineCollection:
     """Return a line that is darker and wider where the error is larger."""
-    line = LineCollection(list(ends), cmap=ERROR, zorder=3, capstyle="round")
+    widths = (1.8 + 5.0 * error_mm).tolist()
+    line = LineCollection(list(ends), linewidths=widths, cmap=ERROR, capstyle="round")
+    line.set_zorder(3)
     line.set_array(error_mm)
     line.set_clim(0.0, 1.8 * LIMIT_MM)
-    line.set_linewidths(1.8 + 5.0 * error_mm)
     return line
 
 

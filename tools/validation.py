@@ -42,7 +42,7 @@ ROOT = Path(__file__).resolve().parent.parent
 NUMBER = re.compile(r"(?<![\w.])[+-]?\d+(?: \d{3})*(?:\.\d+)?(?:e-?\d+)?")
 UNITS = {
     "mm": 1e3, "um": 1e6, "ms": 1e3, "us": 1e6, "%": 1e2, "in": 1 / 0.0254, "in/s2": 1 / 0.0254,
-    "mm/s": 1e3, "kHz": 1e-3, "kN": 1e-3, "degrees": 57.29577951308232,
+    "mm/s": 1e3, "kHz": 1e-3, "kN": 1e-3, "count/mm": 1e-3, "degrees": 57.29577951308232,
 }  # fmt: skip
 """How many of a unit are one of the SI; any other unit, such as deg of a margin, is as answered."""
 BETWEEN = re.compile(r"(,| and| to| or|;|)\s*")  # two numbers of one unit

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from tests.blank_pictures import blank_pictures
-from tests.documents.quick import ROOT
 from threadline.cli.main import main
 
+ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = sorted(
     page for page in (ROOT / "docs" / "tutorials").glob("*.md") if page.name != "index.md"
 )

@@ -1,8 +1,9 @@
-"""Random programs with parameters, expressions and O words that LinuxCNC takes."""
+"""Random programs with parameters, expressions and O words that LinuxCNC or FluidNC takes."""
 
 from __future__ import annotations
 
 import random
+import re
 from dataclasses import dataclass, field
 
 _NAMES = ("a", "b", "_g", "_h")
@@ -16,9 +17,13 @@ _FUNCTIONS = (
 
 @dataclass
 class Maker:
-    """Makes a program; nearly all end, and have a value wherever one is asked for."""
+    """Makes a program; nearly all end, and have a value wherever one is asked for.
+
+    FluidNC has no subroutines and no names as labels, and the machine of its tests has no A.
+    """
 
     rng: random.Random
+    fluidnc: bool = False
     lines: list[str] = field(default_factory=list)
     subs: list[str] = field(default_factory=list)
     labels: int = 100
@@ -68,7 +73,8 @@ class Maker:
     def label(self) -> str:
         """Return a label that no other block has."""
         self.labels += 1
-        return str(self.labels) if self.rng.random() < 0.7 else f"<l {self.labels}>"
+        named = self.rng.random() >= 0.7 and not self.fluidnc
+        return f"<l {self.labels}>" if named else str(self.labels)
 
     def counted(self, word: str, depth: int, loops: list[str]) -> None:
         """Add a loop with a counter."""
@@ -103,7 +109,8 @@ class Maker:
             kind = rng.random() if depth <= 3 else rng.uniform(0.0, 0.5)
             if kind < 0.3:
                 also = f" #{rng.choice((1, 2, 3, 31))}={self.small()}" if rng.random() < 0.3 else ""
-                self.lines.append(f"G{rng.choice('01')} {rng.choice('XYZA')}{self.small()}{also}")
+                axes = "XYZ" if self.fluidnc else "XYZA"
+                self.lines.append(f"G{rng.choice('01')} {rng.choice(axes)}{self.small()}{also}")
             elif kind < 0.5:
                 to = rng.choice(("1", "2", "3", "31", "32", "<a>", "<b>", "<_g>"))
                 self.lines.append(f"#{to} = {self.small()}")
@@ -124,15 +131,19 @@ class Maker:
                 given = " ".join(self.small() for _ in range(rng.randint(0, 3)))
                 self.lines += [f"o{rng.choice(self.subs)} call {given}", "G1 Y[#<_value> MOD 20]"]
             else:
-                self.lines.append("G0 Z[#5420 / 3 + #<_y>/4 + #5423/7]")
+                at = "#31 / 3" if self.fluidnc else "#5420 / 3 + #<_y>/4 + #5423/7"
+                self.lines.append(f"G0 Z[{at}]")
 
 
-def random_parametric(seed: int) -> str:
-    """Return a program; a line may be too long for LinuxCNC, or a loop without an end."""
-    maker = Maker(random.Random(seed))
+def random_parametric(seed: int, fluidnc: bool = False) -> str:
+    """Return a program; a line may be too long for the control, or a loop without an end.
+
+    FluidNC keeps no values in #1 to #30: those of its programs are #41 to #43.
+    """
+    maker = Maker(random.Random(seed), fluidnc)
     lines = maker.lines
     lines += ["G21 G90 G94 F600", "#1=1 #2=2 #3=3 #31=4 #32=5", "#<_g>=2 #<_h>=0.5 #<a>=1 #<b>=2"]
-    for k in range(maker.rng.randint(0, 2)):
+    for k in range(0 if fluidnc else maker.rng.randint(0, 2)):
         name = str(k + 1) if maker.rng.random() < 0.5 else f"<s u b{k}>"
         lines += [f"o{name} sub", "#<a>=#1 #<b>=[#2+1]"]
         maker.room = 15
@@ -146,4 +157,5 @@ def random_parametric(seed: int) -> str:
         maker.subs.append(name)
     maker.room = 40
     maker.block(0, [])
-    return "\n".join([*lines, "G1 X1", "M2"]) + "\n"
+    text = "\n".join([*lines, "G1 X1", "M2"]) + "\n"
+    return re.sub(r"(#\[?)(?=[123]\b)", r"\g<1>4", text) if fluidnc else text

@@ -13,8 +13,10 @@ import pytest
 from tests.conftest import NO_FIRMWARE
 from tests.jobs import controls_themselves as themselves
 from tests.jobs.controls_themselves import Line, Point, Told
+from tests.jobs.fluidnc_itself import build_fluidnc, fluidnc_folder
 from tests.jobs.made_machines import made_machine
 from tests.jobs.random_blocks import random_blocks, random_commands
+from tests.jobs.random_parametric import random_parametric
 
 from threadline.errors import InputError
 from threadline.jobs import Dwell, FeedMode, Move, read_job
@@ -72,6 +74,33 @@ def assert_same_moves(mine: Told, theirs: Told, feeds: bool) -> None:
         assert line.length_mm == pytest.approx(there.length_mm, rel=2e-3, abs=0.02)
         if feeds:
             assert line.feed == pytest.approx(there.feed, rel=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["blocks", "loose words", "parameters"])
+def test_fluidnc_itself_makes_the_same_moves(tmp_path: Path, xyz: Machine, kind: str) -> None:
+    """Moves, feeds and dwells; what it refuses, or ends with an error, is refused."""
+    source = fluidnc_folder()
+    if source is None:
+        pytest.skip(f"{NO_FIRMWARE}THREADLINE_FLUIDNC names the folder FluidNC/src of a checkout")
+    if kind == "parameters":
+        programs = [random_parametric(seed, fluidnc=True).splitlines() for seed in range(LONG)]
+    else:
+        loose = 0.08 if kind == "blocks" else 0.5
+        programs = [random_blocks(seed, loose) for seed in range(LONG)]
+    same = 0
+    for lines, theirs in zip(
+        programs, themselves.run(build_fluidnc(source, tmp_path), programs), strict=True
+    ):
+        mine = ours(tmp_path, xyz, lines, "fluidnc")
+        if mine is None:
+            continue
+        assert not theirs.refused, lines
+        assert_same_moves(mine, theirs, feeds=not any("G93" in line for line in lines))
+        waits = [one for one in theirs.dwells_s if one]
+        assert [one for one in mine.dwells_s if one] == pytest.approx(waits, abs=1e-3)
+        same += 1
+    print(f"{same} of {len(programs)} programs make the same moves; the others are refused")
+    assert same > len(programs) // 5
 
 
 @pytest.mark.parametrize("dialect", ["grbl", "fluidnc"])

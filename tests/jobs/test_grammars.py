@@ -114,6 +114,7 @@ REFUSED = [
     # lines
     ("grbl", "N" + "0" * 76 + "1 X 7", r"80 characters \(without blanks and comments\); grbl"),
     ("fluidnc", "X7 (" + "a" * 125 + ")", "the line has 130 characters; fluidnc takes 127"),
+    ("fluidnc", "\n(tube)\n%\nX7\n%", "fluidnc ends the file with this %"),
     ("fluidnc", "(a;b) X7", "a semicolon in parentheses ends the line for fluidnc"),
 ]  # fmt: skip
 
@@ -271,3 +272,49 @@ def test_the_compiled_reader_has_the_same_grammar(
         assert first == second, text
         taken += len(first) > 1
     assert taken > 15
+
+
+def test_fluidnc_takes_a_first_percent_behind_empty_lines(tmp_path: Path, xyza: Machine) -> None:
+    """Where a comment stands before it, the file ends there (``InputFile.cpp``)."""
+    job = read(tmp_path, xyza, "\n\n%\nG0 X1\n%\n", "fluidnc")
+    assert [p[0] for p in millimetres(job)] == [1]
+    with pytest.raises(InputError, match="nc:2: fluidnc ends the file with this %"):
+        read(tmp_path, xyza, "(tube)\n%\nG0 X1\n%\n", "fluidnc")
+    with pytest.raises(InputError, match="nc:2: fluidnc ends the file with this %"):
+        read(tmp_path, xyza, "(tube)\n%\n#31=1\nG0 X#31\n%\n", "fluidnc")
+
+
+def test_a_percent_is_an_error_of_grbl_and_said(tmp_path: Path, xyza: Machine) -> None:
+    """``protocol.c`` has no use of it yet, and ``gcode.c`` waits for a letter."""
+    job = read(tmp_path, xyza, "(tube)\n%\nG0 X1\n%\n", "grbl")
+    assert [p[0] for p in millimetres(job)] == [1]
+    (said,) = job.warnings
+    assert "a.nc:2: grbl answers error:1 to a line with %" in said
+    assert not read(tmp_path, xyza, "%\nG0 X1\nM2\n%\n", "linuxcnc").warnings
+
+
+@pytest.mark.parametrize(
+    ("dialect", "comment", "letter"),
+    [
+        ("grbl", "stop!", "'!' holds the feed"), ("grbl", "~10 mm", "'~' goes on"),
+        ("fluidnc", "sure?", "'?' asks for a report"), ("grbl", "Käfig Öse", "'Ö' holds"),
+        ("grbl", "1 – 2", "'–' holds"), ("fluidnc", "5\u00a0mm", "'\\xa0' holds"),
+        ("grbl", "Käse, 5 µm", ""), ("fluidnc", "Öse – 2", ""), ("marlin", "stop!", ""),
+        ("linuxcnc", "stop! ~ ?", ""),
+    ],
+)  # fmt: skip
+def test_letters_that_act_as_they_are_sent_are_said(
+    tmp_path: Path, xyza: Machine, dialect: str, comment: str, letter: str
+) -> None:
+    """grbl picks them out of the serial stream (``serial.c``), FluidNC behind UTF-8."""
+    text = f"G0 X1\nG0 X2 ; {comment}\nG0 X3\n" + ("M2\n" if dialect == "linuxcnc" else "")
+    said = [w for w in read(tmp_path, xyza, text, dialect).warnings if "instant at which" in w]
+    assert len(said) == bool(letter)
+    assert not letter or (f"a.nc:2: {letter}" in said[0] and dialect in said[0])
+
+
+def test_a_3d_print_is_refused_as_one(tmp_path: Path, xyza: Machine) -> None:
+    for line in ("G1 X7 E1.2", "G92 E0", "G1 E-5 F1800"):
+        with pytest.raises(JobError, match=r"nc:2: E\S+ is the filament of a 3D print") as refused:
+            read(tmp_path, xyza, f"G1 X1 F600\n{line}\n", "marlin")
+        assert "when the E words are taken out" in str(refused.value)

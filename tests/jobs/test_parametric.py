@@ -126,6 +126,17 @@ def test_expressions_have_the_values_of_fluidnc(tmp_path: Path, xyza: Machine) -
     assert third != 1 / 3 and third == pytest.approx(1 / 3, rel=1e-7)
 
 
+def test_fluidnc_rounds_within_its_functions(tmp_path: Path, xyza: Machine) -> None:
+    """An angle in rad is of single precision: the sine of 1 degree and back is a little above 1.
+
+    As its own ``Expression.cpp`` has it, compiled (``test_controls_themselves.py``).
+    """
+    found = _values(tmp_path, xyza, "fluidnc", ["[ASIN[SIN[1]]EQ1]", "", "[ASIN[SIN[1]]-1]", ""])
+    assert found == [1, 0]
+    table = ["[COS[90]*10**8]", "", "[1-ASIN[SIN[5GE1]]AND3]", ""]
+    assert _values(tmp_path, xyza, "fluidnc", table) == [pytest.approx(-4.3711388), 0]
+
+
 def test_fluidnc_breaks_repeats_and_uses_labels_again(tmp_path: Path, xyza: Machine) -> None:
     """As its examples/gcode_conditionals_test.nc does, of which all 59 tests pass here."""
     text = (
@@ -136,6 +147,17 @@ def test_fluidnc_breaks_repeats_and_uses_labels_again(tmp_path: Path, xyza: Mach
     )
     places = [p[:3] for p in millimetres(read(tmp_path, xyza, text, "fluidnc"))]
     assert places == [(1, 0, 0), (2, 0, 0), (2, 1, 0), (3, 1, 0), (4, 1, 0), (4, 1, 1)]
+
+
+def test_fluidnc_begins_a_repeat_anew_that_a_continue_has_left(
+    tmp_path: Path, xyza: Machine
+) -> None:
+    text = (
+        "#31=0\no1 while [#31 LT 2]\n#31=[#31+1]\no2 repeat [2]\nG0 X#31\no3 if [#31 EQ 1]\n"
+        "o1 continue\no3 endif\nG0 Y[#31]\no2 endrepeat\no1 endwhile\n"
+    )
+    places = [p[:2] for p in millimetres(read(tmp_path, xyza, text, "fluidnc"))]
+    assert places == [(1, 0), (2, 0), (2, 2), (2, 2), (2, 2)]
 
 
 def test_a_winding_program_is_what_it_stands_for(tmp_path: Path, xyza: Machine) -> None:
@@ -255,6 +277,12 @@ def test_what_does_not_fit_is_refused(tmp_path: Path, xyza: Machine, text: str, 
         ("#31=0\no1 while [#31 LT 1]\n#31=1\no1 continue\no1 endwhile", "stops at endwhile"),
         ("o1 repeat [1]\no1 continue\no1 endrepeat", "stops at endrepeat"),
         ("o1 repeat [0-1]\no1 endrepeat", "repeat [-1] is negative"),
+        ("#1=2\nG0 X#1", "parameter #1 is set and never read by fluidnc"),
+        ("#31=31.99995\nG0 X##31", "must be a whole number here"),
+        (
+            "#31=0\no1 do\no2 while [#31 LT 3]\n#31=[#31+1]\no2 endwhile\no1 while [#31 LT 1]",
+            "while 2 stands directly in do 1: FluidNC takes it for the end of a do",
+        ),
         ("o1 error [3]", "the program stops here with error [3]"),
     ],
 )

@@ -89,7 +89,7 @@ def test_what_the_control_alone_knows_is_asked_for(
 
 
 def test_offsets_are_of_axes_in_their_units(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"programs.offsets.G54.A is in m, the axis in rad"):
+    with pytest.raises(InputError, match=r"programs.offsets.G54.A is in m, but the axis needs rad"):
         made_machine(tmp_path, "X", "A", OFFSETS.replace('Y = "-5', 'A = "-5'))
 
 
@@ -132,3 +132,52 @@ def test_a_subroutine_in_another_system_is_no_program_in_one(
     text = "%\nO1\nG55\nX5\nM99\nO2\nG1 X10 F60\nM98 P1\nX20\nM30\n%\n"
     with pytest.raises(JobError, match="moves by G55 and G54"):
         read(tmp_path, plain, text, "linuxcnc")
+
+
+def test_a_tool_length_before_all_moves_is_where_the_zero_is(
+    tmp_path: Path, plain: Machine
+) -> None:
+    """As posts for LinuxCNC write it; T0, G49, G64 P, G98 and M48 change no motion either."""
+    head = "G17 G21 G40 G49 G54 G64 P0.01 G80 G90 G94 G98\nM48\nT0 M6\n"
+    bare = "G0 X2 Y1\nG1 X7 F600\n{}M2\n"
+    for lengths in ("G43 H1\n", "G43\nG43\n", "G49\nG43 H0\n", "N5 G43 H12 (long)\n"):
+        job = read(tmp_path, plain, head + lengths + bare.format("G49\n"), "linuxcnc")
+        assert places(job) == [(2.0, 1.0), (7.0, 1.0)]
+        assert sum("how long the tool of G43 is" in said for said in job.warnings) == 1
+        taken, *_, left = [word for word in _words(job) if word[:2] == "G4"]
+        assert taken in lengths and taken.startswith("G43") and left == "G49"
+    in_move = read(tmp_path, plain, "G90\nG0 G43 Z5 H1 X1\n#1=3\nG0 X#1\nM2\n", "linuxcnc")
+    assert places(in_move) == [(1.0, 0.0), (3.0, 0.0)]
+
+
+def _words(job: Job) -> list[str]:
+    """Words that work the machine, in order."""
+    found: list[str] = []
+    for one in job:
+        acts = one.acts if isinstance(one, Move) else (one,)
+        found += [act.words for act in acts if getattr(act, "words", "")]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            "G0 X1\nG43 H1\nX2\nM2\n",
+            "a.nc:2: G43 is compensation of the tool's length",
+        ),
+        ("G43 H1\nG0 X1\nG43 H2\nX2\nM2\n", "G43 H2 begins it between moves"),
+        ("G43 H1\nG0 X1\nG49\nX2\nM2\n", "G49 on line 3 ends it between moves"),
+        ("M98 P2\nG43\nG0 X1\nM2\nO2\nG0 X2\nM99\n", "a.nc:2: G43 is compensation"),
+        ("G0 X1\nM98 P2\nX2\nM2\nO2\nG43 H1\nM99\n", "G43 H1 begins it between moves"),
+        ("G43 H1\nG0 X1\n#1=2\nG49\nX#1\nM2\n", "G49 on line 4 ends"),
+        ("H1 G0 X1\nM2\n", "H has no use in this block"),
+        ("G43 H1.5\nG0 X1\nM2\n", "H 1.5 must be a whole number"),
+    ],
+)
+def test_a_tool_length_between_moves_is_refused(
+    tmp_path: Path, plain: Machine, text: str, said: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        list(read(tmp_path, plain, text, "linuxcnc"))
+    assert said in str(caught.value)

@@ -19,7 +19,7 @@ from threadline.files import Ended, Recording, played, switch_schedule, tick_tab
 from threadline.files.formats import write_recording
 from threadline.live.continuing import Continued, continued, last_executed, operation_at
 from threadline.live.derived import Rest
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
 from threadline.live.states import Cause, Desk, Kept
@@ -67,7 +67,7 @@ def run(
     """Run a plan, or the rest of it, on a machine that was just switched on."""
     machine = plan.machine
     found = None if fault is None else parse_fault(f"{fault}", machine)
-    wire, kept = Wire(machine, way_of(machine).start(plan.commands), found), Kept()
+    wire, kept = Wire(machine, run_kind_of(machine).start(plan.commands), found), Kept()
     wire.group = group_ticks(machine, 0.0)  # as the process of a machine has it
     with closing(Desk()) as desk:
         if asked is not None:
@@ -213,7 +213,7 @@ def test_nothing_moves_until_somebody_confirms(answer: bool | None, asked: Cause
         assert len(looks) == 3
     else:
         machine = plan.machine
-        wire = Wire(machine, way_of(machine).start(plan.commands))
+        wire = Wire(machine, run_kind_of(machine).start(plan.commands))
         with closing(Desk()) as desk:
 
             def stopped() -> None:
@@ -233,7 +233,7 @@ def test_a_stop_on_the_approach_ends_it() -> None:
     plan = planned("lathe-winder")
     again = continued(plan, broken_off("lathe-winder")[1], at_rest=False)
     machine = plan.machine
-    wire = Wire(machine, way_of(machine).start(plan.commands))
+    wire = Wire(machine, run_kind_of(machine).start(plan.commands))
     with closing(Desk()) as desk:
         played_groups: list[int] = []
 
@@ -327,10 +327,10 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     write_recording(broken_off("lathe-winder")[0], kept.trace)
 
     def ask(of: Plan) -> Continued | None:
-        way = way_of(of.machine)
+        run_kind = run_kind_of(of.machine)
 
         def rest(operation: int) -> Rest:
-            return way.rest(of.commands, of.machine, operation, at_rest=False)
+            return run_kind.rest(of.commands, of.machine, operation, at_rest=False)
 
         return continued_run(store.folder, "last", None, of, rest, asks=True)[0]
 

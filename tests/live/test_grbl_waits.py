@@ -356,4 +356,4 @@ def test_states_in_words() -> None:
     ):  # fmt: skip
         found = status_of(f"<{text}|MPos:0,0,0|FS:0,0>")
         assert found is not None and found.stands is stands, text
-        assert found.told.startswith(f"the controller tells {text.partition(':')[0]}")
+        assert found.words.startswith(f"the controller tells {text.partition(':')[0]}")

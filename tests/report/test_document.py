@@ -33,7 +33,7 @@ from threadline.search.forbidden import Interval
 from threadline.search.mismatch import CYCLE, NEEDLE
 from threadline.verdict import Status, Verdict, load_spec
 from threadline.verdict.rendering import closing_of_all
-from threadline.verdict.types import Change, Happening
+from threadline.verdict.types import Change, Disturbance
 
 
 def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_path) -> None:
@@ -323,11 +323,11 @@ def test_a_run_with_an_override_tells_its_reason() -> None:
 
 def test_a_report_names_what_changed_the_motion() -> None:
     """With time and line; where nothing did there is no table."""
-    cut = Happening(
+    cut = Disturbance(
         change=Change.LIMIT_SWITCH, text="the limit switch x_high of X cut the supply of drives.x",
         time_s=15.34, job_line=2, axis="X",
     )  # fmt: skip
-    (table,) = changes(Verdict(results=(), simulated=True, happenings=(cut,)))
+    (table,) = changes(Verdict(results=(), simulated=True, disturbances=(cut,)))
     assert table.title == "What changed the motion"
     assert [list(row) for row in table.rows] == [[cut.text, "15.340 s", "2", "-"]]
     assert changes(Verdict(results=(), simulated=True)) == []

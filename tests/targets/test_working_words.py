@@ -20,10 +20,12 @@ import pytest
 
 from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
+from threadline.commands.boards import BOARDS
 from threadline.commands.plan import Plan
 from threadline.errors import PlanError
 from threadline.files import tick_table
 from threadline.jobs import read_job
+from threadline.jobs.gcode.dialects import DIALECTS
 from threadline.jobs.operations import Dwell, Job, Move, Stop, ToolEvent
 from threadline.machine import Machine
 from threadline.proof.options import Options
@@ -181,6 +183,35 @@ def test_a_word_that_means_something_else_is_refused_by_name(
     with pytest.raises(PlanError, match=pattern):
         write(made, target, tmp_path / "out.nc")
     assert not (tmp_path / "out.nc").exists()
+
+
+def test_a_g0_with_its_planned_time_is_told_and_is_dark(
+    tmp_path: Path, machines: dict[str, Machine]
+) -> None:
+    """``nc`` is a program of times: LinuxCNC would take its own over a G0."""
+    text = "G0 X10\nM3 S300\nG1 Y10 F600\nM5\nG0 X0\nM2\n"
+    (file,) = write(plan(tmp_path, machines["linuxcnc"], text), "nc", tmp_path / "out.ngc")
+    assert "2 G0 are G1 with the planned time (G93)" in file.warnings[0]
+    ways = played((tmp_path / "out.ngc").read_text())
+    assert {modes[:2] for modes, _, _ in ways} == {"G1"}
+    dark = plan(tmp_path, machines["linuxcnc"], "M3 S0\nG0 X9\nG1 X0 F600 S9\nM2\n")
+    assert "1 G0 is a G1" in write(dark, "nc", tmp_path / "out.ngc")[0].warnings[0]
+    burning = plan(tmp_path, machines["linuxcnc"], text.replace("M5\n", ""))
+    with pytest.raises(PlanError, match=r"job.nc:4: M3 \(line 2\) is on in a G0") as caught:
+        write(burning, "nc", tmp_path / "no.ngc")
+    assert "--target linuxcnc" in str(caught.value)
+    assert not (tmp_path / "no.ngc").exists()
+
+
+def test_lines_for_fluidnc_and_linuxcnc_are_as_long_as_these_take(
+    tmp_path: Path, machines: dict[str, Machine]
+) -> None:
+    """FluidNC copies a line into 128 bytes (``GCode.cpp``), LinuxCNC one into 256 with its end."""
+    for target in ("fluidnc", "linuxcnc", "grbl", "marlin"):
+        assert BOARDS[target].longest == DIALECTS[target].grammar.longest
+    words = f"M62 P{'0' * 130}1"
+    with pytest.raises(PlanError, match=r"a line of 1\d\d characters: fluidnc takes 127"):
+        compiled(tmp_path, machines["linuxcnc"], f"{words}\nG1 X5 F600\nM2\n", "fluidnc")
 
 
 def test_words_that_mean_the_same_go_over(tmp_path: Path, machines: dict[str, Machine]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +33,7 @@ from threadline.report.design import (
     what_binds,
     write_design_report,
 )
-from threadline.search.design import Candidate, DesignResult
+from threadline.search.design import Candidate, DesignResult, Wanted
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
 from threadline.verdict import Verdict, closing, verdict_rows
@@ -106,18 +106,22 @@ def design(
             remedy="Leave one of them out.",
         )
     # The search tries each smoothing width; the rest of the plan stays the same.
-    options = words.options(feed_forward=False, smoothing=None)
+    options = words.options(feed_forward=False, smoothing=None, robust=None)
+    if words.text("robust") is not None:
+        options = replace(options, robust_share=words.options(smoothing=None).robust_share)
     with progress_bar(not json) as progress:
         result = search_design(
             job,
             chosen,
             with_shaping(words.spec(chosen), chosen, options),
             options,
-            trials=trials,
-            corners=seeking.corners,
-            plotted=plotted,
-            smoothing_s=smoothing_s,
-            progress=progress,
+            Wanted(
+                trials=trials,
+                corners=seeking.corners,
+                plotted=plotted,
+                smoothing_s=smoothing_s,
+            ),
+            progress,
         )
     written = []
     with together(output if result.found is not None else None):

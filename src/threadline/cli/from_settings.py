@@ -106,7 +106,9 @@ def settings_of(kind: str, source: Path) -> Settings:
     return settings
 
 
-def still_asked(settings: Settings, answers: Sequence[str], *, limits_only: bool) -> list[Missing]:
+def still_missing(
+    settings: Settings, answers: Sequence[str], *, limits_only: bool
+) -> list[Missing]:
     """Return the values that the owner still has to give."""
     return missing_answers(settings, parse_answers(answers), limits_only=limits_only)
 

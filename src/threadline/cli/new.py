@@ -25,7 +25,7 @@ from threadline.cli.from_settings import (
     FromSettings,
     settings_files,
     settings_of,
-    still_asked,
+    still_missing,
 )
 from threadline.cli.operator_keys import somebody_at_the_keys
 from threadline.cli.output import ask, check_outputs, print_json, print_table, say
@@ -207,7 +207,7 @@ def _asked(
     if not limits_only and not settings.coupled:
         wanted.limits_only = _until_right("Limits and times alone, without motors", "yes", _yes)
     wanted.limits_only |= bool(settings.coupled)
-    while missing := still_asked(settings, answers, limits_only=wanted.limits_only):
+    while missing := still_missing(settings, answers, limits_only=wanted.limits_only):
         one = missing[0]
 
         def said(text: str, key: str = one.key) -> str:

@@ -241,7 +241,7 @@ def continued_run(
         plan, last_executed(trace_of(folder, record)), "block" if at is None else at
     )
     again = continued_by(plan, rest_of(operation))
-    for line in again.told:
+    for line in again.notes:
         note(line)
     if asks:
         note("when it is home: c lets it go on, any other key ends it")

@@ -60,7 +60,7 @@ def _to_stdout() -> Iterator[None]:
 
 
 @contextmanager
-def as_far_as_possible(else_: str) -> Iterator[None]:
+def report_failed_print(else_: str) -> Iterator[None]:
     """Print as far as standard output accepts it; report a failure on standard error only.
 
     For results that are already final: a failed print must not change their exit status. If the

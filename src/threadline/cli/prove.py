@@ -28,7 +28,7 @@ from threadline.proof.kinds.kind import WRITING, Share
 from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
 from threadline.proof.proof_file import write_proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.report import about, write_report
 from threadline.verdict import (
     Verdict,
@@ -96,7 +96,7 @@ def prove(
 
                 progress("drawing the report", 0.0)
                 written = write_report(studied(proof), report)
-    tell(doubts(proof))
+    tell(warnings_of(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:

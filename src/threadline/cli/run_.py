@@ -35,11 +35,11 @@ from threadline.cli.operator_keys import (
     somebody_at_the_keys,
 )
 from threadline.cli.output import (
-    as_far_as_possible,
     check_outputs,
     print_json,
     print_table,
     progress_bar,
+    report_failed_print,
     say,
 )
 from threadline.cli.prove import plot_every
@@ -50,7 +50,7 @@ from threadline.errors import LinkFaultError, OptionError, RecordingError, Store
 from threadline.files import Ended, Recording
 from threadline.files.formats import write_recording
 from threadline.live.hold_deviation import hold_waits, hold_words
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import Link, link_of
 from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
@@ -61,7 +61,7 @@ from threadline.live.supervised import check_halts, check_override, check_runnab
 from threadline.proof.asked import Words
 from threadline.proof.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.proof.proof_file import read_proof, write_proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.verdict import (
     Spec,
     Verdict,
@@ -191,12 +191,12 @@ def run(
         if proof_file is None:
             proof_file = Path(folder) / "proof.json"
             proof = prove_plan(plan, asked, progress, trials)
-            tell(doubts(proof))
+            tell(warnings_of(proof))
             write_proof(proof, proof_file)
         known = check_runnable(proof_file, plan, asked, execution.override, secret)
         for line in over.prepare(plan):
             note(line)
-        leaves_m = way_of(chosen).hold_deviation_m(plan)
+        leaves_m = run_kind_of(chosen).hold_deviation_m(plan)
         at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
         told = {
             "link": execution.link,
@@ -321,7 +321,7 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
 def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> tuple[bool, list[dict[str, Any]]]:
     """Print the effect of a hold on the work; return whether to hold at a rest only, and why."""
     at_rest = hold_waits(plan, spec, leaves_m)
-    spoiled = () if at_rest else way_of(plan.machine).spoiled_by_holds(plan, spec)
+    spoiled = () if at_rest else run_kind_of(plan.machine).spoiled_by_holds(plan, spec)
     at_rest = at_rest or bool(spoiled)
     if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
         note(words)
@@ -337,7 +337,7 @@ def _show(
 ) -> None:  # fmt: skip
     """Print the verdict; after a fault the error message gives the rest."""
     fault = content["ended"] == Ended.FAULT
-    with as_far_as_possible(f"the verdict is in {kept.path}"):
+    with report_failed_print(f"the verdict is in {kept.path}"):
         if json:
             if not fault:
                 print_json(content)

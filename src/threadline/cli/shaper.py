@@ -17,8 +17,8 @@ from threadline.cli.shaper_text import (
     KINDS,
     bands_of,
     curve_lines,
+    damping_warnings,
     designed,
-    doubted,
     missed,
     modes_of,
     price_content,
@@ -194,7 +194,7 @@ def shaper(
         made = realised.shaper
         refuse_worse_than_none(made, modes)
     asked_of = tuple(zip(modes, bands, tolerances, strict=True))
-    warnings = doubted(modes) if klipper else list(suspicions(modes))
+    warnings = damping_warnings(modes) if klipper else list(suspicions(modes))
     warnings += [*_spoiled(realised), *(missed(made, asked_of) if kind in BANDED else ())]
     # A train of positive amplitudes amplifies at no frequency.
     for one in modes if bool((made.amplitudes < 0.0).any()) else ():

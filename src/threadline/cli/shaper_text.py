@@ -44,7 +44,7 @@ _IN_BAND, _ROUNDED = 201, 1.005
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class GivenMode:
     """A mode given by ``--mode``; a part that is None takes the value for all modes.
 
     Parameters
@@ -62,7 +62,7 @@ class Asked:
     tolerance: float | None = None
 
 
-def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Asked, ...]:
+def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[GivenMode, ...]:
     """Return the modes in ``texts``, each ``FREQUENCY[:DAMPING[:BAND[:TOLERANCE]]]``.
 
     Raises
@@ -80,14 +80,14 @@ def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Ask
             remedy="Give --damping once, or once for each --mode.",
         )
     found = tuple(
-        _asked(text, ratio, given=damping is not None)
+        _given_mode(text, ratio, given=damping is not None)
         for text, ratio in zip(texts, ratios, strict=True)
     )
     _refuse_overlaps(found)
     return found
 
 
-def _asked(text: str, ratio: float, *, given: bool) -> Asked:
+def _given_mode(text: str, ratio: float, *, given: bool) -> GivenMode:
     words = [word.strip() for word in text.split(":")]
     if len(words) > 4 or not all(words):
         raise OptionError(
@@ -101,7 +101,7 @@ def _asked(text: str, ratio: float, *, given: bool) -> Asked:
                 remedy="Leave --damping out.",
             )
         ratio = _share(words[1], "the damping ratio", text)
-    return Asked(
+    return GivenMode(
         FlexibleMode(parse_mode_hz(words[0]), ratio),
         _within(words[2], "the band", text) if len(words) > 2 else None,
         _within(words[3], "the tolerance", text) if len(words) > 3 else None,
@@ -130,7 +130,7 @@ def _within(word: str, what: str, text: str) -> float:
     return value
 
 
-def _refuse_overlaps(asked: Sequence[Asked]) -> None:
+def _refuse_overlaps(asked: Sequence[GivenMode]) -> None:
     bands = sorted(
         (a.mode.frequency_hz * (1.0 - a.band), a.mode.frequency_hz * (1.0 + a.band), a)
         for a in asked
@@ -145,12 +145,12 @@ def _refuse_overlaps(asked: Sequence[Asked]) -> None:
             )
 
 
-def bands_of(asked: Sequence[Asked], band: float) -> tuple[float, ...]:
+def bands_of(asked: Sequence[GivenMode], band: float) -> tuple[float, ...]:
     """Return the half band width of every mode: its own, else ``band``."""
     return tuple(band if one.band is None else one.band for one in asked)
 
 
-def tolerances_of(asked: Sequence[Asked], tolerance: float) -> tuple[float, ...]:
+def tolerances_of(asked: Sequence[GivenMode], tolerance: float) -> tuple[float, ...]:
     """Return the tolerance of every mode: its own, else ``tolerance``."""
     return tuple(tolerance if one.tolerance is None else one.tolerance for one in asked)
 
@@ -327,7 +327,7 @@ DEFAULT_DAMPING = 0.1
 """Klipper's default damping ratio: modes that use it give no warning."""
 
 
-def doubted(modes: Sequence[FlexibleMode]) -> list[str]:
+def damping_warnings(modes: Sequence[FlexibleMode]) -> list[str]:
     """Return warnings for suspicious damping ratios, except Klipper's default."""
     own = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
     return list(suspicions(tuple(own)))
@@ -335,7 +335,7 @@ def doubted(modes: Sequence[FlexibleMode]) -> list[str]:
 
 def shape_two_axes(
     kind: str,
-    asked: Sequence[Asked],
+    asked: Sequence[GivenMode],
     tolerances: Sequence[float],
     bands: Sequence[float],
     others: Sequence[object],
@@ -375,7 +375,7 @@ def shape_two_axes(
         notes = {axis: export.explanation for axis, export in found.items()}
         print_json({"klipper": whole or None, "klipper_note": notes})
         return
-    for said in doubted([one.mode for one in asked]):
+    for said in damping_warnings([one.mode for one in asked]):
         warning(said)
     for axis, export in found.items():
         say(f"{axis.upper()}: {export.explanation}")

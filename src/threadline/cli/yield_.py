@@ -26,13 +26,13 @@ from threadline.cli.found import command_line
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
 from threadline.cli.yield_tables import (
-    Why,
+    Sensitivities,
     counted,
+    sensitivities_of,
+    sensitivity_content,
     set_content,
+    show_sensitivities,
     show_set,
-    show_why,
-    why_content,
-    why_of,
     yield_words,
 )
 from threadline.commands.plan import Plan
@@ -128,7 +128,7 @@ def yield_(
             variants, seed, counted(progress, "simulating and judging machines", variants), state
         )
         bad = judged.worst(found, counted(progress, "looking for the worst machine"))
-        hangs = why_of(judged, variants, seed, progress) if drawing.why else None
+        sensitivities = sensitivities_of(judged, variants, seed, progress) if drawing.why else None
         enough = found.passed == variants if wished is None else found.interval[0] >= wished
         better = None
         if wished is not None and not enough:
@@ -150,9 +150,9 @@ def yield_(
         more: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
         more |= {} if worst is None else {"command": again}
         more |= {} if better is None else {"cheapest": set_content(better, judged)}
-        print_json(_content(found, bad, judged, hangs, level) | more)
+        print_json(_content(found, bad, judged, sensitivities, level) | more)
     else:
-        _show(found, bad, judged, hangs, title)
+        _show(found, bad, judged, sensitivities, title)
         say(_words(found, level))
         if better is not None:
             show_set(better, judged, at_least or "")
@@ -250,13 +250,13 @@ def _show(
     found: Yield,
     bad: Worst,
     judged: MachineYield,
-    hangs: Why | None,
+    sensitivities: Sensitivities | None,
     title: str,
 ) -> None:
     header = ["criterion", "half up to", "99 % up to", "most", "limit", "failed"]
     print_table(title, header, [_row(row) for row in limited_rows(found)])
-    if hangs is not None:
-        show_why(hangs, judged)
+    if sensitivities is not None:
+        show_sensitivities(sensitivities, judged)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"
     say(f"worst machine, {how}: {bad.used}")
     if judged.left_out:
@@ -269,7 +269,7 @@ def _content(
     found: Yield,
     bad: Worst,
     judged: MachineYield,
-    hangs: Why | None,
+    sensitivities: Sensitivities | None,
     level: Level,
 ) -> dict[str, Any]:
     low, high = found.interval
@@ -309,8 +309,8 @@ def _content(
             "numbers": bad.numbers,
         },
     }
-    if hangs is not None:
-        content["why"] = why_content(hangs, judged)
+    if sensitivities is not None:
+        content["why"] = sensitivity_content(sensitivities, judged)
     return content
 
 

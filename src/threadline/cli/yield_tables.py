@@ -39,7 +39,7 @@ def counted(progress: Progress, what: str, total: int | None = None) -> Done:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Why:
+class Sensitivities:
     """Sensitivity of the yield to each tolerance.
 
     Parameters
@@ -58,7 +58,9 @@ class Why:
     machines: int
 
 
-def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -> Why:
+def sensitivities_of(
+    judged: MachineYield, variants: int, seed: int, progress: Progress
+) -> Sensitivities:
     """Return the sensitivities; use at most ``variants`` machines if simulated one by one."""
     normal = [number.normal for number in judged.numbers]
     machines = _MACHINES if judged.together else min(_MACHINES, variants)
@@ -73,24 +75,24 @@ def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -
     indices = influence(result, normal, samples, seed)
     own = judged.drawn(machines, seed, done).share
     halved = judged.halved(machines, seed, done)
-    return Why(indices=indices, halved=halved, own=own, machines=machines)
+    return Sensitivities(indices=indices, halved=halved, own=own, machines=machines)
 
 
-def show_why(hangs: Why, judged: MachineYield) -> None:
+def show_sensitivities(sensitivities: Sensitivities, judged: MachineYield) -> None:
     """Print the sensitivities, the number with the largest total index first."""
-    indices = hangs.indices
+    indices = sensitivities.indices
     rows = [
         [
             number.name,
             _within(indices.first[k], indices.first_interval[:, k]),
             _within(indices.total[k], indices.total_interval[:, k]),
-            f"{100.0 * hangs.halved[k]:.2f} %",
+            f"{100.0 * sensitivities.halved[k]:.2f} %",
         ]
         for k, number in enumerate(judged.numbers)
     ]
     rows = [rows[k] for k in np.argsort(-indices.total, kind="stable")]
     head = ["number", "alone", "with others", "yield if halved"]
-    own = f"of {hangs.machines} machines {hangs.own:.2%} in spec"
+    own = f"of {sensitivities.machines} machines {sensitivities.own:.2%} in spec"
     print_table(f"what the yield depends on; {own}", head, rows)
 
 
@@ -101,12 +103,12 @@ def _within(share: float, ends: FloatArray) -> str:
     return f"{round(float(share), 2) + 0.0:.2f} ({low} to {high})"
 
 
-def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
+def sensitivity_content(sensitivities: Sensitivities, judged: MachineYield) -> dict[str, Any]:
     """Return the sensitivities as JSON content."""
-    indices = hangs.indices
+    indices = sensitivities.indices
     return {
-        "machines": hangs.machines,
-        "yield": hangs.own,
+        "machines": sensitivities.machines,
+        "yield": sensitivities.own,
         "numbers": [
             {
                 "name": number.name,
@@ -114,7 +116,7 @@ def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
                 "first_interval": indices.first_interval[:, k].tolist(),
                 "total": float(indices.total[k]),
                 "total_interval": indices.total_interval[:, k].tolist(),
-                "yield_if_halved": float(hangs.halved[k]),
+                "yield_if_halved": float(sensitivities.halved[k]),
             }
             for k, number in enumerate(judged.numbers)
         ],

@@ -66,7 +66,7 @@ BOARDS: Mapping[str, Board] = {
     "grbl": Board(
         begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520, planner="grbl"
     ),
-    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=254, planner="grbl"),
+    "fluidnc": Board(begin=("G21 G90 G94 G17",), end=("M30",), longest=127, planner="grbl"),
     "marlin": Board(
         begin=("G21", "G90"),
         end=("M400",),
@@ -97,7 +97,7 @@ BOARDS: Mapping[str, Board] = {
         head=reprap_command,
     ),
     "linuxcnc": Board(
-        begin=("G21 G90 G94 G17", f"G64 P{_P_MM}"), end=("M2",), longest=255, planner="linuxcnc"
+        begin=("G21 G90 G94 G17", f"G64 P{_P_MM}"), end=("M2",), longest=252, planner="linuxcnc"
     ),
     "fanuc": Board(
         begin=("%", "O1", "G21 G90 G94 G17"), end=("M30", "%"), longest=127, pause=("X", 1)
@@ -133,6 +133,7 @@ _SAME: Mapping[str, tuple[frozenset[str], ...]] = {
         (_PRINTERS,),
     ),
     **dict.fromkeys(("G55", "G56", "G57", "G58", "G59"), (_CNC,)),
+    **dict.fromkeys(("G43", "G49"), (frozenset({"linuxcnc"}),)),
     "G92": (_CNC | _PRINTERS,),
     "S": (_CNC,),
     "T": (_CHANGES,),

@@ -16,11 +16,12 @@ from threadline.commands.schedule import Scheduled
 from threadline.commands.step_files import write_steps, write_t15
 from threadline.commands.stitched import Stitched
 from threadline.commands.structured_text import write_structured_text
+from threadline.errors import PlanError
 from threadline.files import Commands, TickTable
 from threadline.files.formats.common import Written, written
 from threadline.files.formats.tick_table import Beside, write_table_csv, write_table_npz
 from threadline.files.formats.trajectory_array import write_array
-from threadline.jobs.operations import Job
+from threadline.jobs.operations import FeedMode, Job, Move, Stop, ToolEvent
 from threadline.machine import Machine
 from threadline.motion.path.types import ProgrammedPath
 from threadline.motion.timing.types import Trajectory
@@ -121,13 +122,60 @@ class Target:
 
 
 def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> Written:
-    """Write the planned motion as a part program: chords with their times (G93), blended (G64)."""
+    """Write the planned motion as a part program: chords with their times (G93), blended (G64).
+
+    What was a G0 has its planned time, too, and so is a G1: LinuxCNC would take its own time over a
+    G0, and the program would no longer be the plan. With a spindle or a laser on in it, it is
+    refused: HAL tells G0 and G1 apart (``motion.motion-type``), and a laser may burn in G1 alone.
+
+    Raises
+    ------
+    PlanError
+        If the job holds a word that LinuxCNC takes otherwise, or a G0 with the spindle on.
+    """
     refuse_lost(job, machine, NcStyle.LINUXCNC)
+    rapids = _dark_rapids(job)
     timed = planned_job(job, trajectory, machine)
     # The plan has already been held to the operator's normal feed; its times are not to be
     # stretched again.
     write_part_program(timed, replace(machine, operator=None), path, style=NcStyle.LINUXCNC)
-    return written(path)
+    if not rapids:
+        return written(path)
+    count = "1 G0 is a G1" if rapids == 1 else f"{rapids} G0 are G1"
+    told = f"{count} with the planned time (G93), and the spindle is off in what was G0"
+    return written(path, (f"{path.name}: {told}; --target linuxcnc keeps G0",))
+
+
+def _dark_rapids(job: Job) -> int:
+    """Return the number of moves at G0; refuse one with the spindle on."""
+    spindle, power, count, at = "", 1.0, 0, job.start
+    for operation in job:
+        acts: tuple[ToolEvent | Stop, ...] = ()
+        if isinstance(operation, Move):
+            acts = operation.acts
+        elif isinstance(operation, ToolEvent | Stop):
+            acts = (operation,)
+        for act in acts:
+            for word in act.words.split():
+                if word in {"M3", "M4", "M5"}:
+                    spindle = "" if word == "M5" else f"{word} (line {act.source.line})"
+                elif word.startswith("S"):
+                    power = float(word[1:])
+        if not isinstance(operation, Move):
+            continue
+        before, at = at, operation.target
+        feed = operation.feed
+        if feed is None or feed.mode is not FeedMode.RAPID or before == at:
+            continue
+        count += 1
+        if spindle and power:
+            raise PlanError(
+                f"{spindle} is on in a G0, which the target nc writes as a G1 with its planned "
+                "time: a laser that HAL switches off in G0 would burn there",
+                place=operation.source.place,
+                remedy="Write M5 before the G0, or choose --target linuxcnc, which keeps G0.",
+            )
+    return count
 
 
 def _of_firmware(name: str) -> Target:

@@ -16,7 +16,7 @@ from threadline.files import Commands, Event, tick_table
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.pace import place_words
 from threadline.live.path_window import PathWindow
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 
 _KEPT = 4  # past ticks that are kept
@@ -209,7 +209,7 @@ class Ahead:
             "first": begin,
             "wanted": wanted,
             "last": self.complete,
-            "events": [event_told(event) for event in self._events(begin)],
+            "events": [event_row(event) for event in self._events(begin)],
         }
         arrays = {
             "at": at[0], "counts": counts, "operation": self._window.operations(places[:-1]),

@@ -22,7 +22,7 @@ from threadline.files.formats import read_recording
 from threadline.live.braking import CountLimits
 from threadline.live.derived import Rest
 from threadline.live.jogging import manual_feed
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Cause, Sink, State
 from threadline.machine import Machine
 
@@ -86,10 +86,10 @@ class ContinuedSink:
 
     def _dry(self, block: RecordingBlock) -> int:
         """Return how many samples at the start of a block belong to operations before the work."""
-        told = next(c for c in self._channels if c.kind is ChannelKind.OPERATION)
-        works = np.flatnonzero(block.samples[told.name] >= self._operation)
+        notes = next(c for c in self._channels if c.kind is ChannelKind.OPERATION)
+        works = np.flatnonzero(block.samples[notes.name] >= self._operation)
         self._works = len(works) > 0
-        return int(works[0]) if self._works else len(block.samples[told.name])
+        return int(works[0]) if self._works else len(block.samples[notes.name])
 
 
 _NUMBER = re.compile(r"[0-9]{1,12}")
@@ -107,14 +107,14 @@ class Continued:
         Line of the job at which the work begins again, 0 for none.
     approach
         Moves, one after the other, to the starting place: the axis, and the position in counts.
-    told
+    notes
         What will happen, for the operator, who must confirm it.
     """
 
     rest: Rest
     line: int
     approach: Sequence[tuple[str, int]]
-    told: Sequence[str]
+    notes: Sequence[str]
 
 
 def last_executed(trace: Path) -> int:
@@ -201,7 +201,7 @@ def continued(plan: Plan, operation: int, *, at_rest: bool) -> Continued:
         Whether it may begin only at a rest: if the commands are not the path itself, a start from
         rest anywhere else would leave the path.
     """
-    rest = way_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
+    rest = run_kind_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
     return continued_by(plan, rest)
 
 
@@ -213,12 +213,12 @@ def continued_by(plan: Plan, rest: Rest) -> Continued:
     LimitError
         If the approach leaves the travel of an axis.
     """
-    machine, way = plan.machine, way_of(plan.machine)
-    begins = way.start(plan.commands)
+    machine = plan.machine
+    begins = run_kind_of(machine).start(plan.commands)
     approach = [] if rest.dry else _approach(machine, begins, rest.begins)
     line = plan.intent.lines_of(plan.job, [rest.operation]).get(rest.operation, 0)
     return Continued(
-        rest=rest, line=line, approach=approach, told=_told(machine, rest, line, approach)
+        rest=rest, line=line, approach=approach, notes=_notes(machine, rest, line, approach)
     )
 
 
@@ -246,7 +246,7 @@ def _approach(machine: Machine, begins: IntArray, ends: IntArray) -> list[tuple[
     ]
 
 
-def _told(
+def _notes(
     machine: Machine, rest: Rest, line: int, approach: Sequence[tuple[str, int]]
 ) -> list[str]:
     where = f"line {line} of the job" if line else f"operation {rest.operation}"

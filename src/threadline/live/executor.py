@@ -17,7 +17,7 @@ from threadline.files import Commands, Ended
 from threadline.live.ahead import ticks_in
 from threadline.live.at_rest import AtRest
 from threadline.live.jogging import JogAhead, MoveAhead
-from threadline.live.kinds_run import RunAhead, way_of
+from threadline.live.kinds_run import RunAhead, run_kind_of
 from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
@@ -61,7 +61,7 @@ class Executor(AtRest):
         super().__init__(link, machine, desk, sink)
         self._real_time = speed == 1.0
         self._many = _many(machine) if speed == 0.0 or speed >= _QUICK else 0
-        self._way = way_of(machine)
+        self._run_kind = run_kind_of(machine)
         self._ahead: RunAhead | JogAhead | None = None
         self._hold_at_rest = False
         self._lease = ticks_in(LEASE_S, machine)
@@ -98,7 +98,7 @@ class Executor(AtRest):
         hold_at_rest
             Whether a hold waits for the next rest of the program, so as not to leave the path.
         loads_follow
-            Whether the commands make the loads follow the motion (``Way.loads_follow``).
+            Whether the commands make the loads follow the motion (``RunKind.loads_follow``).
         from_rest
             Whether their first rows are at speed, so that it must start as after a hold.
 
@@ -110,7 +110,7 @@ class Executor(AtRest):
             If the first rows exceed a limit; nothing has moved then.
         """
         next_state(self.state, Cause.START)  # refused before anything is sent
-        ahead = self._way.ahead(
+        ahead = self._run_kind.ahead(
             commands, self._machine, pass_stops=pass_stops, loads_follow=loads_follow
         )
         ahead.refuse_elsewhere(self._stands)
@@ -158,7 +158,7 @@ class Executor(AtRest):
     def _refuse_by_hand(self) -> None:
         """Refuse a jog or move that is not possible now, or never on this machine."""
         next_state(self.state, Cause.JOG)
-        if not self._way.by_hand:
+        if not self._run_kind.by_hand:
             raise CommandError(
                 f"{self._machine.name} has no axes that move one at a time by hand",
                 remedy="Home it: that brings it to where its programs begin.",
@@ -191,7 +191,7 @@ class Executor(AtRest):
         first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
         self._braked = self._brake_again = False
-        self._guards = self._way.guards(self._machine)  # without memory of the last motion
+        self._guards = self._run_kind.guards(self._machine)  # without memory of the last motion
         self._ahead, self._began, self._number = ahead, stands, self._number + 1
         self._settle = ahead.settle_ticks
         self._go(cause)
@@ -200,7 +200,7 @@ class Executor(AtRest):
         self._owes_go = not self._real_time
 
     @property
-    def _passes(self) -> bool:
+    def _needs_no_decision(self) -> bool:
         """Whether a run needs no decision within the next ``MANY_S``."""
         ahead = self._ahead
         return (
@@ -217,7 +217,7 @@ class Executor(AtRest):
         if self._owes_go:  # the machine's clock waits: execute commands before it goes on
             self.obey()
             self._owes_go = False
-            self._link.send(Message("go", {"ticks": self._many} if self._passes else {}))
+            self._link.send(Message("go", {"ticks": self._many} if self._needs_no_decision else {}))
         if not self._link.waiting:
             silence_s = 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
             waited = [self._desk.fileno(), self._link.fileno()]

@@ -35,7 +35,7 @@ def greeting(machine: Machine, channels: tuple[Channel, ...]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def channels_told(told: Mapping[str, Any], machine: Machine) -> tuple[Channel, ...]:
+def channels_of_greeting(greeting: Mapping[str, Any], machine: Machine) -> tuple[Channel, ...]:
     """Return the channels in a greeting.
 
     Raises
@@ -43,24 +43,25 @@ def channels_told(told: Mapping[str, Any], machine: Machine) -> tuple[Channel, .
     CommandError
         If the greeting comes from another machine than ``machine``, or has another protocol.
     """
-    if told["protocol"] != PROTOCOL:
+    if greeting["protocol"] != PROTOCOL:
         raise CommandError(
-            f"the link speaks protocol {told['protocol']}, this program {PROTOCOL}",
+            f"the link speaks protocol {greeting['protocol']}, this program {PROTOCOL}",
             remedy="Use the same version at either end.",
         )
-    if told["machine_sha256"] != machine.sha256:
+    if greeting["machine_sha256"] != machine.sha256:
         raise CommandError(
-            f"the link leads to {told['machine']} (sha256 {told['machine_sha256'][:12]}), the "
-            f"plan is for {machine.name} ({machine.sha256[:12]})",
+            f"the link leads to {greeting['machine']} (sha256 "
+            f"{greeting['machine_sha256'][:12]}), the plan is for {machine.name} "
+            f"({machine.sha256[:12]})",
             remedy="Give the machine file of the machine at the link.",
         )
-    clock = Clock(str(told["clock"]), Fraction(told["period"]))
+    clock = Clock(str(greeting["clock"]), Fraction(greeting["period"]))
     return tuple(
         Channel(
             name=c["name"], kind=ChannelKind(c["kind"]), unit=c["unit"], axis=c["axis"],
             stride=int(c["stride"]), clock=clock,
         )
-        for c in told["channels"]
+        for c in greeting["channels"]
     )  # fmt: skip
 
 
@@ -105,7 +106,7 @@ class FarEnd:
             If it is another machine, or speaks another version of the protocol.
         """
         hello = self._expect("hello", _GREETING_S).head
-        self.channels = channels_told(hello, self._machine)
+        self.channels = channels_of_greeting(hello, self._machine)
         self._per_tick = samples_per_tick(self._machine, self.channels)
         return bool(hello["simulated"])
 
@@ -129,19 +130,19 @@ class FarEnd:
             Processes commands; returns whether one was a stop.
         """
         self._link.send(Message("home"))
-        told, until = False, time.monotonic() + _ANSWER_S
+        stop_sent, until = False, time.monotonic() + _ANSWER_S
         while (left_s := until - time.monotonic()) > 0.0:
             if not self._link.waiting:
                 select.select([wakes, self._link.fileno()], [], [], left_s)
-            if not told and stopped():
-                told = True
+            if not stop_sent and stopped():
+                stop_sent = True
                 self._link.send(Message("stop-home"))
             message = self._link.receive(0.0)
             if message is None and self._link.lost:
                 break
             if message is None or _of_before(message):
                 continue
-            if told:  # homed or not: the result is no longer needed
+            if stop_sent:  # homed or not: the result is no longer needed
                 return None
             return np.array(self._as(message, "homed").head["position"], dtype=np.int64)
         raise _silent("homed")
@@ -157,7 +158,7 @@ class FarEnd:
         samples = {name: np.asarray(a, np.float64) for name, a in report.arrays.items()}
         if last is not None:
             samples = {name: values[:last] for name, values in samples.items()}
-        return self._block(first, samples, *(event_of(told) for told in report.head["events"]))
+        return self._block(first, samples, *(event_of(row) for row in report.head["events"]))
 
     def lost(self, tick: int, why: str) -> RecordingBlock:
         """Return a block with a fault event at a tick of the commands, without samples."""

@@ -88,7 +88,7 @@ class Controller:
         found = self.ask_status()
         if found.state not in {"Idle", "Alarm"}:
             raise LinkFaultError(
-                f"the controller is not at rest: it{found.told.removeprefix('the controller')}",
+                f"the controller is not at rest: it{found.words.removeprefix('the controller')}",
                 remedy="Bring it to Idle by its own means; no motion was sent.",
             )
         self.port.send(RESET)  # at rest: clears modes and lines of an earlier sender
@@ -425,7 +425,7 @@ class GrblJog:
         if self.cancelled or refusal:
             self.cancel()  # a line read after the first cancel began a motion of its own
 
-    def asked(self) -> None:
+    def note_request(self) -> None:
         """Note a position request: its report includes all answered lines."""
         self._asked_since = not self._waits
 

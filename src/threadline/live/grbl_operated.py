@@ -18,7 +18,7 @@ from threadline.live.grbl_program import notes_on, rest_of_program, written_prog
 from threadline.live.grbl_run import POLL_S, GrblRun
 from threadline.live.grbl_words import Status
 from threadline.live.guards import clock_s
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load
 from threadline.live.states import Cause, Desk, Sink, State, next_state
 
@@ -134,7 +134,7 @@ class GrblOperated(GrblRun):
     def _report_at_rest(self, found: Status) -> None:
         self._note(found)
         if found.state not in {"Idle", "Sleep"} and self.state not in _AT_REST:
-            self._fault_at_rest(found.told)
+            self._fault_at_rest(found.words)
 
     def _fault_at_rest(self, text: str) -> None:
         if self.state is State.FAULT:
@@ -180,7 +180,7 @@ class GrblOperated(GrblRun):
     def starts(self, load: Load) -> IntArray:
         """Return where a load begins, (axes,) in counts."""
         return (
-            way_of(self._machine).start(load.plan.commands)
+            run_kind_of(self._machine).start(load.plan.commands)
             if load.rest is None
             else load.rest.begins
         )
@@ -263,7 +263,7 @@ class GrblOperated(GrblRun):
     def _ask(self, now_s: float) -> None:
         super()._ask(now_s)
         if self._jog is not None:
-            self._jog.asked()
+            self._jog.note_request()
 
     def _brake(self) -> None:
         if self._jog is None:
@@ -304,7 +304,7 @@ class GrblOperated(GrblRun):
             if name := self.controller.beyond(self._at):
                 self._fault(f"axis {name} is beyond its travel")
             elif found.state not in {"Idle", "Jog"}:
-                self._fault(found.told)
+                self._fault(found.words)
         if jog.rests(found) or (found.stands and found.state != "Idle"):
             self._end_by_hand(jog)
         else:

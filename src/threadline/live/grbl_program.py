@@ -20,7 +20,7 @@ from threadline.files import Channel, ChannelKind, Clock, Ended, Event, Recordin
 from threadline.live.derived import Rest, rest_from_row
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Sink
 from threadline.machine import Machine
 from threadline.proof.kinds import kind_of
@@ -51,7 +51,7 @@ def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
         # In a separate context: the file is written at once, and is no output of the command.
         Context().run(kind_of(machine).targets[_TARGET].write, plan, file)
         text = _CHANGE.sub(b"M0", file.read_bytes())
-    starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
+    starts = run_kind_of(machine).start(plan.commands) / machine.counts_per_unit
     program = program_of(text, machine.axis_names, units_of(machine), starts)
     begins_s = planned_instants(
         _TARGET, plan.job, plan.motion.trajectory, machine, override=plan.feed_override
@@ -98,7 +98,7 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
     works = [k for k, line in enumerate(lines) if _WORKS.match(line)]
     began = _first_row(plan, operation)
     first = max(k for k in works if k == works[0] or program.rows[k] <= began + 1)  # it is rounded
-    starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
+    starts = run_kind_of(machine).start(plan.commands) / machine.counts_per_unit
     begins = program.ends[first - 1] if first else starts
     before = [line for line in lines[: works[0]] if not line.startswith(_SHIFTS)]
     feeds = [found for line in lines[:first] for found in _FEED.findall(line)]

@@ -103,7 +103,7 @@ class GrblRun:
         self._brakes_until_s = self._stood_s = np.inf
         self._told_s = -np.inf  # time of the last hold or resume command
         self._looked_s = clock_s()
-        self._told_state = ""  # reported by the controller while it holds
+        self._last_state_words = ""  # reported by the controller while it holds
         self._unready = ""  # why it cannot resume
 
     @property
@@ -284,7 +284,7 @@ class GrblRun:
             self._brake()
         elif cause in (Cause.HOLD, Cause.RESUME):
             self._port.send(HOLD if cause is Cause.HOLD else RESUME)
-            self._told_s, self._told_state = clock_s(), ""
+            self._told_s, self._last_state_words = clock_s(), ""
 
     def _brake(self) -> None:
         """Hold the feed; once it stands, or fails to, a reset drops its remaining lines."""
@@ -359,21 +359,21 @@ class GrblRun:
         fresh = self._heard_s - self._told_s > OBEYS_S  # else the report may be the older
         if found.state in PAUSES:
             door = found.state == "Door"
-            self._unready = found.told if door and found.detail in (1, 2) else ""
+            self._unready = found.words if door and found.detail in (1, 2) else ""
             if self.state is State.RUNNING and fresh and not (door and found.detail == 3):
-                self._go(Cause.HOLD, found.told)
-                self._told_state = found.told
+                self._go(Cause.HOLD, found.words)
+                self._last_state_words = found.words
             elif (
                 self.state is State.HOLDING
-                and (door or self._told_state)
-                and found.told != self._told_state
+                and (door or self._last_state_words)
+                and found.words != self._last_state_words
             ):
-                self._told_state = self.why = found.told
-                self._sink.state(self._trace.tick, self.state, Cause.HOLD, found.told)
+                self._last_state_words = self.why = found.words
+                self._sink.state(self._trace.tick, self.state, Cause.HOLD, found.words)
             return
         self._unready = ""
         if found.state not in {"Idle", "Run"}:
-            self._fault(found.told)
+            self._fault(found.words)
         elif self.state is State.HOLDING and fresh:  # by its own button, or at its end
             self._go(Cause.RESUME, "the controller goes on by itself")
             self._feed()

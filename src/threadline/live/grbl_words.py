@@ -77,7 +77,7 @@ _STANDING = {"Hold": (-1, 0), "Door": (-1, 0, 1)}
 """Details after states in which the machine stands; -1 is none."""
 PAUSES = frozenset({"Hold", "Door"})
 """States that a run may be in for a while, and resume from."""
-_TOLD = {
+_MEANINGS = {
     "Hold": "by its own hold button, or by M0",
     "Door": "its safety door is closed again, and it waits to be resumed",
     "Door:1": "its safety door is open, and has to be closed before it can resume",
@@ -122,9 +122,9 @@ class Status:
         return self.state in _STANDS or self.detail in _STANDING.get(self.state, ())
 
     @property
-    def told(self) -> str:
+    def words(self) -> str:
         """The state in words, for people."""
-        means = _TOLD.get(f"{self.state}:{self.detail}", _TOLD.get(self.state, ""))
+        means = _MEANINGS.get(f"{self.state}:{self.detail}", _MEANINGS.get(self.state, ""))
         return f"the controller tells {self.state}{f': {means}' if means else ''}"
 
 

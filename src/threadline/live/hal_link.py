@@ -26,7 +26,7 @@ from threadline.live.hal_session import (
     in_use,
     words_to_end,
 )
-from threadline.live.machine_process import be_told, process_link
+from threadline.live.machine_process import machine_end, process_link
 from threadline.live.supervised import ExecutedLink
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
@@ -34,7 +34,7 @@ from threadline.proof.kinds import kind_of
 
 _LOOK_S = 0.005
 """Interval between two readings of HAL's samples, s."""
-_CHILD = words_of("threadline.live.hal_link", "be_hal")
+_CHILD = words_of("threadline.live.hal_link", "hal_main")
 
 
 @contextmanager
@@ -50,9 +50,9 @@ def hal_link(machine: Machine, start: IntArray, *, plant: bool) -> Iterator[Conn
         yield connection
 
 
-def be_hal() -> None:
+def hal_main() -> None:
     """Serve as the machine that the parent process describes through a pipe."""
-    end, (machine, start, plant) = be_told()
+    end, (machine, start, plant) = machine_end()
     serve_hal(end, machine, start, plant=plant)
 
 

@@ -130,7 +130,7 @@ def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
     operation = window.operations(places[:-1])
     rows = TickBlock(first_tick=0, counts=counts, operation=operation)
     held = simulate(replace(table, blocks=Stream.of([rows])), plan.machine)
-    told = _told(places, until, float(table.clock.period_s))
+    told = _plan_events(places, until, float(table.clock.period_s))
     recording = replace(held, blocks=Stream(_with_events, held.blocks, told, table.clock.name))
     failed = [
         result
@@ -177,7 +177,7 @@ def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[Floa
     return np.concatenate([places, rest]), until
 
 
-def _told(places: FloatArray, until: int, tick_s: float) -> list[Event]:
+def _plan_events(places: FloatArray, until: int, tick_s: float) -> list[Event]:
     """Return an event for each tick up to ``until`` at which the plan's time differs."""
     held = np.flatnonzero(places[:until] != np.arange(until))
     return [

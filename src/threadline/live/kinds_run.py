@@ -127,7 +127,7 @@ class MakeRest(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class RunKind:
     """How one kind of work is run.
 
     Parameters
@@ -149,7 +149,7 @@ class Way:
         Makes the commands for the rest of a job.
     loads_follow
         Whether the commands of a plan make the loads follow the motion (feed-forward).
-    tells_plan
+    reports_plan_time
         Whether the machine reports the plan's time of its rows (events ``plan``).
     by_hand
         Whether its axes can be moved by hand, one at a time.
@@ -164,11 +164,11 @@ class Way:
     spoiled_by_holds: Callable[[Plan, Spec], tuple[Result, ...]] = lambda _, __: ()
     loads_follow: Callable[[Plan], bool] = lambda _: False
     by_hand: bool = False
-    tells_plan: bool = False
+    reports_plan_time: bool = False
 
 
-_WAYS: dict[type[Commands], Way] = {
-    TickTable: Way(
+_RUN_KINDS: dict[type[Commands], RunKind] = {
+    TickTable: RunKind(
         start=lambda commands: tick_table(commands).start_counts,
         ahead=Ahead,
         guards=Guards,
@@ -178,9 +178,9 @@ _WAYS: dict[type[Commands], Way] = {
         rest=rest_of_rows,
         loads_follow=lambda plan: plan.motion.of_loads is not None,
         by_hand=True,
-        tells_plan=True,
+        reports_plan_time=True,
     ),
-    SwitchSchedule: Way(
+    SwitchSchedule: RunKind(
         start=lambda _: np.zeros(0, dtype=np.int64),
         ahead=ScansAhead,
         guards=ScanGuards,
@@ -188,7 +188,7 @@ _WAYS: dict[type[Commands], Way] = {
         hold_deviation_m=lambda _: float("inf"),
         rest=rest_of_scans,
     ),
-    StepPlay: Way(
+    StepPlay: RunKind(
         start=lambda commands: played(commands).start_steps,
         ahead=TurnsAhead,
         guards=lambda _: TurnGuards(),
@@ -199,6 +199,6 @@ _WAYS: dict[type[Commands], Way] = {
 }
 
 
-def way_of(machine: Machine) -> Way:
+def run_kind_of(machine: Machine) -> RunKind:
     """Return how the work of a machine is run."""
-    return _WAYS[kind_of(machine).commands]
+    return _RUN_KINDS[kind_of(machine).commands]

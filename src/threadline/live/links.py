@@ -21,12 +21,12 @@ from threadline.live.grbl_operated import GrblOperated
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_words import Port, Program, check_address
 from threadline.live.hal_link import WHAT, HalLink, hal_link
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
 from threadline.live.states import Desk, Sink, State
-from threadline.live.supervised import ExecutedLink, approached, led
+from threadline.live.supervised import ExecutedLink, moved_in_turn, moved_to_begin
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.proof.kinds import kind_of
@@ -198,13 +198,13 @@ class GrblLink:
         one = GrblOperated(self._controller, desk, sink)
         one.enable()
         one.home()
-        if again is not None and (why := approached(one, machine, again, confirmed)):
+        if again is not None and (why := moved_to_begin(one, machine, again, confirmed)):
             return why
         load = Load(plan, program=self._program, rest=None if again is None else again.rest)
         if self._approach and again is None:
             starts = zip(machine.axes, one.starts(load).tolist(), strict=True)
             in_order = sorted(starts, key=lambda way: machine.axes[way[0]].kind != "linear")
-            if why := led(one, machine, in_order, watch):
+            if why := moved_in_turn(one, machine, in_order, watch):
                 return why
         one.run(load, hold_at_rest=False)
         while not one.over:
@@ -330,19 +330,19 @@ class RowsOperated(Executor):
     def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
         """Return the rest of a load from an operation on."""
         commands = load.plan.commands
-        found = self._way.rest(commands, self._machine, operation, at_rest=at_rest)
+        found = self._run_kind.rest(commands, self._machine, operation, at_rest=at_rest)
         return replace(load, rest=found)
 
     def refuse(self, load: Load) -> None:
         """Refuse a plan that does not begin where the machine stands."""
-        self._way.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
+        self._run_kind.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
 
     def run(self, load: Load, *, hold_at_rest: bool) -> None:
         """Begin a run; see ``Executor.start``."""
         self.start(
             load.commands,
             hold_at_rest=hold_at_rest,
-            loads_follow=way_of(self._machine).loads_follow(load.plan),
+            loads_follow=run_kind_of(self._machine).loads_follow(load.plan),
             from_rest=load.rest is not None,
         )
 

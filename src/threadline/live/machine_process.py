@@ -28,7 +28,7 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
     Parameters
     ----------
     program
-        Python code that calls ``be_told`` and serves.
+        Python code that calls ``machine_end`` and serves.
     told
         Object sent to the process through a pipe.
     """
@@ -57,7 +57,7 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
             process.wait()
 
 
-def be_told() -> tuple[socket.socket, Any]:
+def machine_end() -> tuple[socket.socket, Any]:
     """Return this process's end of the link, and the object from the parent process."""
     told = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
     return socket.socket(fileno=int(sys.argv[1])), told

@@ -14,7 +14,7 @@ import numpy as np
 from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LimitError
 from threadline.files import Commands, Event, switch_schedule
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 
 _AT_REST = frozenset(("soft-start", "vacuum"))
@@ -144,7 +144,7 @@ class ScansAhead:
             "duration": schedule.duration_ticks if self._ending else None,
             "off": until,
             "last": self._ending,
-            "events": [event_told(event) for event in self._waits[self._told_waits : waits]],
+            "events": [event_row(event) for event in self._waits[self._told_waits : waits]],
         }
         levels = schedule.levels[sent]
         self._check(levels)

@@ -268,7 +268,7 @@ class SimScans(SimMachine):
         self.starved = self.starved or (self._session.ran_dry and not self._last)
         return [block]
 
-    def _told_besides(self) -> dict[str, Any]:
+    def _extra_entries(self) -> dict[str, Any]:
         session = self._session
         return {
             "place": session.place,
@@ -429,5 +429,5 @@ class SimTurns(SimMachine):
             self.starved = True
         return [block]
 
-    def _told_besides(self) -> dict[str, Any]:
+    def _extra_entries(self) -> dict[str, Any]:
         return {"rests_at": 0 if self._session is None else self._session.rests_at}

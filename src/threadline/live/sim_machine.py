@@ -23,7 +23,7 @@ from threadline.base.wording import nearest
 from threadline.errors import OptionError
 from threadline.files import Channel, Ended, Event, RecordingBlock
 from threadline.live.far_end import greeting, samples_per_tick
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 from threadline.units import parse_number
 
@@ -57,7 +57,7 @@ class SimFault:
     tick: int
     where: str = ""
 
-    def told(
+    def apply(
         self, at: int, samples: dict[str, FloatArray], machine: Machine, stuck: dict[str, float]
     ) -> None:
         """Change the samples of a report from number ``at`` on, in place.
@@ -253,7 +253,7 @@ class SimMachine(ABC):
     def _simulate(self, ticks: int) -> list[RecordingBlock]:
         """Go on for a number of ticks."""
 
-    def _told_besides(self) -> dict[str, Any]:
+    def _extra_entries(self) -> dict[str, Any]:
         """Return entries of a report beyond the common ones."""
         return {}
 
@@ -373,23 +373,23 @@ class SimMachine(ABC):
         sample = parts[0].first_tick[clock.name] if parts else ceil(first * per_tick)
         if self._fault is not None:
             at = max(ceil(self._fault.tick * per_tick) - sample, 0)
-            self._fault.told(at, arrays, self._machine, self._stuck)
+            self._fault.apply(at, arrays, self._machine, self._stuck)
             late_by = max(late_by, self._fault.late(first))
         late = self.tick - first if late_by > LATE else 0
-        events = [event_told(event) for part in parts for event in part.events]
+        events = [event_row(event) for part in parts for event in part.events]
         if self.pressed and self._enabled:
             # With its supply cut, its motion is not simulated any more.
             why = "the emergency stop is pressed"
-            events.append(event_told(Event(tick=sample, kind="fault", operation=-1, name=why)))
+            events.append(event_row(Event(tick=sample, kind="fault", operation=-1, name=why)))
             self._drop()
             self._enabled = self._homed = False
         if late:
             told = Event(tick=sample, kind="late", operation=-1, value=float(late * per_tick))
-            events.append(event_told(told))
+            events.append(event_row(told))
         head = {
             "run": self._number, "tick": first, "sample": sample, "now": self.tick,
             "held": self.held, "starved": self.starved, "late": late, "late_by": late_by,
-            "events": events, "position": self.position.tolist(), **self._told_besides(),
+            "events": events, "position": self.position.tolist(), **self._extra_entries(),
         }  # fmt: skip
         self._tell(Message("report", head, arrays))
 

@@ -20,7 +20,7 @@ from math import ceil
 
 from threadline.base.arrays import IntArray
 from threadline.base.importing import words_of
-from threadline.live.machine_process import be_told, process_link
+from threadline.live.machine_process import machine_end, process_link
 from threadline.live.sim_kinds import SimRows, SimScans, SimTurns
 from threadline.live.sim_machine import LATE, SimFault, SimMachine
 from threadline.live.wire import Connection, Message
@@ -50,7 +50,7 @@ LEAST_SPEED = 1e-3
 """Least speed: at a lower one the machine's reports come later than the executor waits."""
 _WAKE_S = 0.005
 """Shortest period of reports in s; several shorter ticks are played at a time."""
-_CHILD = words_of("threadline.live.sim_process", "be_machine")
+_CHILD = words_of("threadline.live.sim_process", "machine_main")
 
 
 def group_ticks(machine: Machine, speed: float) -> int:
@@ -80,9 +80,9 @@ def sim_link(
         yield connection
 
 
-def be_machine() -> None:
+def machine_main() -> None:
     """Serve as the simulated machine that the parent process describes through a pipe."""
-    end, told = be_told()
+    end, told = machine_end()
     serve(end, *told)
 
 

@@ -16,7 +16,7 @@ from threadline.jobs.feed_times import SLOWER
 from threadline.live.continuing import Continued, ContinuedSink
 from threadline.live.derived import Rest
 from threadline.live.executor import Executor
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Desk, Sink, State
 from threadline.live.wire import Connection
 from threadline.machine import Machine
@@ -87,7 +87,7 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
         Names the line of a wait for a missing input, or of a stop without an answer.
     """
     known = {*plan.machine.inputs, *plan.machine.contacts}
-    for event in way_of(plan.machine).halts(plan.commands):
+    for event in run_kind_of(plan.machine).halts(plan.commands):
         lacking = event.kind == "wait" and event.name not in known
         if not lacking and (event.kind != "stop" or answered):
             continue
@@ -168,7 +168,7 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return Ended.STOPPED, "stopped by the operator while it homed", 0
-        if again is not None and (why := approached(executor, machine, again, confirmed)):
+        if again is not None and (why := moved_to_begin(executor, machine, again, confirmed)):
             executor.close()
             return (*why, executor.late_ticks)
         executor.start(
@@ -188,7 +188,7 @@ def run_commands(
     return ended, text, executor.late_ticks
 
 
-class Led(Protocol):
+class MovedByHand(Protocol):
     """A homed machine that is moved by hand; see ``Operated``."""
 
     state: State
@@ -213,11 +213,11 @@ class Led(Protocol):
         """Continue a motion."""
 
 
-LedT = TypeVar("LedT", bound=Led)
+MovedT = TypeVar("MovedT", bound=MovedByHand)
 
 
-def approached(
-    executor: Led, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
+def moved_to_begin(
+    executor: MovedByHand, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
 ) -> tuple[Ended, str] | None:
     """Wait for the operator, and move to where the work begins; return why that failed.
 
@@ -229,14 +229,14 @@ def approached(
         executor.stand(0.0 if answer else _ASK_S)
     if not answer or executor.stops:
         return Ended.STOPPED, "nobody has confirmed that it may go on"
-    return led(executor, machine, again.approach)
+    return moved_in_turn(executor, machine, again.approach)
 
 
-def led(
-    executor: LedT,
+def moved_in_turn(
+    executor: MovedT,
     machine: Machine,
     ways: Iterable[tuple[str, int]],
-    watch: Callable[[LedT], None] = lambda _: None,
+    watch: Callable[[MovedT], None] = lambda _: None,
 ) -> tuple[Ended, str] | None:
     """Move axes one after the other, at their manual feeds; return why that failed.
 
@@ -301,7 +301,9 @@ class ExecutedLink(ABC):
 
     def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:
         """Return the rest of a job from an operation on, as sent to the machine."""
-        return way_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
+        return run_kind_of(plan.machine).rest(
+            plan.commands, plan.machine, operation, at_rest=at_rest
+        )
 
     def close(self) -> None:  # noqa: B027  # a link that holds a port has something to close
         """Do nothing: the machine ends with its run."""
@@ -319,17 +321,17 @@ class ExecutedLink(ABC):
         confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[Ended, str]:
         """Run the plan; return how it ended, and why."""
-        way = way_of(plan.machine)
+        run_kind = run_kind_of(plan.machine)
         ended, text, _ = run_commands(
             plan.commands,
             plan.machine,
-            self._connected(plan.machine, way.start(plan.commands)),
+            self._connected(plan.machine, run_kind.start(plan.commands)),
             desk,
             sink,
             speed=self._speed,
             pass_stops=pass_stops,
             hold_at_rest=hold_at_rest,
-            loads_follow=way.loads_follow(plan),
+            loads_follow=run_kind.loads_follow(plan),
             watch=watch,
             again=again,
             confirmed=confirmed,

@@ -16,7 +16,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import CommandError, LimitError
 from threadline.files import Commands, Event, StepPlay, played
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 
 _REST_S = 2.0
@@ -176,7 +176,7 @@ class TurnsAhead:
             "until": until,
             "last": last,
             "following": following,
-            "events": [event_told(event) for turn in sent for event in turn.events],
+            "events": [event_row(event) for turn in sent for event in turn.events],
         }
         if not self._told_tables:
             self._tell_tables(head, arrays)

@@ -107,13 +107,13 @@ def decoded(content: bytes) -> Message:
     return Message(kind, head, arrays)
 
 
-def event_told(event: Event) -> list[Any]:
+def event_row(event: Event) -> list[Any]:
     """Return an event as a list for the head of a message."""
     return [event.tick, event.kind, event.operation, event.name, event.value]
 
 
 def event_of(told: Any) -> Event:
-    """Return the event that ``event_told`` wrote.
+    """Return the event that ``event_row`` wrote.
 
     Raises
     ------

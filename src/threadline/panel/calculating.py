@@ -20,7 +20,7 @@ from threadline.base.reading import noting_inputs, reading_within
 from threadline.errors import ThreadlineError
 from threadline.files import ChannelKind
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source, begins_circuit
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.machine import Machine
 from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
 from threadline.panel.welcoming import mandrel_of
@@ -34,7 +34,7 @@ from threadline.proof.pipeline import (
     with_shaping,
 )
 from threadline.proof.proof_file import read_proof, write_proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
 
@@ -66,7 +66,7 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
             spec = with_shaping(asked, machine, options)
             proof = prove_plan(plan, spec, _share, trials)
         write_proof(proof, told["proof_file"])
-    starts = way_of(machine).start(plan.commands).tolist()
+    starts = run_kind_of(machine).start(plan.commands).tolist()
     return {
         **figures(proof),
         "program": str(told["program"]),
@@ -103,7 +103,7 @@ def figures(proof: Proof) -> dict[str, Any]:
         "circuits": circuits,
         "ticks_per_circuit": None if not circuits or ticks is None else round(ticks / circuits),
         "points": points,
-        "warnings": doubts(proof),
+        "warnings": warnings_of(proof),
         "criteria": criteria_json(verdict),
         "times_s": [round(float(t), 6) for t in times_s],
         "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),
@@ -121,7 +121,7 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
     for item, times, _ in job.folded():
         if times == 0:  # the end of repeated passes
             continue
-        first, last = _ends(item)
+        first, last = _end_sources(item)
         if begins_circuit(before, first):
             # The moves of a pass that are in no inner call happen least often.
             circuits, least = circuits + least, times
@@ -134,7 +134,7 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
     return (circuits if circuits > 1 else None), points
 
 
-def _ends(item: Operation | MoveRun) -> tuple[Source, Source]:
+def _end_sources(item: Operation | MoveRun) -> tuple[Source, Source]:
     """Return the sources of a run's first and last move; for an operation, twice its own."""
     if not isinstance(item, MoveRun):
         return item.source, item.source

@@ -53,7 +53,7 @@ def _label(found: re.Match[str]) -> str:
     return f"{found[0]} of the command line" if label is None else f"'{label}'"
 
 
-def told_on_page(message: BaseModel) -> BaseModel:
+def in_words_of_page(message: BaseModel) -> BaseModel:
     """Return a message with its texts for people in the words of the page."""
     if isinstance(message, say.Said | say.Answer):
         return message.model_copy(update={"text": in_page_words(message.text)})
@@ -171,7 +171,7 @@ class ControlLease:
         self._until_s = 0.0
         return True
 
-    def passes(self, now_s: float) -> Lease | None:
+    def pass_if_due(self, now_s: float) -> Lease | None:
         """Pass control to the asking client if that is due; return the new lease, or None."""
         if self._asks is None:
             return None
@@ -223,7 +223,7 @@ class Client:
         """Queue a message in order; a waiting state is older, and is dropped."""
         self._state = None
         self.full = self.full or len(self._waiting) >= _MOST_WAITING
-        self._waiting.append(told_on_page(message).model_dump_json())
+        self._waiting.append(in_words_of_page(message).model_dump_json())
         self._ready.set()
 
     async def next_text(self, clock: Callable[[], float]) -> str | None:

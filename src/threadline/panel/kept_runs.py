@@ -40,7 +40,7 @@ from threadline.live.continuing import (
     operation_at,
 )
 from threadline.live.hold_deviation import hold_waits, hold_words
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
 from threadline.live.states import Cause, Sink, State
 from threadline.live.store.run_store import OpenRun, RunStore
@@ -60,7 +60,7 @@ from threadline.proof.proof_file import ProofFile
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
 from threadline.verdict.progress import PlanClock
 
-_JUDGE = words_of("threadline.panel.kept_runs", "be_judge")
+_JUDGE = words_of("threadline.panel.kept_runs", "judge_main")
 _NICE = 10  # the executor comes first
 
 
@@ -92,15 +92,15 @@ class Prepared:
     again: Continued | None = None
     continues: str = ""
 
-    def ways(self, machine: Machine) -> list[tuple[str, int]]:
+    def moves(self, machine: Machine) -> list[tuple[str, int]]:
         """Return the moves to where the rest begins, in their order."""
         assert self.again is not None
         return list(zip(machine.axes, self.again.rest.begins.tolist(), strict=False))
 
-    def told_rest(self) -> dict[str, Any]:
+    def rest_notes(self) -> dict[str, Any]:
         """Return what the operator must know before confirming the rest."""
         assert self.again is not None
-        return {"run": self.continues, "told": list(self.again.told)}
+        return {"run": self.continues, "told": list(self.again.notes)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class KeptRuns:
         self._progress: dict[str, Any] | None = None
         self._held = 0  # ticks of the run spent in holds
         self._held_from: int | None = None  # tick at which the present hold began
-        self._tells = way_of(machine).tells_plan
+        self._tells = run_kind_of(machine).reports_plan_time
         self._plan_clock = PlanClock(machine.command_clock)
         self.why = ""
         self._state: State | None = None
@@ -237,9 +237,9 @@ class KeptRuns:
             inputs = tuple(file for file in inputs_read() if not file.samefile(proof_file))
         if proof.content["sha256"] != told["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
-        leaves_m = way_of(self._machine).hold_deviation_m(plan)
+        leaves_m = run_kind_of(self._machine).hold_deviation_m(plan)
         at_rest = hold_waits(plan, spec, leaves_m)
-        spoiled = () if at_rest else way_of(self._machine).spoiled_by_holds(plan, spec)
+        spoiled = () if at_rest else run_kind_of(self._machine).spoiled_by_holds(plan, spec)
         at_rest = at_rest or bool(spoiled)
         load, number = executor.prepare(plan), int(told["number"])
         if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
@@ -432,7 +432,7 @@ def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any]
     return found
 
 
-def be_judge() -> None:
+def judge_main() -> None:
     """Judge the recording named on standard input; write the verdict, or why there is none."""
     os.nice(_NICE)
     trace, plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe

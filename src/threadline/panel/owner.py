@@ -34,7 +34,7 @@ class MoveSequence:
     """
 
     def __init__(self) -> None:
-        self._ways: deque[tuple[str, int]] = deque()
+        self._queued: deque[tuple[str, int]] = deque()
         self._stops = 0  # stops received before the sequence was requested
         self._renewed_s = 0.0
         self._begun = False
@@ -42,11 +42,11 @@ class MoveSequence:
     @property
     def left(self) -> int:
         """Number of moves that have not begun."""
-        return len(self._ways)
+        return len(self._queued)
 
-    def begin(self, ways: Iterable[tuple[str, int]], stops: int, now_s: float) -> None:
+    def begin(self, moves: Iterable[tuple[str, int]], stops: int, now_s: float) -> None:
         """Begin a sequence: axes, and the counts that each moves to."""
-        self._ways, self._stops, self._begun = deque(ways), stops, False
+        self._queued, self._stops, self._begun = deque(moves), stops, False
         self._renewed_s = now_s
 
     def renew(self, now_s: float) -> None:
@@ -59,7 +59,7 @@ class MoveSequence:
 
     def clear(self) -> None:
         """Drop the remaining moves."""
-        self._ways.clear()
+        self._queued.clear()
 
     def next_one(
         self, stops: int, ended: tuple[Ended, str] | None, now_s: float
@@ -78,10 +78,10 @@ class MoveSequence:
         whole = not self._begun or ended == (Ended.COMPLETED, "")
         if stops != self._stops or not whole or self.lease_s(now_s) <= 0.0:
             self.clear()
-        if not self._ways:
+        if not self._queued:
             return None
         self._begun = True
-        return self._ways.popleft()
+        return self._queued.popleft()
 
 
 SILENT_S = 1.0
@@ -102,7 +102,7 @@ _NO_START = frozenset({"disable", "home", "jog", "step", "approach-rest", "start
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
+class _Request:
     """A request of the server, and the number of stops received before it."""
 
     what: str
@@ -133,7 +133,7 @@ class Owner:
         self._server, self._machine, self._runs = server, machine, runs
         self._desk, self._executor = desk, executor
         executor.meanwhile = self._tell
-        self._asked: deque[_Asked] = deque()
+        self._asked: deque[_Request] = deque()
         self._stops = 0
         self._heard_s = clock_s()
         self._leaving = False
@@ -182,7 +182,7 @@ class Owner:
                 self._executor.stopped_by = OPERATOR
                 self._stop()
             elif message.kind != "alive":
-                self._asked.append(_Asked(message.kind, message.head, self._stops))
+                self._asked.append(_Request(message.kind, message.head, self._stops))
                 self._desk.wake()
         self._leaving = True
         self._stop_for("the panel, whose web server has ended")
@@ -224,7 +224,7 @@ class Owner:
                 if asked.what not in _LATER:
                     self._say("answer", number=number, ok=True, text="")
 
-    def _obey(self, asked: _Asked) -> None:
+    def _obey(self, asked: _Request) -> None:
         executor, head = self._executor, asked.head
         what = asked.what
         if what in _NO_START:
@@ -244,8 +244,8 @@ class Owner:
             executor.jog(str(head["axis"]), float(head["velocity"]))
         elif what in _MOVES:
             self._refuse_impossible(Cause.JOG)
-            ways = [(str(axis), int(to)) for axis, to in head["to"]]
-            self._moves.begin(ways, asked.stops, clock_s())
+            moves = [(str(axis), int(to)) for axis, to in head["to"]]
+            self._moves.begin(moves, asked.stops, clock_s())
         elif what == "step":
             self._refuse_impossible(Cause.JOG)
             k = self._machine.axis_names.index(str(head["axis"]))
@@ -257,8 +257,8 @@ class Owner:
             self._runs.prepare(head, asked.stops, executor)
         elif what == "approach-rest":
             self._refuse_impossible(Cause.JOG)
-            ways = self._ready_rest().ways(self._machine)
-            self._moves.begin(ways, asked.stops, clock_s())
+            moves = self._ready_rest().moves(self._machine)
+            self._moves.begin(moves, asked.stops, clock_s())
         elif what == "start-rest":
             self._refuse_impossible(Cause.START)
             self._runs.set_out(self._ready_rest(), executor)
@@ -370,7 +370,7 @@ class Owner:
             busy=self._runs.busy,
             lost=executor.lost,
             progress=self._runs.progress(executor),
-            rest=None if self._rest is None else self._rest.told_rest(),
+            rest=None if self._rest is None else self._rest.rest_notes(),
             age_s=executor.age_s,
         )
 

@@ -144,7 +144,7 @@ def _wait_for(process: subprocess.Popen[bytes]) -> None:
         process.wait(_ENDS_S)
 
 
-_CHILD = words_of("threadline.panel.owner_process", "be_owner")
+_CHILD = words_of("threadline.panel.owner_process", "owner_main")
 SEND_S = 2.0
 """Time in s after which an unsent message means that the other side is gone."""
 
@@ -194,7 +194,7 @@ def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     return process, Connection(ours)
 
 
-def be_owner() -> None:
+def owner_main() -> None:
     """Serve as the owner of the machine that the parent process names through a pipe."""
     told: Owned = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through its pipe
     end = socket.socket(fileno=int(sys.argv[1]))

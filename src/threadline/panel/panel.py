@@ -10,7 +10,7 @@ from typing import Any, assert_never
 from threadline.errors import CommandError, ThreadlineError
 from threadline.live.guards import clock_s
 from threadline.live.jogging import manual_feed
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.wire import Message
@@ -89,7 +89,7 @@ class Panel:
 
     def connect(self) -> None:
         """Start an owner of the machine; call it on the event loop."""
-        self._owner.connect(self._heard)
+        self._owner.connect(self._take)
 
     def busy(self) -> str:
         """Return why no run and no calculation can begin now, for people; empty if they can."""
@@ -112,7 +112,7 @@ class Panel:
         while not owner.gone and clock_s() < since_s + _STANDS_S:
             known = owner.heard_s > since_s + 2.0 * TELL_S  # reports on their way have come
             if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
-                return told_end(owner.now)
+                return end_words(owner.now)
             owner.send("alive")
             await asyncio.sleep(BEAT_S)
         return owner.gone or "the machine was told to stop, and has not said that it stands"
@@ -213,11 +213,11 @@ class Panel:
                 remedy="Reconnect." if lost else "Wait." if busy else "",
             )
         if isinstance(command, say.Calculate):
-            self.calculation.begin(command, self._told)
+            self.calculation.begin(command, self._show_result)
         elif command.what == "cancel":
             self.calculation.cancel()
         elif command.what == "reconnect":
-            self._owner.connect(self._heard)
+            self._owner.connect(self._take)
         else:
             self._requests += 1
             self._asked[self._requests] = (client.number, act.number)
@@ -291,7 +291,7 @@ class Panel:
             and (stands or cause not in _OF_REST_ALONE)
             and (free or cause is not Cause.START)
         ]
-        if not way_of(self.machine).by_hand:
+        if not run_kind_of(self.machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if calculation.proven is None:
             found = [what for what in found if what not in _OF_PROVEN]
@@ -308,7 +308,7 @@ class Panel:
 
     # --- what is shown ---------------------------------------------------------------------
 
-    def _heard(self, message: Message) -> None:
+    def _take(self, message: Message) -> None:
         """Process messages of the owner other than its reports."""
         head = message.head
         if message.kind == "said":
@@ -319,7 +319,7 @@ class Panel:
                 answer = say.Answer(number=number, ok=bool(head["ok"]), text=str(head["text"]))
                 self._clients[client].tell(answer)
 
-    def _told(self, found: say.Figures | str) -> None:
+    def _show_result(self, found: say.Figures | str) -> None:
         """Show the result of a calculation, or why there is none."""
         self._tell_all(say.Said(text=found, wrong=True) if isinstance(found, str) else found)
 
@@ -369,7 +369,7 @@ class Panel:
         while True:
             if self._owner.now:  # it reads from its first report on
                 self._owner.send("alive")
-            self._granted(self._control.passes(clock_s()))
+            self._granted(self._control.pass_if_due(clock_s()))
             self._seq += 1
             text = self.state().model_dump_json()
             for client in self._clients.values():
@@ -377,7 +377,7 @@ class Panel:
             await asyncio.sleep(BEAT_S)
 
 
-def told_end(now: Mapping[str, Any]) -> str:
+def end_words(now: Mapping[str, Any]) -> str:
     """Return the final state of a machine that was stopped, in words."""
     if State(now["state"]) is State.FAULT:
         return f"the machine stands, in a fault: {now['why'] or 'it tells of none'}"

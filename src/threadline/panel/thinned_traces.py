@@ -46,7 +46,7 @@ def thinned(recording: Recording) -> dict[str, Any]:
     return {
         "times_s": [round(float(k) * period_s, 6) for k in kept],
         "axes": {
-            name: {"commanded": _told(c[kept]), "actual": _told(a[kept])}
+            name: {"commanded": _rounded(c[kept]), "actual": _rounded(a[kept])}
             for name, (c, a) in at.items()
         },
     }
@@ -80,7 +80,7 @@ def _kept(deviations: FloatArray) -> IntArray:
     return np.unique(np.concatenate([*picked, [0, count - 1]]).astype(np.int64))
 
 
-def _told(values: FloatArray) -> list[float]:
+def _rounded(values: FloatArray) -> list[float]:
     return [round(float(value), 8) for value in values]
 
 

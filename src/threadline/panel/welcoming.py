@@ -8,7 +8,7 @@ from threadline.base.arrays import IntArray
 from threadline.files import Channel, ChannelKind
 from threadline.live.executor import LEASE_S
 from threadline.live.jogging import manual_feed
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import AtLink
 from threadline.live.sim_process import SLOWER
 from threadline.machine import Machine
@@ -102,7 +102,7 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
         lacks=dict(far_end.lacks),
         notes=list(far_end.notes),
         untaught=untaught(machine),
-        by_hand=way_of(machine).by_hand,
+        by_hand=run_kind_of(machine).by_hand,
         options=list(kind_of(machine).planned_by),
         axes=[
             say.Axis(

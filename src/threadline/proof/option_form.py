@@ -46,7 +46,7 @@ class Door(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recorded:
+class FileForm:
     """How a planning option is written into recordings and proofs, and read from them.
 
     Parameters
@@ -124,7 +124,7 @@ class Option:
     doors: tuple[Door, ...] = tuple(Door)
     attribute: str = ""
     parse: Callable[[Any], Any] | None = None
-    recorded: Recorded | None = None
+    recorded: FileForm | None = None
     helps: Mapping[str, str] = field(default_factory=dict)
     short: str = ""
     least: int | None = None

@@ -30,9 +30,9 @@ from threadline.proof.option_form import (
     SWITCHES,
     TICKS,
     Door,
+    FileForm,
     Group,
     Option,
-    Recorded,
     Type,
     Word,
 )
@@ -104,7 +104,7 @@ TABLE: tuple[Option, ...] = (
         helps={"compare": _EACH, "judge": _AS_GIVEN},
         default=DEFAULT_INTERPOLATION, defaults={"compile": AUTO},
         attribute="interpolation", parse=str,
-        recorded=Recorded(key="interpolation", write=_same, read=str, required=True),
+        recorded=FileForm(key="interpolation", write=_same, read=str, required=True),
         label="Interpolation",
     ),
     Option(
@@ -124,7 +124,7 @@ TABLE: tuple[Option, ...] = (
             "compare": "Feeds, separated by commas; default: as programmed.", "judge": _AS_GIVEN,
         },
         attribute="feed", parse=parse_feed,
-        recorded=Recorded(
+        recorded=FileForm(
             key="feed", required=True,
             write=lambda feed: PROGRAMMED if feed is None else feed_words(feed),
             read=lambda text: None if text == PROGRAMMED else parse_feed(text),
@@ -136,7 +136,7 @@ TABLE: tuple[Option, ...] = (
         help="Dialect of a part program: winder, linuxcnc, grbl, fluidnc, marlin, fanuc, "
         "x-winder. Default: the machine file's.",
         attribute="dialect", parse=str,
-        recorded=Recorded(key="dialect", write=_same, read=str),
+        recorded=FileForm(key="dialect", write=_same, read=str),
         label="Dialect", placeholder="the machine's",
     ),
     Option(
@@ -145,7 +145,7 @@ TABLE: tuple[Option, ...] = (
         "linuxcnc, marlin, rs274, fastest-axis, path, or base-axes:A and base-axes:A,X, CADFIL's "
         "modes 1 and 2. Default: the machine file's.",
         attribute="feed_mode", parse=str,
-        recorded=Recorded(key="feed-mode", write=_same, read=str),
+        recorded=FileForm(key="feed-mode", write=_same, read=str),
         label="Rule of F", placeholder="the machine's",
     ),
     Option(
@@ -154,7 +154,7 @@ TABLE: tuple[Option, ...] = (
         '"A=20 mm at X 0 mm; 50 mm at X 100 mm" for a cone, or "A=mandrel.csv". Default: the '
         "machine file's.",
         attribute="radius", parse=written_out, most_text=MOST_PROFILE,
-        recorded=Recorded(key="radius", write=_same, read=str),
+        recorded=FileForm(key="radius", write=_same, read=str),
         label="Radius", placeholder="the machine's",
     ),
     Option(
@@ -162,7 +162,7 @@ TABLE: tuple[Option, ...] = (
         help='Machine position of the zero of a part program: "X=12 mm, A=30 deg". Default: '
         "the machine's zero.",
         attribute="offset", parse=str,
-        recorded=Recorded(key="offset", write=_same, read=str),
+        recorded=FileForm(key="offset", write=_same, read=str),
         label="Mandrel offset", placeholder="none",
     ),
     Option(
@@ -170,14 +170,14 @@ TABLE: tuple[Option, ...] = (
         verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
         help='Replaces the needle speed of a seam: "75 stitch/s".',
         attribute="needle", parse=str,
-        recorded=Recorded(key="needle", write=_same, read=str),
+        recorded=FileForm(key="needle", write=_same, read=str),
     ),
     Option(
         name="tolerance", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS, STEPS),
         help="Largest deviation from the programmed path, kept by auto, optimal and parabolic: "
         '"0.1 mm".',
         default=DEFAULT_TOLERANCE, attribute="tolerance_m", parse=parse_tolerance_m,
-        recorded=Recorded(
+        recorded=FileForm(
             key="tolerance", write=_exact("m"), read=parse_tolerance_m, required=True
         ),
         label="Tolerance", placeholder=DEFAULT_TOLERANCE,
@@ -187,7 +187,7 @@ TABLE: tuple[Option, ...] = (
         verbs=("prove", "run", "compile", "compare", "yield", "design", "judge", "panel"),
         help="Share of the acceleration and jerk limits that the planner uses.",
         default=DEFAULT_LIMITS, attribute="limit_share", parse=parse_share,
-        recorded=Recorded(key="limits", write=_exact("%", 100.0), read=parse_share),
+        recorded=FileForm(key="limits", write=_exact("%", 100.0), read=parse_share),
     ),
     Option(
         name="shaper", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS, SWITCHES),
@@ -200,7 +200,7 @@ TABLE: tuple[Option, ...] = (
             "judge": _AS_GIVEN,
         },
         attribute="shaper", parse=parse_shaper_text,
-        recorded=Recorded(key="shaper", write=_same, read=parse_shaper_text),
+        recorded=FileForm(key="shaper", write=_same, read=parse_shaper_text),
         label="Shaper", placeholder="none",
     ),
     Option(
@@ -208,14 +208,14 @@ TABLE: tuple[Option, ...] = (
         verbs=("prove", "run", "compile", "compare", "yield", "judge"),
         help='On an on/off machine: design mode of its shaper, "3.04 Hz"; default: the machine\'s.',
         attribute="shaper_mode", parse=str,
-        recorded=Recorded(key="mode", write=_same, read=str),
+        recorded=FileForm(key="mode", write=_same, read=str),
     ),
     Option(
         name="damping", group=Group.PLAN, type=Type.RATIO, kinds=(SWITCHES,),
         verbs=("prove", "run", "compile", "compare", "yield", "judge"),
         help="Damping ratio of that mode; default: the machine's.",
         attribute="shaper_damping", parse=parse_damping,
-        recorded=Recorded(
+        recorded=FileForm(
             key="damping", read=parse_damping,
             write=lambda ratio: None if ratio is None else repr(ratio),
         ),
@@ -225,7 +225,7 @@ TABLE: tuple[Option, ...] = (
         help="Feed-forward by the inverses of the axes' models, so that the loads follow the path.",
         helps={"judge": "The plan has feed-forward; default: the recording's."},
         default=False, attribute="feed_forward_s",
-        recorded=Recorded(key="feed-forward", write=_exact("s"), read=parse_width_s),
+        recorded=FileForm(key="feed-forward", write=_exact("s"), read=parse_width_s),
         label="Loads follow",
     ),
     Option(
@@ -240,12 +240,12 @@ TABLE: tuple[Option, ...] = (
             f'"{FEED_FORWARD}".',
         },
         attribute="change_s",
-        recorded=Recorded(key="change", write=_exact("s"), read=parse_width_s),
+        recorded=FileForm(key="change", write=_exact("s"), read=parse_width_s),
         label="Smoothing", placeholder="default",
     ),
     Option(
         name="robust", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb != "design"),
+        verbs=PLANNERS,
         help="With --feed-forward: keep the loads from ringing for all masses and stiffnesses "
         'within this share of their tolerances: "100 %". --smoothing is then the time in which '
         "the speed may change, by default four turns of a seam's needle.",
@@ -256,7 +256,7 @@ TABLE: tuple[Option, ...] = (
             "judge": _AS_GIVEN,
         },
         attribute="robust_share", parse=parse_robust,
-        recorded=Recorded(key="robust", write=_exact("%", 100.0), read=parse_robust),
+        recorded=FileForm(key="robust", write=_exact("%", 100.0), read=parse_robust),
         label="Robust", placeholder="none",
     ),
     Option(
@@ -265,7 +265,7 @@ TABLE: tuple[Option, ...] = (
         f'"{DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With --feed-forward: '
         "largest deviation of the loads from their motion at the start and end of the table.",
         attribute="contour_m", parse=parse_contour_m,
-        recorded=Recorded(
+        recorded=FileForm(
             key="contour", read=parse_contour_m,
             write=lambda width: NO_CONTOUR if width == float("inf") else _exact("m")(width),
         ),

@@ -230,7 +230,7 @@ def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
 
     The path deviation due to shaping and smoothing is always listed, with or without a limit.
     """
-    return kind_of(machine).asked(spec, options)
+    return kind_of(machine).with_criteria(spec, options)
 
 
 def target_names() -> tuple[str, ...]:

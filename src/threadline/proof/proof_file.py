@@ -29,7 +29,7 @@ from threadline.machine.load import split_reference
 from threadline.machine.par import read_parameters
 from threadline.proof.options import options_from
 from threadline.proof.pipeline import Proof, open_job, plan_job, with_shaping
-from threadline.proof.proof_form import contradiction, in_spec, misformed, unlike
+from threadline.proof.proof_form import contradiction, criteria_difference, in_spec, malformed_entry
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.rendering import criteria_json
 
@@ -305,7 +305,7 @@ def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
             place=place,
             remedy="Prove the job again.",
         )
-    if where := misformed(content):
+    if where := malformed_entry(content):
         raise ProofError(
             f"{where!r} is missing, or has the wrong type",
             place=place,
@@ -371,7 +371,7 @@ def check_proof(
     if known.content["threadline"] != __version__:
         told = str(known.content["threadline"])
         differences.append(Difference("threadline", "threadline", told, __version__))
-    if not differences and (why := unlike(known.content, plan, spec)):
+    if not differences and (why := criteria_difference(known.content, plan, spec)):
         raise _contradicts(known.path, why)
     return tuple(differences)
 

@@ -15,6 +15,7 @@ from types import UnionType
 from typing import Any
 
 from threadline.base.arrays import finite
+from threadline.base.option_defaults import MOST_REPEATS
 from threadline.commands.plan import Plan
 from threadline.proof.kinds.variants import REJECTS, UNANSWERED
 from threadline.verdict import Spec
@@ -50,11 +51,13 @@ _PROOF: Mapping[str, _Form] = {
 }
 _HASHED = ("job", "machine", "actual", "options", "spec", "commands")
 _SHA256 = re.compile("[0-9a-f]{64}")
+_MOST_MACHINES = 1_000_000
+"""Far beyond what ``--tolerances``, ``--yield`` and ``--ends`` ask for."""
 _OF_MACHINES = (REJECTS, UNANSWERED)
 """Criteria of many machines together, which no specification names."""
 
 
-def misformed(content: Mapping[str, Any]) -> str:
+def malformed_entry(content: Mapping[str, Any]) -> str:
     """Return the name of the first entry that is missing or has a wrong type; else empty.
 
     Parameters
@@ -105,7 +108,13 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
         if part is not None and not _SHA256.fullmatch(part["sha256"]):
             yield f"the sha256 of {what} is not one: {part['sha256'][:20]!r}"
     if runs < 1 or machines < 0:
-        yield f"it counts {runs} runs and {machines} other machines"
+        yield f"it counts {_shown(runs)} runs and {_shown(machines)} other machines"
+    for number, most, what in (
+        (runs, MOST_REPEATS, "runs"),
+        (machines, _MOST_MACHINES, "other machines"),
+    ):
+        if number > most:
+            yield f"it counts {_shown(number)} {what}, and a verdict has at most {most}"
     if not criteria:
         yield "it has no criteria"
     if not verdict["simulated"]:
@@ -147,6 +156,12 @@ def _against(criteria: list[Any]) -> str:
     return ""
 
 
+def _shown(number: int) -> str:
+    if abs(number) < 10**12:
+        return str(number)
+    return "more than 1e12" if number > 0 else "less than -1e12"
+
+
 def _name(criterion: Mapping[str, Any]) -> str:
     return f"{criterion['name']} {criterion['axis'] or ''}".strip()[:60]
 
@@ -177,7 +192,7 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
     return f"{name} is {status!r} with {told} under {under}, which is {found.value!r}"
 
 
-def unlike(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
+def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
     """Return how the criteria of a proof differ from plan and specification; else empty.
 
     Parameters

@@ -197,7 +197,7 @@ _RUNS = 16
 _ROUNDING = 1e-6  # relative: of values measured at points of the path
 
 
-def doubts(proof: Proof) -> list[str]:
+def warnings_of(proof: Proof) -> list[str]:
     """Return every warning of a proof: about its machine, job, plan and verdict."""
     plan = proof.plan
     return [
@@ -210,9 +210,9 @@ def doubts(proof: Proof) -> list[str]:
     ]
 
 
-def doubts_of_all(proofs: Sequence[Proof]) -> list[str]:
+def warnings_of_all(proofs: Sequence[Proof]) -> list[str]:
     """Return the warnings of several proofs, each once."""
-    return list(dict.fromkeys(said for proof in proofs for said in doubts(proof)))
+    return list(dict.fromkeys(said for proof in proofs for said in warnings_of(proof)))
 
 
 def tolerance_warnings(plan: Plan) -> list[str]:
@@ -220,7 +220,7 @@ def tolerance_warnings(plan: Plan) -> list[str]:
     if MEASURES["path_deviation"].of_plan(plan) is None or _keeps(plan):
         return []
     (worst,) = measure_path_deviation(plan)
-    return _told(plan, worst.value, worst.job_line)
+    return _deviation_warnings(plan, worst.value, worst.job_line)
 
 
 def proof_warnings(proof: Proof) -> list[str]:
@@ -228,7 +228,7 @@ def proof_warnings(proof: Proof) -> list[str]:
     found = [r for r in proof.verdict.results if r.name == "path_deviation"]
     if not found or found[0].measured is None or _keeps(proof.plan):
         return []
-    return _told(proof.plan, found[0].measured, found[0].job_line)
+    return _deviation_warnings(proof.plan, found[0].measured, found[0].job_line)
 
 
 def _keeps(plan: Plan) -> bool:
@@ -236,7 +236,7 @@ def _keeps(plan: Plan) -> bool:
     return name in KEEPING_TOLERANCE or on_chords(name)
 
 
-def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
+def _deviation_warnings(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
     tolerance_m = parse_tolerance_m(plan.options["tolerance"])
     if deviation_m is None or deviation_m <= tolerance_m * (1.0 + _ROUNDING):
         return []

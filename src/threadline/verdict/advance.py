@@ -13,7 +13,7 @@ from threadline.verdict.blocks import judged_blocks
 from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import chord_ways, lengths_squared
+from threadline.verdict.nearest import chord_vectors, lengths_squared
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
@@ -34,8 +34,8 @@ class _Progress(SweptMeasure):
     Without a recorded command for every axis, the plan at the same instant takes its place.
 
     Lengths are at the tool, over all axes, rotary ones times their radius. Tool and command are
-    straight between samples: on a straight piece of the path the measure does not depend on the
-    sampling rate.
+    taken as straight between samples, so that on a straight piece of the path the result does not
+    depend on the sampling rate.
 
     With many runs, places far behind all of them are dropped while the recording is read. If one of
     them might have been the better match, the recording is read again with every place kept.
@@ -67,7 +67,7 @@ class _Progress(SweptMeasure):
         fresh, steady = (one * self._radius_m for one in self._commanded(block))
         first = len(self._command)
         command = np.concatenate([self._command, fresh])
-        way, length = chord_ways(command)
+        way, length = chord_vectors(command)
         stood = steady[:1] if self._stood is None else self._stood
         self._stood = steady[-1:]
         departs = np.diff(steady, axis=0, prepend=stood)

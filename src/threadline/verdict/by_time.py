@@ -30,7 +30,7 @@ OPERATION_BY_TIME = "operations from the plan by time"
 _ROUNDING = 1e-9  # of a tick: an instant this close to a tick is that tick
 
 
-class Told:
+class WatchedOperations:
     """The blocks of a live recording, and whether their operations are usable.
 
     A column of -1 throughout means that no operation was recorded. This is known at the first real
@@ -47,13 +47,13 @@ class Told:
 
     Attributes
     ----------
-    anything
+    usable
         Whether a real operation was seen so far.
     """
 
     def __init__(self, blocks: Iterable[RecordingBlock], channel: Channel, job: Job) -> None:
         self._blocks, self._channel, self._job = blocks, channel, job
-        self.anything = False
+        self.usable = False
 
     def __iter__(self) -> Iterator[RecordingBlock]:
         """Yield the blocks.
@@ -66,7 +66,7 @@ class Told:
         channel, count = self._channel, 0
         for block in self._blocks:
             samples = block.samples[channel.name]
-            self.anything = self.anything or not (samples < 0).all()
+            self.usable = self.usable or not (samples < 0).all()
             if len(samples) and samples.max() >= count:
                 count = count or _count(self._job)
                 at = int(np.argmax(samples >= count))

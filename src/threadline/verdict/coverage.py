@@ -11,7 +11,7 @@ from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Event, Outcome, Recording, RecordingBlock, Stream
 from threadline.files.recording import said_once
 from threadline.machine import Machine
-from threadline.verdict.types import Change, Happening, Result, Status
+from threadline.verdict.types import Change, Disturbance, Result, Status
 
 _ROUNDING = 1e-9  # of a sample
 
@@ -135,17 +135,17 @@ def _s(channel: Channel, tick: int) -> str:
     return f"{channel.clock.time_s(tick):.6g} s"
 
 
-MOST_TOLD = 50
+MOST_NAMED = 50
 """Number of events of one kind that a verdict names; further ones are only counted."""
 _ENDS = {"stopped": Change.STOPPED, "fault": Change.FAULT}
 
 
-class Heard:
+class EventReader:
     """Reads the blocks of a recording and collects its events.
 
     Attributes
     ----------
-    happenings
+    disturbances
         Limit switches and events that changed the motion so far.
     stopped_s
         Start of the stop that ended the run, s; None if nobody stopped it.
@@ -154,11 +154,11 @@ class Heard:
     def __init__(self, recording: Recording, machine: Machine) -> None:
         self._recording, self._machine = recording, machine
         self._outcome: Outcome | None = None
-        self.happenings: list[Happening] = []
+        self.disturbances: list[Disturbance] = []
         self.stopped_s: float | None = None
 
     def __iter__(self) -> Iterator[RecordingBlock]:
-        known, self.happenings = Outcome(), []
+        known, self.disturbances = Outcome(), []
         switches = [
             _Cut(channel, self._recording, self._machine)
             for channel in self._recording.channels
@@ -174,7 +174,7 @@ class Heard:
             yield block
         self._outcome = known
         cuts = [switch.found for switch in switches if switch.found is not None]
-        self.happenings, self.stopped_s = [*cuts, *events.found()], events.stopped_s
+        self.disturbances, self.stopped_s = [*cuts, *events.found()], events.stopped_s
 
     def outcome(self) -> Outcome:
         """Return how the run ended; read the recording if that has not been done."""
@@ -192,7 +192,7 @@ class _Cut:
         self._channel, self._runs = channel, recording.runs
         self._operation = recording.find(ChannelKind.OPERATION)
         self._switch = machine.inputs[channel.name]
-        self.found: Happening | None = None
+        self.found: Disturbance | None = None
 
     def take(self, block: RecordingBlock) -> None:
         """Examine the samples of a block."""
@@ -211,7 +211,7 @@ class _Cut:
             at = (tick - block.first_tick[channel.clock.name]) // self._operation.stride
             operation = int(told[min(at, len(told) - 1)]) if len(told) else None
         runs = np.flatnonzero(values[first])
-        self.found = Happening(
+        self.found = Disturbance(
             change=Change.LIMIT_SWITCH,
             text=f"the limit switch {channel.name} of {self._switch.axis} cut the supply of "
             f"drives.{self._switch.cuts}",
@@ -227,7 +227,7 @@ class _Events:
 
     def __init__(self, recording: Recording) -> None:
         self._clock = recording.channels[0].clock if recording.channels else None
-        self._found: list[Happening] = []
+        self._found: list[Disturbance] = []
         self._held: Event | None = None
         self._holds = 0
         self._late: Event | None = None
@@ -257,13 +257,13 @@ class _Events:
             why = said_once(event.kind, event.name)
             self._add(_ENDS[event.kind], f"the run ended early, {why},", event)
 
-    def found(self) -> list[Happening]:
+    def found(self) -> list[Disturbance]:
         """Return the collected events, once all were taken."""
         if self._held is not None:
             self._end_hold(None)
-        if self._holds > MOST_TOLD:
+        if self._holds > MOST_NAMED:
             self._found.append(
-                Happening(
+                Disturbance(
                     change=Change.HOLD,
                     text=f"it was held {self._holds} times in all",
                     time_s=None,
@@ -279,7 +279,7 @@ class _Events:
         self._holds += 1
         if until is not None:
             self._brakes = self._held.tick, until.tick
-        if self._holds <= MOST_TOLD:
+        if self._holds <= MOST_NAMED:
             why = f", {self._held.name}," if self._held.name else ""
             lasted = ""
             if until is not None and self._clock is not None:
@@ -290,7 +290,7 @@ class _Events:
 
     def _add(self, change: Change, text: str, event: Event) -> None:
         self._found.append(
-            Happening(
+            Disturbance(
                 change=change,
                 text=text,
                 time_s=None if self._clock is None else float(self._clock.time_s(event.tick)),
@@ -317,7 +317,7 @@ _CHANGES = {
 """By measure: the effect on the motion, and the measured value above which it is listed."""
 
 
-def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
+def effects_in(results: Sequence[Result], machine: Machine) -> list[Disturbance]:
     """Return the effects on the motion that follow from the measured results of a verdict."""
     found = []
     for result in results:
@@ -330,7 +330,7 @@ def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
         if result.measured > limit:
             share = f"{100.0 * result.measured:.4g} %"
             found.append(
-                Happening(
+                Disturbance(
                     change=change,
                     text=text.format(axis=result.axis, share=share),
                     time_s=result.time_s,
@@ -343,16 +343,18 @@ def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
     return found
 
 
-def heard(recordings: Sequence[Recording], machine: Machine) -> list[tuple[Recording, Heard]]:
-    """Return each recording, its blocks read through a ``Heard``, and that ``Heard``."""
+def with_event_readers(
+    recordings: Sequence[Recording], machine: Machine
+) -> list[tuple[Recording, EventReader]]:
+    """Return each recording, its blocks read through an ``EventReader``, and that reader."""
     found = []
     for recording in recordings:
-        listener = Heard(recording, machine)
+        listener = EventReader(recording, machine)
         found.append((replace(recording, blocks=listener), listener))
     return found
 
 
-def told_end(outcome: Outcome) -> str:
+def end_words(outcome: Outcome) -> str:
     """Say how a run ended before its last row; empty if it was complete."""
     if not outcome.incomplete:
         return ""
@@ -384,16 +386,18 @@ def not_beyond(
     if result.status is Status.FAILED and not by_stop:
         return result
     so_far = (
-        "" if result.measured is None else f" ({_told(result.measured, result.unit)} until then)"
+        ""
+        if result.measured is None
+        else f" ({_with_unit(result.measured, result.unit)} until then)"
     )
     note = "; ".join(filter(None, (result.note, f"{why}{so_far}")))
     return replace(result, status=Status.NOT_MEASURED, measured=None, note=note)
 
 
-def _told(value: float, unit: str) -> str:
+def _with_unit(value: float, unit: str) -> str:
     """Return a value with its unit; without a unit it is a share.
 
-    >>> _told(0.25e-3, "m"), _told(0.05, "")
+    >>> _with_unit(0.25e-3, "m"), _with_unit(0.05, "")
     ('0.00025 m', '5 %')
     """
     return f"{value:.4g} {unit}" if unit else f"{100.0 * value:.4g} %"

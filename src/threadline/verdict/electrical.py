@@ -106,12 +106,12 @@ class _CurrentPeak(SweptMeasure):
         limits = [np.nan if limit is None else limit.si for limit in self._limits]
         shares = np.array([f.value / limit for f, limit in zip(found, limits, strict=True)])
         return [
-            replace(f, of=partial(self._told, f, column, shares))
+            replace(f, of=partial(self._finding, f, column, shares))
             for column, f in enumerate(found)
             if not np.isnan(f.value).all()
         ]
 
-    def _told(self, found: Found, column: int, shares: FloatArray, run: int) -> Finding:
+    def _finding(self, found: Found, column: int, shares: FloatArray, run: int) -> Finding:
         """Return the finding of a run with the share of its limit, and the axis that binds."""
         finding, limit, own = found.of(run), self._limits[column], shares[:, run]
         binds = None if np.isnan(own).all() else int(np.nanargmax(own))
@@ -209,12 +209,12 @@ class _DacSaturation(SweptMeasure):
             Found(
                 axis=axis,
                 value=self._clamped[column] / self._count,
-                of=partial(self._told, column),
+                of=partial(self._finding, column),
             )
             for column, axis in enumerate(self._axes)
         ]
 
-    def _told(self, column: int, run: int) -> Finding:
+    def _finding(self, column: int, run: int) -> Finding:
         clamped = int(self._clamped[column, run])
         first = self._where[column].of(run)
         note = f"{clamped} of {self._count} samples at the clamp" if clamped else ""

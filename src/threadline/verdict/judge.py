@@ -13,7 +13,13 @@ from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.errors import RecordingError, SpecError
 from threadline.files import ChannelKind, Recording
 from threadline.verdict.by_time import OPERATION_BY_TIME, with_passes
-from threadline.verdict.coverage import Heard, heard, not_beyond, seen_in, told_end
+from threadline.verdict.coverage import (
+    EventReader,
+    effects_in,
+    end_words,
+    not_beyond,
+    with_event_readers,
+)
 from threadline.verdict.demands import with_needle
 from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
 from threadline.verdict.finding import Finding, Found, joined
@@ -24,7 +30,7 @@ from threadline.verdict.one_pass import Findings, Key, Pass, read_all
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
-from threadline.verdict.types import Criterion, Happening, Result, Spec, Verdict
+from threadline.verdict.types import Criterion, Disturbance, Result, Spec, Verdict
 
 
 def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
@@ -112,9 +118,9 @@ class Judge:
             Recordings of other machines within the tolerances. Their worst counts too, except in
             measures of many runs together (repeatability), which compare runs of one machine.
         recorded
-            Whether these are recordings, not runs simulated for this verdict. Limits of travel and
-            velocity are then measured on them as well, whatever a recording says of its origin; a
-            run simulated for its verdict plays exactly the commands of the plan.
+            Whether these are recordings, and not runs simulated for this verdict. Limits of travel
+            and velocity are then measured on them as well, whatever origin a recording names; a run
+            simulated for its verdict plays exactly the commands of the plan.
 
         Raises
         ------
@@ -131,7 +137,7 @@ class Judge:
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)
         outcomes = [listener.outcome() for listener in listened]
-        why = next(filter(None, map(told_end, outcomes)), "")
+        why = next(filter(None, map(end_words, outcomes)), "")
         stops = [
             listener.stopped_s
             for listener, outcome in zip(listened, outcomes, strict=True)
@@ -143,7 +149,7 @@ class Judge:
             with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
-                _told(_run_told(result, found, count), runs),
+                _with_operation_note(_with_run_number(result, found, count), runs),
                 why,
                 stopped_s,
                 of_worst=kind.of_worst,
@@ -154,7 +160,7 @@ class Judge:
         ]
         simulated = all(recording.simulated for recording in (*recordings, *others))
         results = tuple(with_passes(tuple(_with_lines(told, plan)), plan.job))
-        happened = [*(one for listener in listened for one in listener.happenings)]
+        happened = [*(one for listener in listened for one in listener.disturbances)]
         return Verdict(
             results=results,
             simulated=simulated,
@@ -164,7 +170,9 @@ class Judge:
             incomplete=why,
             late_ticks=sum(outcome.late_ticks for outcome in outcomes),
             recorded=recorded,
-            happenings=tuple(_in_order([*_lined(happened, plan), *seen_in(results, plan.machine)])),
+            disturbances=tuple(
+                _in_order([*_lined(happened, plan), *effects_in(results, plan.machine)])
+            ),
         )
 
     def each(self, recording: Recording) -> EachRun:
@@ -180,7 +188,7 @@ class Judge:
         """
         plan = self.plan
         findings, runs, listened = self._measured([recording], together=False, each=True)
-        why = next(filter(None, (told_end(one.outcome()) for one in listened)), "")
+        why = next(filter(None, (end_words(one.outcome()) for one in listened)), "")
         rows = [
             criterion_row(criterion, kind, plan, found, recording.runs)
             for criterion in self.spec.criteria
@@ -196,14 +204,14 @@ class Judge:
         together: bool = True,
         recorded: bool = False,
         each: bool = False,
-    ) -> tuple[Findings, list[Run], list[Heard]]:
+    ) -> tuple[Findings, list[Run], list[EventReader]]:
         plan = self.plan
         if not recordings:
             raise RecordingError("there is no recording to judge", remedy="Give at least one.")
         for recording in recordings:
             _check_same_job(recording, plan)
             _check_units(recording, plan)
-        listened = heard(recordings, plan.machine)
+        listened = with_event_readers(recordings, plan.machine)
         opened = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
         kinds = {key: MEASURES[criterion.name] for key, criterion in self._keys.items()}
         of_recording = {} if each else kinds_of(self.spec, recorded=recorded)
@@ -251,7 +259,7 @@ def _check_units(recording: Recording, plan: Plan) -> None:
             )
 
 
-def _told(result: Result, runs: Sequence[Run]) -> Result:
+def _with_operation_note(result: Result, runs: Sequence[Run]) -> Result:
     """Add a note to a result that needs operations if they were not recorded."""
     reading = MEASURES[result.name].of_run(runs[0])
     if result.measured is None or reading is None or not any(run.by_time for run in runs):
@@ -261,7 +269,7 @@ def _told(result: Result, runs: Sequence[Run]) -> Result:
     return replace(result, note="; ".join(filter(None, (result.note, OPERATION_BY_TIME))))
 
 
-def _run_told(result: Result, found: Found, runs: int) -> Result:
+def _with_run_number(result: Result, found: Found, runs: int) -> Result:
     """Add to a result the number of the worst run, unless its value is 0."""
     if runs == 1 or len(found) != runs or not result.measured:
         return result
@@ -385,7 +393,7 @@ def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Findin
     )
 
 
-def _lined(happened: Sequence[Happening], plan: Plan) -> list[Happening]:
+def _lined(happened: Sequence[Disturbance], plan: Plan) -> list[Disturbance]:
     """Fill in the job lines of events."""
     wanted = {one.operation for one in happened if one.operation is not None}
     lines = plan.intent.lines_of(plan.job, wanted) if wanted else {}
@@ -395,7 +403,7 @@ def _lined(happened: Sequence[Happening], plan: Plan) -> list[Happening]:
     ]
 
 
-def _in_order(happened: Sequence[Happening]) -> list[Happening]:
+def _in_order(happened: Sequence[Disturbance]) -> list[Disturbance]:
     """Return events in the order of time; events without a time come last."""
     return sorted(happened, key=lambda one: np.inf if one.time_s is None else one.time_s)
 

@@ -95,7 +95,7 @@ class Run(Protocol):
         """Whether the operations are taken from the plan at the same instant."""
 
     @property
-    def untold(self) -> Run | None:
+    def fallback(self) -> Run | None:
         """The same run with the operations of the plan; None once it is known which ones count.
 
         A live recording may have an empty column of operations. Until a real operation appears both
@@ -144,7 +144,7 @@ class MeasureOfRuns(Protocol):
         """
 
     def finish(self, runs: Sequence[Any]) -> Sequence[Finding]:
-        """Return the findings; ``runs`` are the runs that count in the end (``Run.untold``)."""
+        """Return the findings; ``runs`` are the runs that count in the end (``Run.fallback``)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import numpy as np
 from threadline.commands.plan import Plan
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.blocks import find_first, judged_blocks, master_channel, peak_channels
-from threadline.verdict.by_time import Told, with_operation
+from threadline.verdict.by_time import WatchedOperations, with_operation
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
@@ -98,9 +98,9 @@ class MotionRun(Setting):
         Whether its operations are those of the commands at the same instant, as none were recorded.
     coverage
         Instants of each channel that the recording covers, once it has been read.
-    told
+    operations
         For a live recording with a column of operations: whether the column is usable.
-    instead
+    by_plan
         The same run with the operations of the commands, in case the column is empty.
     branch
         Its side of the stream, if two runs share one recording.
@@ -112,14 +112,14 @@ class MotionRun(Setting):
     lag_s: float
     by_time: bool
     coverage: Coverage
-    told: Told | None = None
-    instead: MotionRun | None = None
+    operations: WatchedOperations | None = None
+    by_plan: MotionRun | None = None
     branch: Branch[RecordingBlock] | None = None
 
     @property
-    def untold(self) -> MotionRun | None:
+    def fallback(self) -> MotionRun | None:
         """The run with the commands' operations, until a recorded operation appears."""
-        return None if self.told is None or self.told.anything else self.instead
+        return None if self.operations is None or self.operations.usable else self.by_plan
 
     def release(self) -> None:
         """Do nothing: a run holds no more samples than one block."""
@@ -272,7 +272,7 @@ def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
     Recorded operations have priority over the plan's at the same instant. A recording without them,
     or with -1 throughout, gets those of the commands. For a live recording this is known only after
     it has been read, and it can be read only once: the returned run then has a second one,
-    ``instead``, which reads the same blocks with the operations of the commands.
+    ``by_plan``, which reads the same blocks with the operations of the commands.
 
     Raises
     ------
@@ -289,13 +289,13 @@ def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
     if recording.simulated:  # the twin always records operations
         return _beside(watched, plan, lag_s, coverage, by_time=False)
     fork = Fork(watched)
-    told = Told(fork.first, channel, plan.job)
+    operations = WatchedOperations(fork.first, channel, plan.job)
     others = tuple(c for c in recording.channels if c is not channel)
-    untold = replace(watched, channels=others, blocks=fork.second)
-    timed = with_operation(untold, plan, plan.axes)
-    instead = _beside(timed, plan, lag_s, coverage, by_time=True)
-    run = _beside(replace(watched, blocks=told), plan, lag_s, coverage, by_time=False)
-    return replace(run, told=told, instead=replace(instead, branch=fork.second))
+    fallback = replace(watched, channels=others, blocks=fork.second)
+    timed = with_operation(fallback, plan, plan.axes)
+    by_plan = _beside(timed, plan, lag_s, coverage, by_time=True)
+    run = _beside(replace(watched, blocks=operations), plan, lag_s, coverage, by_time=False)
+    return replace(run, operations=operations, by_plan=replace(by_plan, branch=fork.second))
 
 
 def _beside(

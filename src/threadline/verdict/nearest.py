@@ -38,7 +38,7 @@ def _weighed_to_segment(
 weighed_to_segment = njit(nogil=True)(_weighed_to_segment)
 
 
-def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+def chord_vectors(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the (m, axes) direction vector of each chord, and (m,) its squared length.
 
     Chord c ends at vertex c; row 0 is unused. A chord whose squared length has lost digits, or has
@@ -330,7 +330,7 @@ def nearest_chords(
     samples, axes, runs = points.shape
     squared = np.empty((samples, runs))
     chord = np.empty((samples, runs), dtype=np.int64)
-    way, length = chord_ways(vertices)
+    way, length = chord_vectors(vertices)
     each, shares = (0,) * axes, points[:0] if share is None else share
     nearest_chords_each(points, begin, end, vertices, way, length, each, shares, squared, chord)
     return squared, chord

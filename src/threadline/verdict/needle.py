@@ -24,7 +24,7 @@ from threadline.jobs.operations import (
 )
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 from threadline.verdict.samples import PLANNED_RESOLUTION
-from threadline.verdict.window import Passing
+from threadline.verdict.window import TrajectoryFollower
 
 _MOST_MOVES = 1024  # in memory at once
 _ROUNDING = 1e-9  # of the time: pieces no farther apart than this are adjacent
@@ -139,8 +139,8 @@ def _found(job: Job, intended: Motion) -> Iterator[Stitches]:
     columns = [motion.axes.index(axis) for axis in job.axes]
     start = np.asarray(job.start, dtype=np.float64) * radius
     moving = _Moving(motion)
-    passing = Passing(moving, columns, radius, start)
-    before_s, contour = passing.time_s, -1.0
+    follower = TrajectoryFollower(moving, columns, radius, start)
+    before_s, contour = follower.time_s, -1.0
     runs = _runs(job)
     waiting: _Moves | None = None
     while True:
@@ -152,7 +152,7 @@ def _found(job: Job, intended: Motion) -> Iterator[Stitches]:
         if waiting is None or not len(waiting):
             return
         points = waiting.target[:_MOST_MOVES] * radius
-        down = passing.times(points)
+        down = follower.times(points)
         done = len(down)
         taken, waiting = waiting.rows(slice(done)), waiting.rows(slice(done, None))
         points = points[:done]

@@ -100,12 +100,12 @@ class Pass:
 
     def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], *, together: bool) -> None:
         self._begun = _Begun(run, kinds, together)
-        self._timed = None if run.untold is None else _Timed(run.untold, kinds, together)
+        self._timed = None if run.fallback is None else _Timed(run.fallback, kinds, together)
 
     def blocks(self) -> Iterator[tuple[Block, IntArray | None]]:
         """Read the run; yield its blocks, and the operations by time while they may be needed."""
         for block in self._begun.blocks():
-            if self._timed is not None and self._begun.run.untold is None:
+            if self._timed is not None and self._begun.run.fallback is None:
                 self._timed.leave()
                 self._timed = None
             yield block, None if self._timed is None else self._timed.operations(len(block))

@@ -1,4 +1,4 @@
-"""Places of the command that the tools of many runs can have come to, sample by sample."""
+"""Places of the command that the tools of many runs can have reached, sample by sample."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.verdict.boxes import MORE, Boxes
 
-_CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up
+_CEILING = 4.0  # times the largest squared error: a worse trailing place is dropped
 
 
 def _given_up(
     value: FloatArray, row: int, long: float, ceiling: float, dropped: FloatArray
 ) -> bool:
-    """Say whether all values of a row are above the ceiling; if so lower ``dropped`` to them.
+    """Return whether all values of a row exceed the ceiling; if so lower ``dropped`` to them.
 
-    What counts is the least of the place behind it, ``long`` m long, that could be reached from
-    there: it falls with its length.
+    The ceiling is compared with the least value reachable in the next place, ``long`` m long: the
+    root of the value falls with the distance.
     """
     least, near = np.sqrt(ceiling) + long, 0
     for r in range(len(dropped)):
@@ -38,7 +38,7 @@ _given_up_fast = njit(nogil=True)(_given_up)
 def _ahead(
     point: FloatArray, start: FloatArray, way: FloatArray, per_length: float, heading: FloatArray
 ) -> float:
-    """Return how far a point is from the nearest place of a way, along a heading."""
+    """Return how far a point is from the nearest place of a segment, along a heading."""
     length, along = 0.0, 0.0
     for a in range(len(point)):
         length += (point[a] - start[a]) * way[a]
@@ -61,7 +61,7 @@ def _bounds(
     k: int,
     per_length: float,
 ) -> tuple[float, float]:
-    """Return what no place of box i is nearer to way k than, and none farther; both squared."""
+    """Return a lower and an upper bound of the distance of box i to segment k, both squared."""
     middle, half = 0.0, 0.0
     for a in range(way.shape[1]):
         place = 0.5 * (lower[i, a] + upper[i, a])
@@ -97,15 +97,15 @@ def _stay_at(
     worst: FloatArray,
     limit: float,
 ) -> tuple[int, int]:
-    """Advance ``row`` of ``value``, that of place k, by sample i; with it ``carry`` and ``least``.
+    """Advance ``row`` of ``value``, the row of place k, by sample i, and ``carry``, ``least``.
 
-    Return in how many runs the least of all places so far is no more than ``limit``, and in how
-    many it is more than ``worst``. ``axes`` has one entry for each axis: of a tuple the length is
-    known when this is compiled, and the loops over axes are gone.
+    Return the number of runs in which the least of all places so far is at most ``limit``, and in
+    which it exceeds ``worst``. ``axes`` is a tuple with one entry per axis: its length is known at
+    compile time, and loops over axes are unrolled.
 
-    The values at the place's begin and end were ``carry`` and that of ``row``. From its begin on
-    the root of the value falls with the way, down to that at its end. So the least is where the
-    tool is nearest, or farther on, where its distance has grown to what the root has fallen to.
+    The values at the place's beginning and end were ``carry`` and ``row``'s. From the beginning on
+    the root of the value falls with the distance, down to the value at the end. So the least is
+    where the tool is nearest, or farther on, where its growing distance meets the falling root.
     """
     near, farther = 0, 0
     for r in range(len(carry)):
@@ -141,11 +141,11 @@ _stay_at_fast = njit(nogil=True)(_stay_at)
 
 
 class ProgressPart(NamedTuple):
-    """What a sweep over a block takes from the measure and brings back: see ``_advance``.
+    """Arrays that a sweep over a block reads and updates for the progress error: see ``_advance``.
 
-    Place ``first`` is that of the first sample of the block, which is the ``number``-th of all.
+    Place ``first`` belongs to the first sample of the block, which has the number ``number``.
     ``inverse`` is 1 over the squared ``length`` of each place. ``places`` are the first and the
-    last that have a value; ``ceiling`` has one entry.
+    last place with a value; ``ceiling`` has one entry.
     """
 
     command: FloatArray
@@ -170,29 +170,28 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
 ) -> None:
     """Advance the places of the command by the samples ``points``, the first of them ``beginning``.
 
-    Place k is the way of the command from its sample k - 1 to k. Its value, of each run, is the
-    least of the largest squared errors with which the tool can have come to the end of place k, or
-    to one before it, by now without going back; within a place too it does not go back: see
-    ``_stay_at``. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
-    its squared distance from the path, which is no error of progress. The least of all values only
-    grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
-    the tool was then, along the way of the command from the place that is nearest to being right.
+    Place k is the segment of the command from its sample k - 1 to k. The value of place k, in each
+    run, is the least possible largest squared error of a tool that has reached the end of place k,
+    or of an earlier one, by now without going back, within a place either: see ``_stay_at``. Sample
+    i, with the number ``number + i``, belongs to place ``first + i``. ``off`` is its squared
+    distance from the path, which is not an error of progress. The least of all values can only
+    grow: ``worst`` is its present value, ``at`` the sample at which it was reached, and ``side``
+    the tool's position then, along the command from its best matching place.
 
-    Places before the first of ``places`` have no value; those after the last have its value. A
-    place that is the first to have one, and has more than ``ceiling`` in every run, is given up,
-    and so is the way from its end to where that may have fallen to the ceiling: ``dropped`` is the
-    least that was given up, of each run, or less where the box of all runs told it. As long as it
-    is more than ``worst``, nothing was lost: the ceiling stays at four times the largest ``worst``
-    or more.
+    Places before the first of ``places`` have no value; those after the last have its value. The
+    first place with a value is dropped if it exceeds ``ceiling`` in every run, together with the
+    segment from its end to where the value may have fallen to the ceiling: ``dropped`` is the least
+    dropped value of each run, or a lower bound from the box of all runs. As long as it exceeds
+    ``worst``, nothing was lost: the ceiling stays at least four times the largest ``worst``.
 
-    A value that is no more than ``worst`` is as good as 0, for nothing is found below that. Only
-    the last place can have it in every run: it is settled. Where the box of all runs tells that a
-    place behind it stays so, that is not looked at, and its value is 0 from then on.
+    A value of at most ``worst`` is as good as 0, for it cannot change the result. Only the last
+    place can have one in every run: it is settled. If the box of all runs shows that the next place
+    stays so, it is skipped, and its value is 0 from then on.
 
-    What goes over the axes of a place is compiled for two and for three of them, and for any
-    number; the rest is compiled once.
+    Loops over the axes of a place are compiled for two axes, for three, and for any number; the
+    rest is compiled once.
     """
-    # Each look into a tuple would count references.
+    # Each tuple access would count references.
     known, lower, upper, _, _ = boxes
     (
         command, way, inverse, length, heading, first, number, lag, places, value, worst, at, side,
@@ -203,7 +202,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
     carry, least = np.empty(runs), np.empty(runs)
-    near = np.zeros(rows, dtype=np.int64)  # of each place, in how many runs it is worth keeping
+    near = np.zeros(rows, dtype=np.int64)  # for each place, number of runs that need it
     settled, raised, floor, lost, farther = False, known, 0.0, np.inf, 0
     for i in range(samples):
         last = first + i
@@ -216,14 +215,14 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
             for r in range(runs):
                 floor = min(floor, worst[r])
         raised = False
-        if low < begin:  # the lag excuses them no longer: the tool has moved on
+        if low < begin:  # beyond the lag: the tool must have passed these
             row = (origin + min(begin - 1, high)) % rows
             for r in range(runs):
                 carry[r] = value[row, r]
             low = begin
         k, farther = low, 0
         while True:
-            # Of the first place only its end is within the lag.
+            # Only the end of the first place is within the lag.
             start = k - 1 if k > begin else k
             per_length, long = (inverse[k], length[k]) if k > begin else (0.0, 0.0)
             limit = (np.sqrt(ceiling) + (length[k + 1] if k < last else 0.0)) ** 2
@@ -245,7 +244,7 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                 near[row] = 0
                 for r in range(runs):
                     near[row] += apart - off[i, r] <= limit
-                if not near[row]:  # given up unseen
+                if not near[row]:  # dropped without a value
                     lost = min(lost, ceiling)
                     for r in range(runs):
                         carry[r] = value[row, r]

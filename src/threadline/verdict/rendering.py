@@ -12,7 +12,7 @@ from threadline.base.arrays import finite
 from threadline.commands.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.demands import VELOCITY_STEPS
-from threadline.verdict.types import Change, Happening, Level, Result, Status, Verdict
+from threadline.verdict.types import Change, Disturbance, Level, Result, Status, Verdict
 
 _TOLD_SHARE = 10.0  # of a limit
 HAPPENED = "What changed the motion"
@@ -52,7 +52,7 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "tightest": _tightest_json(verdict.tightest),
         "incomplete": verdict.incomplete,
         "late_ticks": verdict.late_ticks,
-        "events": [_happening(one) for one in verdict.happenings],
+        "events": [_disturbance(one) for one in verdict.disturbances],
         "options": dict(plan.options),
         **plan.intent.told(plan.options),
     }
@@ -91,7 +91,7 @@ def _criterion(result: Result) -> dict[str, Any]:
     }
 
 
-def _happening(one: Happening) -> dict[str, Any]:
+def _disturbance(one: Disturbance) -> dict[str, Any]:
     return {
         "kind": one.change.value,
         "text": one.text,
@@ -105,13 +105,13 @@ def _happening(one: Happening) -> dict[str, Any]:
 
 def _cuts(verdict: Verdict) -> list[str]:
     """Return the text about the first limit switch that cut a motor; usually empty."""
-    cuts = [one.told for one in verdict.happenings if one.change is Change.LIMIT_SWITCH]
+    cuts = [one.words for one in verdict.disturbances if one.change is Change.LIMIT_SWITCH]
     return cuts[:1]
 
 
 def happened_lines(verdict: Verdict) -> list[str]:
     """Return a line for each event that changed the motion of the runs, with time and line."""
-    return [f"{HAPPENED}: {one.told}" for one in verdict.happenings]
+    return [f"{HAPPENED}: {one.words}" for one in verdict.disturbances]
 
 
 def happened_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
@@ -123,7 +123,7 @@ def happened_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
             str(one.job_line or "-"),
             str(one.run or "-"),
         ]
-        for one in verdict.happenings
+        for one in verdict.disturbances
     ]
     return [HAPPENED.lower(), "at", "line", "run"], rows
 

@@ -1,8 +1,8 @@
-"""Contour and progress of a single run: what a sweep finds of it, without a loop over runs.
+"""Contour and progress error of a single run, in a sweep without a loop over runs.
 
-A loop over one run costs more than what it does. How many axes there are is no part of what is
-compiled: one function serves all machines. The operations and their order are those of the loops
-over many runs (``nearest``, ``boxes``, ``places``), so that a run has the same bits in any company.
+A loop over one run costs more than its content. The number of axes is not known at compile time:
+one function serves all machines. The operations and their order equal those of the loops over many
+runs (``nearest``, ``boxes``, ``places``), so that a run gives the same bits alone or with others.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ def _nearest_chords(
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
-    """Fill in the squared distance of each of (n, axes) points to the chords that count for it.
+    """Fill in the squared distance of each of (n, axes) points to its candidate chords.
 
-    ``chord`` is the first of the nearest. ``share``, (n, axes), is what each axis counts with; it
-    is empty where they count alike. As ``nearest.nearest_of_all``.
+    ``chord`` is the first of the nearest. ``share``, (n, axes), weighs the axes; empty means equal
+    weights. As ``nearest.nearest_of_all``.
     """
     axes, weighed = points.shape[1], len(share) > 0
     for i in range(len(points)):
@@ -71,7 +71,7 @@ def _to_vertex(
     v: int,
     share: FloatArray,
 ) -> tuple[float, float]:
-    """Return the squared distance of a vertex to the way to point i, and where on it (0..1)."""
+    """Return the squared distance of a vertex to the segment to point i, and its place (0..1)."""
     axes, weighed = points.shape[1], len(share) > 0
     along, size, away = 0.0, 0.0, 0.0
     for a in range(axes):
@@ -104,12 +104,12 @@ def _leave_path(
     vertex_share: FloatArray,
     part: ContourPart,
 ) -> None:
-    """Raise the worst to the samples, and to the ways to them; lower what vertices have come to.
+    """Raise the worst to the samples and their segments; lower the distances of vertices.
 
-    ``squared`` and ``chord``, (n,), are of the nearest chord of each sample. A vertex that is as
-    near as the worst is left as it is.
+    ``squared`` and ``chord``, (n,), belong to the nearest chord of each sample. A vertex that is as
+    near as the worst is skipped.
     """
-    # Each look into a tuple would count references.
+    # Each tuple access would count references.
     (
         begin, end, time_s, before, chord_before, fresh, worst, at, place, nearest, best,
         best_time_s,
@@ -165,7 +165,7 @@ def _advance(
     at: IntArray,
     side: FloatArray,
 ) -> None:
-    """Advance the places of the command by (n, axes) samples: ``places.move_on`` of one run.
+    """Advance the places of the command by (n, axes) samples: ``places.move_on`` for one run.
 
     ``counts`` are ``first``, ``number`` and ``lag`` of the part.
     """
@@ -177,12 +177,12 @@ def _advance(
         last = first + i
         begin = max(last - lag, 0)
         carry, least = 0.0 if number + i == 0 else np.inf, np.inf
-        if low < begin:  # the lag excuses them no longer: the tool has moved on
+        if low < begin:  # beyond the lag: the tool must have passed these
             carry = value[(origin + min(begin - 1, high)) % rows, 0]
             low = begin
         k, row = low, (origin + low) % rows
         while True:
-            # Of the first place only its end is within the lag.
+            # Only the end of the first place is within the lag.
             start, per_length, long = (k - 1, inverse[k], length[k]) if k > begin else (k, 0.0, 0.0)
             left, held = carry, value[row, 0] if k <= high else carry
             along, away = 0.0, 0.0
@@ -225,7 +225,7 @@ _advance_fast = njit(nogil=True)(_advance)
 
 
 def progress_of_one(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
-    """Advance the places of the command by (n, axes) samples that are ``off`` the path, squared."""
+    """Advance the places of the command by (n, axes) samples at ``off``, squared, from the path."""
     _advance_fast(
         points, off, part.command, part.way, part.inverse, part.length, part.heading,
         (part.first, part.number, part.lag), part.places, part.value, part.worst, part.at,

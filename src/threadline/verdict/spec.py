@@ -121,7 +121,7 @@ class _Reader:
             raise SpecError(
                 what, place=Place(self._file, line), remedy="Correct that line."
             ) from error
-        self._known(content, _TOP, None)
+        self._refuse_unknown_keys(content, _TOP, None)
         name = content.get("name")
         if not isinstance(name, str) or not name:
             self._refuse('name must be a text, like name = "winding at 0.5 mm"', None, "name")
@@ -187,7 +187,7 @@ class _Reader:
         if kind is None:
             remedy = nearest(name, MEASURES)
             self._refuse(f"there is no measure {name[:80]!r}", index, "name", remedy)
-        self._known(row, (*_COMMON, *kind.options, *self._always.keys), index)
+        self._refuse_unknown_keys(row, (*_COMMON, *kind.options, *self._always.keys), index)
         step = row.get("step", "")
         if not isinstance(step, str):
             self._refuse(f"step must be a name, got {step!r}", index, "step")
@@ -248,7 +248,7 @@ class _Reader:
         if text is None:
             return None
         if text == _OWN:
-            return self._own_limit(kind, axis, index)
+            return self._machine_limit(kind, axis, index)
         of_axis = self._machine.axes.get(axis)
         axis_kind = "linear" if of_axis is None else of_axis.kind
         unit = kind.unit(axis_kind)
@@ -269,7 +269,7 @@ class _Reader:
             )
         return value
 
-    def _own_limit(self, kind: MeasureKind, axis: str, index: int | None) -> float | None:
+    def _machine_limit(self, kind: MeasureKind, axis: str, index: int | None) -> float | None:
         own = self._always.limited
         if kind.name not in own:
             self._refuse(
@@ -304,7 +304,9 @@ class _Reader:
             self._refuse(f"{key} = {text!r} is negative", index, key, "Limits are absolute values.")
         return value
 
-    def _known(self, table: Mapping[str, Any], known: tuple[str, ...], index: int | None) -> None:
+    def _refuse_unknown_keys(
+        self, table: Mapping[str, Any], known: tuple[str, ...], index: int | None
+    ) -> None:
         for key in table:
             if key not in known:
                 self._refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, known))

@@ -185,7 +185,7 @@ class StitchRun:
     of: ClassVar[str] = "an embroidery machine"
     absent: ClassVar[str] = "nothing of axis {axis} was measured"
     by_time = False
-    untold = None
+    fallback = None
 
     def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan

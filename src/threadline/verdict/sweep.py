@@ -26,7 +26,7 @@ from threadline.verdict.contour import ContourPart, raise_to_samples
 from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
 from threadline.verdict.finding import add_squares, count_beyond, raise_to_farthest
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import between, chord_ways, nearest_chords_each
+from threadline.verdict.nearest import between, chord_vectors, nearest_chords_each
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
 from threadline.verdict.single_run import contour_of_one, nearest_of_one, progress_of_one
@@ -230,7 +230,7 @@ def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     if not (len(contour.worst) or len(progress.worst)):
         return
     path, begin, end = block.window()
-    way, length = chord_ways(path.vertices)
+    way, length = chord_vectors(path.vertices)
     none = np.empty((0, points.shape[1]))
     squared, chord = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
     shares = block.shares
@@ -261,7 +261,7 @@ def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -
         )
     else:
         _, begin, end = block.window()
-        way, length = chord_ways(path.vertices)
+        way, length = chord_vectors(path.vertices)
         chords = _Chords(begin, end, path.vertices, way, length, path.radius_m, axes)
         shares, vertex_share = block.shares, path.shares
     _sweep(

@@ -64,7 +64,7 @@ def _ringing(
     end_s = min(end_s, begin_s + options["window"])
     time_s, values = frame
     blank = Finding(value=None, axis=axis, step=step.name, operation=step.operation)
-    why = run.ended(time_s, min(end_s, run.due_s(step, axis)))
+    why = run.ends_too_early(time_s, min(end_s, run.due_s(step, axis)))
     if why:
         return replace(blank, note=why)
     period_s = 2.0 * np.pi / abs(pole)
@@ -146,7 +146,7 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
         for axis, frame in frames.items():
             assert frame is not None
             time_s, values = frame
-            why = why or run.ended(time_s, run.due_s(step, axis))
+            why = why or run.ends_too_early(time_s, run.due_s(step, axis))
             inside = _between(time_s, last_s, run.quiet_s(step, axis)[1])
             out = np.flatnonzero(np.abs(values[inside] - values[0]) > options["band"])
             settled = float(time_s[inside.start + out[-1]]) - last_s if len(out) else 0.0
@@ -181,7 +181,7 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
             # A later step may move it again: its place before that counts.
             later = [m.begin_s for m in run.moves_of(axis) if m.begin_s > move.begin_s]
             end_s = min([run.quiet_s(step, axis)[1], *later])
-            why = run.ended(load[0], run.due_s(step, axis))
+            why = run.ends_too_early(load[0], run.due_s(step, axis))
             if why:
                 operation = move.planned.operation
                 found.append(
@@ -248,7 +248,7 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
         beyond = np.maximum(load[1] - run.plan.machine.cylinders[axis].stroke.si, -load[1])
         at = int(np.argmax(beyond))
         value = 0.0 if 0.0 <= beyond[at] <= _STOP_GIVES_M else float(beyond[at])
-        why = run.ended(load[0], run.end_s) if run.followed else ""
+        why = run.ends_too_early(load[0], run.end_s) if run.followed else ""
         note = "beyond an end of its stroke" if value > 0.0 else ""
         found.append(
             Finding(value=value, axis=axis, time_s=float(load[0][at]), note=note, unseen=why)

@@ -118,7 +118,7 @@ class SwitchRun:
     of: ClassVar[str] = "an on/off machine"
     absent: ClassVar[str] = "nothing of axis {axis} was measured"
     by_time = False
-    untold = None
+    fallback = None
 
     def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan
@@ -177,7 +177,7 @@ class SwitchRun:
             if load is None:
                 return self.why(ChannelKind.LOAD, axis)
             step = next(s for s in reversed(self.steps) if s.begin_s <= move.begin_s + 1e-9)
-            why = self.ended(load[0], self.due_s(step, axis))
+            why = self.ends_too_early(load[0], self.due_s(step, axis))
             if why:
                 return why
             at = sample_at(load[0], self.quiet_s(step, axis)[1])
@@ -244,7 +244,7 @@ class SwitchRun:
     def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
         """Return the findings of each measure in the whole run."""
         found = [list(one.measure.finish()) for one in running]
-        why = self.ended(self.time_s, self.end_s) if self.followed else ""
+        why = self.ends_too_early(self.time_s, self.end_s) if self.followed else ""
         if not why:
             return found
         # A finding without a step belongs to the whole cycle.
@@ -280,7 +280,7 @@ class SwitchRun:
         return self.instant_s(self.commands.duration_ticks)
 
     @staticmethod
-    def ended(time_s: FloatArray, until_s: float) -> str:
+    def ends_too_early(time_s: FloatArray, until_s: float) -> str:
         """Say that samples at ``time_s`` end before an instant; empty if they do not."""
         interval_s = float(time_s[-1] - time_s[-2]) if len(time_s) > 1 else 0.0
         if time_s[-1] + (1.0 + _ROUNDING) * interval_s + _ROUNDING_S >= until_s:

@@ -210,7 +210,7 @@ class Change(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Happening:
+class Disturbance:
     """An event that changed the motion of a run and is not part of its plan.
 
     Parameters
@@ -238,7 +238,7 @@ class Happening:
     run: int | None = None
 
     @property
-    def told(self) -> str:
+    def words(self) -> str:
         """Description with time and line, for people."""
         where = [
             "" if self.time_s is None else f"at {self.time_s:.3f} s",
@@ -277,7 +277,7 @@ class Verdict:
         no dynamics.
     recorded
         Whether recordings were judged, not runs simulated for the verdict.
-    happenings
+    disturbances
         Events that changed the motion of the runs, in the order of time.
     """
 
@@ -292,7 +292,7 @@ class Verdict:
     late_ticks: int = 0
     limits_alone: bool = False
     recorded: bool = False
-    happenings: tuple[Happening, ...] = ()
+    disturbances: tuple[Disturbance, ...] = ()
 
     @property
     def level(self) -> Level:

@@ -173,7 +173,7 @@ _ROUNDING = 1e-15  # of the time
 _SAME_M = 1e-12  # a piece that ends this near to a minimum ends at it
 
 
-class Passing:
+class TrajectoryFollower:
     """Follows a trajectory from point to point.
 
     Parameters

@@ -30,6 +30,7 @@ _LIMIT = MAX_MAGNITUDE * ONE
 _MOTIONS = {0: 0, 10: 1, 20: 2, 30: 3, 50: 5, 800: CANCEL}
 _MODES = frozenset({"units", "distance", "feed", "blending", "plane", "system", "machine"})
 _FIRST_SYSTEM = 540  # without effect where it is the only one
+_LENGTH, _NO_LENGTH = 430, 490
 _OUTPUTS = (62, 63, 64, 65)
 _SPINDLE: dict[str, float] = {"on": 1.0, "off": 0.0}
 _ENDS = frozenset({"stop", "end", "call", "return"})
@@ -84,6 +85,8 @@ class Block(NamedTuple):
         Words that work the machine beside its axes, as written: ``M3``, ``S300``, ``M280 P0 S90``.
     power
         Number of the S among them, 0 without one.
+    length
+        G43 with its H, as written, empty without one; it is among ``acts``, too.
     """
 
     line: int
@@ -105,6 +108,7 @@ class Block(NamedTuple):
     tags: tuple[tuple[str, float], ...]
     acts: tuple[str, ...] = ()
     power: float = 0.0
+    length: str = ""
 
     @property
     def goes(self) -> bool:
@@ -157,7 +161,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     dwell_s: float | None = None
     p_number = ""
     waits = output = False
-    seen = ""
+    seen = length = tool = ""
     groups: tuple[str, ...] = ()
     for letter, number in words:
         value = exact(number)
@@ -179,10 +183,13 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
                 motion = _MOTIONS[code]
             elif group == "action":
                 action = code
+            elif code == _LENGTH:
+                length = "G43"
             elif group in _MODES:
                 settings = (*settings, code)
                 idle = (*idle, f"G{number}") if code == _FIRST_SYSTEM else idle
             else:
+                settings = (*settings, code) if code == _NO_LENGTH else settings
                 idle = (*idle, f"G{number}")
             continue
         if letter == "M":
@@ -250,6 +257,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
             whole(letter, number, value, MAX_MAGNITUDE, line, reading)
         elif letter in _CURVE and 20 in dialect.g:
             curve = (*curve, (letter, value))
+        elif letter == "H" and _LENGTH in dialect.g:
+            tool = f" H{whole(letter, number, value, _MAX_LABEL, line, reading)}"
         elif letter in dialect.idle_letters:
             if dialect.one_command and value:
                 refuse_word(letter, number, -1, line, reading)
@@ -257,6 +266,14 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
             power = value / ONE if letter == "S" else power
         else:
             refuse_word(letter, number, -1, line, reading)
+    if tool and not length:
+        raise JobError(
+            "H has no use in this block",
+            place=Place(reading.file, line),
+            remedy="H is the tool whose length G43 takes.",
+        )
+    length += tool
+    acts = (length, *acts) if length else acts
     if curve and 640 in settings and not axes and motion not in _CURVED:
         # G64 P Q: how far LinuxCNC's planner may leave the path, of which the reader makes nothing.
         curve = tuple(one for one in curve if one[0] != "Q")
@@ -284,7 +301,7 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     return Block(
         line, motion, action, settings, axes, feed, p, 1 if passes is None else passes, curve,
         dwell_s or 0.0, program, ends, spindle, waits, idle, label, tags,
-        (*acts, f"P{p_number}") if output else acts, power,
+        (*acts, f"P{p_number}") if output else acts, power, length,
     )  # fmt: skip
 
 

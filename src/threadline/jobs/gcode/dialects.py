@@ -76,6 +76,8 @@ class Flavour:
         versions do not differ.
     unset
         What a numbered parameter is that was never set; None where that is an error.
+    readable
+        The first numbered parameter of a program that can be read.
     subroutines
         Whether O words define and call subroutines, and may be names.
     labels_once
@@ -96,6 +98,7 @@ class Flavour:
     alike: float
     alike_later: float | None
     unset: float | None
+    readable: int
     subroutines: bool
     labels_once: bool
     breaks_repeats: bool
@@ -105,12 +108,14 @@ class Flavour:
 
 
 LINUXCNC = Flavour(
-    rounded=double, alike=1e-4, alike_later=1e-6, unset=0.0, subroutines=True, labels_once=True,
-    breaks_repeats=False, loose_comments=False, at_motors=False, paths_configure=False,
+    rounded=double, alike=1e-4, alike_later=1e-6, unset=0.0, readable=1, subroutines=True,
+    labels_once=True, breaks_repeats=False, loose_comments=False, at_motors=False,
+    paths_configure=False,
 )  # fmt: skip
 FLUIDNC = Flavour(
-    rounded=single, alike=1e-5, alike_later=None, unset=None, subroutines=False, labels_once=False,
-    breaks_repeats=True, loose_comments=True, at_motors=True, paths_configure=True,
+    rounded=single, alike=1e-5, alike_later=None, unset=None, readable=31, subroutines=False,
+    labels_once=False, breaks_repeats=True, loose_comments=True, at_motors=True,
+    paths_configure=True,
 )  # fmt: skip
 
 
@@ -274,6 +279,8 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "M420": "the compensation of the bed by a mesh, which changes the path",
         "M502": "what sets the steps, limits and jerks of the firmware anew",
         "M810": "a macro, whose moves only the firmware knows",
+        "E": "the filament of a 3D print, which is planned without extrusion alone: the way of its "
+        "head is what stays when the E words are taken out",
         "T": "no word of a machine with one tool, which is T0 on a line of its own",
     },
 }
@@ -291,11 +298,11 @@ DIALECTS: Mapping[str, Dialect] = {
         feed_rule="linuxcnc",
         g={
             **_CNC, **_SYSTEMS, 50: "motion", 611: "blending", 922: "action", 923: "action",
-            970: "speed",
+            970: "speed", 430: "length", 980: "return", 990: "return",
         },
-        m={**_CNC_M, **_CALLS, **_OUTPUTS},
+        m={**_CNC_M, **_CALLS, **_OUTPUTS, 48: "idle", 49: "idle"},
         idle_letters="ST",
-        idle_groups=frozenset({"cutter", "length", "system", "centres", "speed"}),
+        idle_groups=frozenset({"cutter", "length", "system", "centres", "speed", "return"}),
         flavour=LINUXCNC,
         grammar=grammar.LINUXCNC,
     ),

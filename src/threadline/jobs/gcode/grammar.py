@@ -14,6 +14,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from threadline.errors import JobError, Place
 from threadline.jobs.gcode.words import ONE, exact
@@ -81,6 +82,12 @@ class Grammar:
     exact_circles
         Whether an arc is a full circle only where it ends at its start, and none at all where it
         ends elsewhere in that direction.
+    tape
+        What a line with % is: the ends of a program; its beginning on the first line alone; or an
+        error of the control.
+    realtime
+        Bytes, as a pattern, that act as a sender sends them, in comments, too; none where nothing
+        does.
     """
 
     longest: int = 0
@@ -105,6 +112,8 @@ class Grammar:
     round_arcs: bool = False
     single: bool = False
     exact_circles: bool = False
+    tape: Literal["", "first", "refused"] = ""
+    realtime: str = ""
 
 
 _NON_MODAL = frozenset({40, 100, 280, 281, 300, 301, 530, 920, 921, 922, 923})
@@ -116,14 +125,15 @@ GRBL = Grammar(
     longest=79, packed=True, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
     alone=_NON_MODAL, m_kinds=_COOLANT, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), feed_first=True, cancelled=True, reset_last=True, arc_ends=True,
-    round_arcs=True, single=True, of_sender=frozenset({6}),
+    round_arcs=True, single=True, of_sender=frozenset({6}), tape="refused",
+    realtime=r"[!?~\x84\x85\x90-\x97\x99-\x9e\xa0\xa1]",
 )  # fmt: skip
 FLUIDNC = Grammar(
     longest=127, letters="O", most={"N": 10_000_000, "T": 255}, unsigned="FNPST",
     alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS}, takes_axes=_MOTIONS | {280, 920, 490},
     loses_axes=frozenset({490}), needs_p=frozenset(_OUTPUTS), split_comments=True,
     feed_first=True, cancelled=True, reset_last=True, turns=True, arc_ends=True, round_arcs=True,
-    single=True,
+    single=True, tape="first", realtime=r"[!?~]|\xc2[\x84-\x8a\x90-\x9e\xa0\xa1\xb2-\xb4]",
 )  # fmt: skip
 LINUXCNC = Grammar(
     longest=252, unsigned="FST", alone=_NON_MODAL, m_kinds={**_COOLANT, **_OUTPUTS},

@@ -13,7 +13,7 @@ from threadline.jobs.gcode.dialects import CANCEL, Reading
 from threadline.jobs.gcode.feeds import FRule, KeptFeeds, travelling, value_of
 from threadline.jobs.gcode.textfile import SourceFile
 from threadline.jobs.gcode.words import ONE
-from threadline.jobs.gcode.zeros import FIRST, MACHINE, SYSTEMS, Zeros
+from threadline.jobs.gcode.zeros import FIRST, MACHINE, NO_LENGTH, SYSTEMS, Zeros
 from threadline.jobs.operations import (
     NO_TAGS,
     Dwell,
@@ -90,6 +90,7 @@ class Modal:
         self._feeds = KeptFeeds(program.rule)
         self._letters = tuple(program.reading.axes)
         self._waiting: list[ToolEvent] = []  # for the next move
+        self._length = ""  # G43 in force
         self._moved = self._acted = False
         self._one_system = not program.systems
         zeros = (c for c, zero in program.systems.items() if c != MACHINE and not any(zero))
@@ -117,6 +118,9 @@ class Modal:
             self._motion = -1 if block.motion == CANCEL else block.motion
             self._cancelled = block.motion == CANCEL
         self._check_modes(block)
+        if NO_LENGTH in block.settings and self._length:
+            self._waiting.append(ToolEvent("G49", 0.0, self._source(block), "G49"))
+        self._length = block.length or ("" if NO_LENGTH in block.settings else self._length)
         first, then = self._split(block) if block.acts else ((), ())
         yield from self._worked(block, first)
         if block.action == DWELL:

@@ -21,7 +21,7 @@ from threadline.jobs.gcode.parametric.program import ParametricProgram, is_param
 from threadline.jobs.gcode.plain_blocks import PlainReader, plain_reader
 from threadline.jobs.gcode.scan import Findings, Scanner
 from threadline.jobs.gcode.subprograms import Frame, KeptText, Structure
-from threadline.jobs.gcode.textfile import Lines, SourceFile, identify
+from threadline.jobs.gcode.textfile import Lines, SourceFile, first_found, identify
 from threadline.jobs.gcode.words import ONE
 from threadline.jobs.gcode.zeros import FIRST, zeros_of
 from threadline.jobs.operations import (
@@ -407,6 +407,17 @@ def _warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[s
             f"{file.place(findings.changes)}: {dialect.name} itself refuses M6; what sends the "
             "program must take it out and stop there, as it is read here."
         )
+    if findings.length:
+        warnings.append(
+            f"{file.place(findings.length)}: how long the tool of G43 is the control alone knows; "
+            "it holds for every move, and the program's zero is at the start position."
+        )
+    if findings.tape:
+        warnings.append(
+            f"{file.place(findings.tape)}: {dialect.name} answers error:1 to a line with %, at "
+            "which many senders stop: take these lines out."
+        )
+    warnings += _realtime(file, dialect)
     if findings.anew:
         lines = ", ".join(map(str, findings.anew[:_MAX_WARNINGS]))
         more = " ..." if len(findings.anew) > _MAX_WARNINGS else ""
@@ -438,6 +449,24 @@ def _warnings(findings: Findings, file: SourceFile, dialect: Dialect) -> tuple[s
         words = ", ".join(f"{w} (line {line})" for w, line in findings.idle.items())
         warnings.append(f"{file.place()}: without effect on motion, first seen: {words}.")
     return _first(warnings)
+
+
+_ACT_NOW = {"!": "holds the feed", "~": "goes on behind a hold", "?": "asks for a report"}
+
+
+def _realtime(file: SourceFile, dialect: Dialect) -> list[str]:
+    """Return a warning of characters that act where a plain sender sends comments, too."""
+    if not dialect.grammar.realtime:
+        return []
+    line, letter = first_found(file, dialect.grammar.realtime)
+    if not line:
+        return []
+    does = _ACT_NOW.get(letter, "holds the machine or changes an override")
+    return [
+        f"{file.place(line)}: {letter!r} {does} at the instant at which {dialect.name} is sent it, "
+        "in a comment, too: have a sender that leaves comments out, or take it out (and ! ~ ? and "
+        "letters that are not ASCII elsewhere)."
+    ]
 
 
 def _first(warnings: Iterable[str]) -> tuple[str, ...]:

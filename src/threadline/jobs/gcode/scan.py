@@ -15,7 +15,7 @@ from threadline.jobs.gcode.plain_blocks import MOTION, RAPID_F, STEPS, plain_rea
 from threadline.jobs.gcode.subprograms import Call, Collector, Program, Structure
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE, TAPE, Tapes
-from threadline.jobs.gcode.zeros import FIRST, SystemsUsed
+from threadline.jobs.gcode.zeros import FIRST, SystemsUsed, ToolLengths
 
 MAX_REMEMBERED = 1000
 _LONG_DWELL_S = 1000
@@ -46,6 +46,10 @@ class Findings:
     doubtful
         The first line that compares numbers so near to each other that versions of the control
         answer differently.
+    tape
+        The first line with a % that the control refuses.
+    length
+        The first line with G43.
     """
 
     feeds: FeedNotes = field(default_factory=FeedNotes)
@@ -58,6 +62,8 @@ class Findings:
     rapid_f: int = 0
     unset: dict[int, int] = field(default_factory=dict)
     doubtful: int = 0
+    tape: int = 0
+    length: int = 0
 
     def note(self, program: int | None, block: Block) -> None:
         """Note what may deserve a warning in a block of a program."""
@@ -89,9 +95,12 @@ class Scanner:
         self._programs = Collector(file)
         self._plain = plain_reader(reading, (True,) * len(reading.axes), follow=False)
         self.systems = SystemsUsed()
+        self._lengths = ToolLengths(file)
         self._ended: tuple[Block, int] | None = None  # and the byte behind it
-        self._tapes = Tapes(file)
+        first_alone = reading.dialect.grammar.tape == "first"
+        self._tapes = Tapes(file, reading.dialect.name if first_alone else "")
         self._begun = False
+        self._later = False  # in a program that is not the first of its file
         self._numbered: int | None = 0  # of the last numbered line
 
     def run(self) -> Structure:
@@ -118,6 +127,7 @@ class Scanner:
             if text.strip() == TAPE:
                 self._tapes.take(number, self._begun)
                 continue
+            self._tapes.pass_by(text)
             self._check_number(text, number)
             block = parse_block(text, number, self._reading)
             if block is not None:
@@ -133,6 +143,9 @@ class Scanner:
             program.closes = number + 1
             self._programs.end(30, lines.offset)
         self._tapes.finish(number)
+        if self._reading.dialect.grammar.tape == "refused":
+            self.findings.tape = self._tapes.first
+        self.findings.length = self._lengths.line
         self.findings.rapid_f = int(self._plain.state[RAPID_F])
         return self._programs.finish(number)
 
@@ -160,6 +173,7 @@ class Scanner:
         self._tapes.check(block.line)
         programs = self._programs
         if block.label >= 0:
+            self._later = self._begun
             programs.begin(block.label, offset, block.line)
             # What its caller chose is not known here: a move before a word of its own counts as of
             # the first system, so that a file with another one is asked where both are.
@@ -183,6 +197,8 @@ class Scanner:
             self._go_on(program)
         moves = block.goes
         self.systems.take(block.settings, block.line, moves=moves)
+        goes = moves or block.action == 280 or block.program == 98
+        self._lengths.take(block.length, block.settings, block.line, moves=goes, later=self._later)
         if block.action == 280:
             program.moves += 2
         elif moves:
@@ -220,7 +236,9 @@ class Scanner:
         """Note what the plain reader has found in ``count`` blocks of a program."""
         plain = self._plain
         if count:
-            self.systems.take((), int(plain.out_line[0]), moves=True)
+            line = int(plain.out_line[0])
+            self.systems.take((), line, moves=True)
+            self._lengths.take("", (), line, moves=True, later=False)
         (with_word,) = np.nonzero(plain.out_word[:count] >= 0)
         words, first = np.unique(plain.out_word[with_word], return_index=True)
         for word, at in zip(words.tolist(), with_word[first].tolist(), strict=True):

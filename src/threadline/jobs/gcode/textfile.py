@@ -92,6 +92,27 @@ class SourceFile:
                 at += cut
 
 
+def first_found(file: SourceFile, pattern: str) -> tuple[int, str]:
+    """Return the first line with a byte of a pattern, and the letter there; line 0 without one.
+
+    Raises
+    ------
+    JobError
+        If the file was changed since it was hashed.
+    """
+    sought = re.compile(pattern.encode("latin-1"))
+    before = 1
+    for _, data in file.chunks(file.begin):
+        found = sought.search(data)
+        if found is not None:
+            begin = data.rfind(b"\n", 0, found.start()) + 1
+            line = data[begin:].partition(b"\n")[0].decode("utf-8", "replace")
+            letters = len(data[begin : found.start()].decode("utf-8", "ignore"))
+            return before + data.count(b"\n", 0, begin), line[letters]
+        before += data.count(b"\n")
+    return 0, ""
+
+
 def identify(path: Path) -> SourceFile:
     """Return the file at ``path`` with its hash, read in chunks.
 

@@ -224,11 +224,25 @@ class Tapes:
     ----------
     file
         The file, for errors.
+    first_alone
+        Name of a control that takes a % for the beginning only on the first line that is not
+        empty, and for the end elsewhere; empty for others.
     """
 
-    def __init__(self, file: SourceFile) -> None:
+    def __init__(self, file: SourceFile, first_alone: str = "") -> None:
         self._file = file
+        self._first_alone = first_alone
         self._lines: list[int] = []
+        self._written = False  # a line before
+
+    @property
+    def first(self) -> int:
+        """The first line with a %, 0 without one."""
+        return self._lines[0] if self._lines else 0
+
+    def pass_by(self, text: str) -> None:
+        """Take a line without %, as it stands, before the first block."""
+        self._written = self._written or bool(text)
 
     def take(self, line: int, begun: bool) -> None:
         """Take a %; ``begun`` says whether blocks stand before it.
@@ -238,6 +252,13 @@ class Tapes:
         JobError
             If it closes a program that none has opened.
         """
+        if self._first_alone and self._written and not self._lines:
+            raise JobError(
+                f"{self._first_alone} ends the file with this %, since lines stand before it, and "
+                "runs nothing behind it",
+                place=self._file.place(line),
+                remedy="Write it on the first line, or take out every line with a %.",
+            )
         self._lines.append(line)
         if len(self._lines) > 2 or (len(self._lines) == 1 and begun):
             raise JobError(

@@ -1,4 +1,4 @@
-"""Zeros of part programs: G92 to G92.3, the home of G28.1, and G53 to G59.
+"""Zeros of part programs: G92 to G92.3, the home of G28.1, G53 to G59, and tool lengths.
 
 Where a system has its zero is kept in the control, and is not in the program. A program that moves
 in one system alone is read with its zero there, as one in G54 is. One that moves in several, or by
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NoReturn
 
 from threadline.errors import JobError
 from threadline.jobs.gcode.textfile import SourceFile
@@ -18,6 +19,7 @@ from threadline.machine import Machine
 
 FIRST, MACHINE = 540, 530
 SYSTEMS = range(540, 600, 10)
+LENGTH, NO_LENGTH = 430, 490
 _FINE = 10**7  # parts of a millimetre or degree, as fine as plain blocks are read
 _OTHERS = (
     'Name the zero of each in the machine file, like [programs.offsets] G54 = { X = "0 mm exact, '
@@ -45,6 +47,64 @@ class SystemsUsed:
                 self.now = code
         if moves:
             self.lines.setdefault(MACHINE if MACHINE in settings else self.now, line)
+
+
+@dataclass(slots=True)
+class ToolLengths:
+    """The tool lengths (G43) in force, noted as a file is scanned or run.
+
+    How long a tool is the control alone knows. One that holds for all moves is a matter of where
+    the zero lies, which is at the start position here, as that of G54 is; another is refused.
+
+    Parameters
+    ----------
+    file
+        The file, for errors.
+
+    Attributes
+    ----------
+    line
+        The first line with G43, 0 without one.
+    """
+
+    file: SourceFile
+    line: int = 0
+    _now: str = ""
+    _left: int = 0  # the line of G49 behind moves
+    _moved: bool = False
+
+    def take(
+        self, length: str, settings: Sequence[int], line: int, *, moves: bool, later: bool
+    ) -> None:
+        """Take a block: its G43 as written or nothing, its G words, and whether it moves.
+
+        ``later`` says that it stands in another program than the first of its file.
+
+        Raises
+        ------
+        JobError
+            If a tool length is taken or left between moves, or in a subroutine.
+        """
+        if length and (length != self._now or later) and (self._moved or later):
+            self._refuse(f"{length} begins it", line)
+        if length:
+            self._now, self._left = length, 0
+            self.line = self.line or line
+        elif NO_LENGTH in settings and self._now:
+            self._left = line
+            if later:
+                self._refuse("G49 ends it", line)
+        self._moved = self._moved or moves
+        if moves and self._left:
+            self._refuse(f"G49 on line {self._left} ends it", line)
+
+    def _refuse(self, what: str, line: int) -> NoReturn:
+        raise JobError(
+            f"G43 is compensation of the tool's length: {what} between moves, and how far it "
+            "shifts them the control alone knows",
+            place=self.file.place(line),
+            remedy="Write one G43 before the first move, or a program for each tool.",
+        )
 
 
 def zeros_of(

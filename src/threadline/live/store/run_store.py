@@ -69,7 +69,7 @@ class RunStore:
                 f"cannot keep runs in {str(folder)!r}: {error.strerror or error}",
                 remedy="Give another folder with --store.",
             ) from error
-        self.index = RunIndex(url or _told_url(folder) or folder / INDEX)
+        self.index = RunIndex(url or _index_url(folder) or folder / INDEX)
 
     def begin(
         self,
@@ -202,7 +202,7 @@ def _tell(index: RunIndex, run: str, content: Mapping[str, Any]) -> None:
     )
 
 
-def _told_url(folder: Path) -> str | None:
+def _index_url(folder: Path) -> str | None:
     """Return the URL of the index that the folder names; None if it names none.
 
     Raises

@@ -167,8 +167,8 @@ def study_cam(
     rise = rise_of(alpha, h, noise, cam.follower, own, start_rad, end_rad)
     t = (alpha - rise.start_rad) / (rise.end_rad - rise.start_rad)
     inside = (t >= -1e-12) & (t <= 1.0 + 1e-12)
-    gentle = (rise.start_found or start_rad is not None, rise.end_found or end_rad is not None)
-    smoother = Smoother(t, own, gentle)
+    smooth_ends = (rise.start_found or start_rad is not None, rise.end_found or end_rad is not None)
+    smoother = Smoother(t, own, smooth_ends)
     weight = smoother.weight_for(cam.follower)
     smooth = smoother.fit(cam.follower, weight)
     bounced = rebound(alpha, h, noise, epsilon=epsilon_m, most_passes=most_passes)
@@ -205,7 +205,7 @@ def study_cam(
         )
     if fairing is not Fairing.SPLINE:
         law = _through(t, cam.follower_of(chosen.distances_m), inside)
-    outliers, scaled = _outliers(t, own, gentle, cam.follower, weight)
+    outliers, scaled = _outliers(t, own, smooth_ends, cam.follower, weight)
     return CamStudy(
         cam=cam, noise_m=noise, noise_given=noise_m is not None, rise=rise,
         fairings=tuple(table), chosen=fairing, law=law, outliers=outliers,
@@ -215,7 +215,11 @@ def study_cam(
 
 
 def _outliers(
-    t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool], follower: FloatArray, weight: float
+    t: FloatArray,
+    noise: FloatArray,
+    smooth_ends: tuple[bool, bool],
+    follower: FloatArray,
+    weight: float,
 ) -> tuple[tuple[int, ...], FloatArray]:
     """Return the outliers among the rows, and (n,) residuals divided by the noise.
 
@@ -226,7 +230,7 @@ def _outliers(
     doubted = noise.copy()
     scaled = np.zeros_like(noise)
     for _ in range(len(t) // 10 + 1):
-        fit = Smoother(t, doubted, gentle).fit(follower, weight)
+        fit = Smoother(t, doubted, smooth_ends).fit(follower, weight)
         now = np.abs(fit.scaled)
         now[found] = 0.0
         scaled = np.where(doubted > noise, (follower - fit.values) / noise, fit.scaled)

@@ -198,13 +198,13 @@ class Smoother:
         (n,) normalised times: 0 at the start of the rise, 1 at its end.
     noise
         (n,) standard deviations of the follower's position.
-    gentle
+    smooth_ends
         Whether the acceleration, like the velocity, is 0 at the start and at the end of the rise,
         as it is beside a dwell.
     """
 
     def __init__(
-        self, t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool] = (True, True)
+        self, t: FloatArray, noise: FloatArray, smooth_ends: tuple[bool, bool] = (True, True)
     ) -> None:
         inside = int(((t > 0.0) & (t < 1.0)).sum())
         intervals = int(np.clip(inside, *_INTERVALS))
@@ -213,7 +213,7 @@ class Smoother:
         count = intervals + _DEGREE
         # The first and the last coefficient are the velocities at the ends; with their neighbours
         # they set the accelerations.
-        self.free = np.arange(1 + gentle[0], count - 1 - gentle[1])
+        self.free = np.arange(1 + smooth_ends[0], count - 1 - smooth_ends[1])
         risen = basis(self.t)[:, self.free]
         self.count = count
         self.rows = np.hstack((np.ones((len(t), 1)), risen)) / noise[:, None]

@@ -110,7 +110,7 @@ def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pie
         )
         pieces = joined(last, fresh)
         if hold_s > 0.0:
-            pieces, added_s = _rests_stretched(pieces, hold_s)
+            pieces, added_s = _prolonged_rests(pieces, hold_s)
             late_s += added_s
         # The last piece waits: it may have to be prolonged.
         if len(pieces) > 1:
@@ -120,7 +120,7 @@ def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pie
         yield last
 
 
-def _rests_stretched(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
+def _prolonged_rests(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
     """Return the pieces with their rests prolonged, and the total added time."""
     after = np.flatnonzero(_rest_before(pieces))
     if not len(after):
@@ -229,7 +229,7 @@ def shaping_deviation(
         return ShapingDeviation(0.0, False, 0.0, 0, tuple(0.0 for _ in planned.axes))
     radius = machine.radius_m[[machine.axis_names.index(axis) for axis in planned.axes]]
     step = duration_s / SAMPLES_PER_TRAIN
-    before = _Samples(_deviation_stretched(planned, duration_s), radius, step)
+    before = _Samples(_with_prolonged_rests(planned, duration_s), radius, step)
     after = _Samples(iter(shaped), radius, step)
     reach = SAMPLES_PER_TRAIN + 2
     worst = _Worst()
@@ -255,7 +255,7 @@ def shaping_deviation(
     return worst.deviation(step, radius)
 
 
-def _deviation_stretched(planned: Trajectory, hold_s: float) -> Iterator[TrajectoryBlock]:
+def _with_prolonged_rests(planned: Trajectory, hold_s: float) -> Iterator[TrajectoryBlock]:
     for pieces in with_rests(iter(planned), hold_s):
         yield TrajectoryBlock(
             start_s=pieces.start_s,

@@ -27,7 +27,7 @@ from threadline.motion.shaping.response import Rows, ZeroOf, pole, residual_vibr
 from threadline.motion.shaping.solvers import minimise, newton
 from threadline.motion.shaping.types import Shaper, ShaperError
 
-_DIRECT_UNIT_GRIDS = (240, 330, 170, 480)
+_GRID_SIZES = (240, 330, 170, 480)
 _SMALL = 1e-8
 
 
@@ -72,7 +72,7 @@ def direct_unit_magnitude(
         for order in range(r.derivatives + 1)
     ]
     failures = []
-    for points in _DIRECT_UNIT_GRIDS:
+    for points in _GRID_SIZES:
         try:
             times = _polish(_seed(zeros, points), zeros)
             break
@@ -179,7 +179,7 @@ def _polish(seed: FloatArray, zeros: Sequence[ZeroOf]) -> FloatArray:
     return solved
 
 
-_DIRECT_UNIT_BANDS_GRIDS = (200, 260, 150, 340)
+_BAND_GRID_SIZES = (200, 260, 150, 340)
 _POLYGON = 16
 _BAND_GRID = 11
 _SWEEP = 201
@@ -219,7 +219,7 @@ def unit_magnitude_over_bands(
         )
     problem = _Problem(requirements)
     failures = []
-    for points in _DIRECT_UNIT_BANDS_GRIDS:
+    for points in _BAND_GRID_SIZES:
         try:
             times = problem.polished(problem.seed(points))
             break

@@ -208,9 +208,9 @@ def marlin_impulses(frequency_hz: float, damping_ratio: float) -> Shaper:
 
 
 _DERIVATIVES = {"zvd": 2, "zvdd": 3, "zvddd": 4}
-_REPRAPFIRMWARE_HUMPS = {"ei2": 2, "ei3": 3}
+_HUMPS_OF_TYPE = {"ei2": 2, "ei3": 3}
 _MOST_DAMPING = {"ei2": 0.3, "ei3": 0.2}  # of the fits
-TYPES = ("mzv", *_DERIVATIVES, *_REPRAPFIRMWARE_HUMPS)
+TYPES = ("mzv", *_DERIVATIVES, *_HUMPS_OF_TYPE)
 """Types of ``M593 P``, without the custom one."""
 _FREQUENCIES = 41  # tried from the slowest mode to the fastest
 
@@ -238,8 +238,8 @@ def reprap_impulses(shaper_type: str, frequency_hz: float, damping_ratio: float)
         )
     root = math.sqrt(1.0 - damping_ratio**2)
     period_s = 1.0 / (frequency_hz * root)
-    if shaper_type in _REPRAPFIRMWARE_HUMPS:
-        periods, weights = fitted_humps(_REPRAPFIRMWARE_HUMPS[shaper_type], damping_ratio)
+    if shaper_type in _HUMPS_OF_TYPE:
+        periods, weights = fitted_humps(_HUMPS_OF_TYPE[shaper_type], damping_ratio)
         weights[-1] = 1.0 - weights[:-1].sum()  # the rest
     else:
         spacing = 0.375 if shaper_type == "mzv" else 0.5

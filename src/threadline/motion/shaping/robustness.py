@@ -20,7 +20,7 @@ from threadline.errors import OptionError
 from threadline.motion.shaping.response import crossing, residual_vibration, vibration_of
 from threadline.motion.shaping.types import FlexibleMode, Shaper
 
-_ROBUSTNESS_STRETCH = 16384  # points of a grid per step
+_GRID_POINTS_A_STEP = 16384  # points of a grid per step
 _SLACK = 1.0 + 1e-8
 """Designed humps touch the tolerance; rounding must not turn that into a gap."""
 
@@ -122,8 +122,8 @@ def _stretches(begin: float, end: float, count: int) -> Iterator[FloatArray]:
     The crossing is usually near the mode: for a long train on a fast mode a grid over the whole
     range would have millions of points.
     """
-    for first in range(0, count, _ROBUSTNESS_STRETCH):
-        at = np.arange(max(first - 1, 0), min(first + _ROBUSTNESS_STRETCH + 1, count) + 1)
+    for first in range(0, count, _GRID_POINTS_A_STEP):
+        at = np.arange(max(first - 1, 0), min(first + _GRID_POINTS_A_STEP + 1, count) + 1)
         yield np.maximum(begin + (end - begin) / count * at, 0.0)  # clamp a rounding below 0
 
 
@@ -148,7 +148,7 @@ def _first_crossing(
     return crossing(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14)
 
 
-_HIGHER_MODES_STRETCH = 65536  # frequencies per step
+_FREQUENCIES_A_STEP = 65536  # frequencies per step
 # An undamped train's V repeats: of peaks that are equal but for rounding the lowest is reported.
 _ALIKE = 1.0 + 1e-9
 SEARCHED_RATIO = (1.5, 10.0)
@@ -195,8 +195,8 @@ def check_higher_modes(
     low, high = SEARCHED_RATIO
     peak, peak_hz = 0.0, low * mode.frequency_hz
     count = int(np.ceil((high - low) / ripple)) + 1
-    for first in range(0, count, _HIGHER_MODES_STRETCH):
-        at = np.arange(first, min(first + _HIGHER_MODES_STRETCH, count))
+    for first in range(0, count, _FREQUENCIES_A_STEP):
+        at = np.arange(first, min(first + _FREQUENCIES_A_STEP, count))
         f = mode.frequency_hz * (low + ripple * at)
         v = residual_vibration(shaper, f, mode.damping_ratio)
         most = float(v.max())

@@ -24,7 +24,7 @@ from threadline.motion.shaping.response import pole
 from threadline.motion.shaping.types import FlexibleMode
 
 _SHIFTS = np.array([-2, -1, 1, 2])
-_ROUNDING_ROUNDS = 60
+_MOST_EXCHANGES = 60
 _MEAN_WEIGHTS = (0.2, 1.0)
 """Weights of the root mean square beside the worst V: each leads the search to other trains."""
 _EITHER_SIDE = 11  # impulses: 2**10 choices of the tick to the left or right of each
@@ -229,7 +229,7 @@ class _Search:
         response = self._amplitudes @ self._grid.impulses(start)
         ticks, value = start, float(self._cost(response, start[-1]))
         self._note(ticks, value)
-        for _ in range(_ROUNDING_ROUNDS):
+        for _ in range(_MOST_EXCHANGES):
             better = self._one_by_one(ticks, value)
             if better is None and len(ticks) <= _PAIRS_OF:
                 better = self._pair(ticks, value)
@@ -295,7 +295,7 @@ class _Search:
         return None if found is None else (found, best)
 
 
-_AMPLITUDES_ROUNDS = 40
+_MOST_AMPLITUDE_STEPS = 40
 _SILENCE_WEIGHT, _SUM_WEIGHT = 1e4, 1e7
 
 
@@ -337,7 +337,7 @@ def _descend(ticks: IntArray, gap: int, value: Callable[[IntArray], float]) -> I
     best, least = ticks, value(ticks)
     singles = [(i,) for i in range(1, len(ticks))]
     pairs = list(itertools.pairwise(range(1, len(ticks))))
-    for _ in range(_AMPLITUDES_ROUNDS):
+    for _ in range(_MOST_AMPLITUDE_STEPS):
         found = None
         for moved in [*singles, *pairs]:
             for shift in itertools.product((-2, -1, 1, 2), repeat=len(moved)):

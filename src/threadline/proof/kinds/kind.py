@@ -50,7 +50,7 @@ class Kind:
         drawn from the generator.
     together
         Whether machines that differ only in numbers are simulated in one call.
-    asked
+    with_criteria
         Returns a specification with the criteria added that the options ask to report.
     release
         Refuses a plan that must not reach a controller.
@@ -71,7 +71,7 @@ class Kind:
     days: Callable[[Commands, Machine, int, np.random.Generator], Sequence[Recording]]
     others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
     together: Callable[[Machine], bool]
-    asked: Callable[[Spec, Options], Spec]
+    with_criteria: Callable[[Spec, Options], Spec]
     release: Callable[[Plan], None]
     compared: Mapping[str, tuple[str, ...]]
     targets: Mapping[str, Target]

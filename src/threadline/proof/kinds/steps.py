@@ -86,7 +86,7 @@ def _days(
     return [_simulate(commands, one) for one in machines]
 
 
-def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
     """Return the specification unchanged: no option of this kind adds a criterion."""
     return spec
 
@@ -107,7 +107,7 @@ STEPS = Kind(
     days=_days,
     others=partial(one_by_one, _simulate),
     together=lambda _: False,
-    asked=_asked,
+    with_criteria=_with_criteria,
     release=_release,
     compared={
         "interpolation": (

@@ -52,7 +52,7 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
     return simulate_switching(switch_schedule(commands), machine)
 
 
-def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
     """Return the specification unchanged: there is no path that a shaper could change."""
     return spec
 
@@ -88,7 +88,7 @@ SWITCHES = Kind(
     days=_days,
     others=partial(one_by_one, _simulate),
     together=lambda _: False,
-    asked=_asked,
+    with_criteria=_with_criteria,
     release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
     targets=SWITCH_TARGETS,

@@ -305,7 +305,7 @@ def _others(
     ]
 
 
-def _asked(spec: Spec, options: Options) -> Spec:
+def _with_criteria(spec: Spec, options: Options) -> Spec:
     """Add ``shaping_deviation`` to the specification if the motion is shaped or smoothed.
 
     The deviation caused by shaping is always reported, with or without a limit.
@@ -346,7 +346,7 @@ TICKS = Kind(
     days=_days,
     others=_others,
     together=lambda machine: not machine.told_positions,
-    asked=_asked,
+    with_criteria=_with_criteria,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},
     targets={**{name: _of_table(writer) for name, writer in TABLES.items()}, **TICK_TARGETS},

@@ -137,7 +137,7 @@ def unanswered(machines: int, why: list[str]) -> Result:
     )
 
 
-def retold(commands: Commands, machine: Machine) -> Commands:
+def with_machine_hash(commands: Commands, machine: Machine) -> Commands:
     """Return ``commands`` with the hash of ``machine``, so that its simulation accepts them.
 
     A simulation refuses commands made for a machine with another hash. A machine within the
@@ -169,7 +169,7 @@ def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands
                 f"{what}, and not in numbers alone",
                 remedy="Give a machine file that has the planned one as its base.",
             )
-    return retold(commands, actual)
+    return with_machine_hash(commands, actual)
 
 
 def one_by_one(
@@ -184,4 +184,4 @@ def one_by_one(
     For kinds whose sensors do not vary from run to run: the generator is not used.
     """
     machines = [variant(machine, row) for row in parts]
-    return [simulate(retold(commands, one), one) for one in machines]
+    return [simulate(with_machine_hash(commands, one), one) for one in machines]

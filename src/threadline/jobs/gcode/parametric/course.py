@@ -204,6 +204,7 @@ class Run:
     def _break(self, step: Step) -> int:
         begun = self._flow.steps[step.begin]
         self._counts.pop(begun.line, None)
+        self._leave_inner(begun, step)
         self._broken = self._flavour.subroutines
         return self._leave(begun, step.line)
 
@@ -212,6 +213,7 @@ class Run:
         if self._flavour.subroutines:
             self._continued = True
             return self._leave(begun, step.line)
+        self._leave_inner(begun, step)
         if begun.o.word == "do":
             return begun.line + 1  # FluidNC begins anew without a look at the condition
         if begun.o.word == "while" and not self._value(begun):
@@ -229,6 +231,15 @@ class Run:
                 remedy="Write if ... endif around the rest of the loop.",
             )
         return begun.line
+
+    def _leave_inner(self, begun: Step, step: Step) -> None:
+        """Forget the passes left of each repeat in a loop that is gone on with from inside of it.
+
+        LinuxCNC does not forget them.
+        """
+        if not self._flavour.subroutines:
+            for line in [k for k in self._counts if begun.line < k < step.line]:
+                del self._counts[line]
 
     def _call(self, step: Step) -> int:
         place = self._place(step.line)

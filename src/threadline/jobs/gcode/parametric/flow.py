@@ -136,6 +136,7 @@ class FlowReader:
             begun = self._open.pop()
             begun.end, step.begin = line, begun.line
         elif word in _OPENS:
+            self._refuse_while_in_do(o, line)
             self._begin(step)
         elif word in _CLOSES:
             begun = self._innermost(step, _CLOSES[word])
@@ -199,6 +200,17 @@ class FlowReader:
             self._refuse(line, "an O word has no label", "Write a number, or a name in < >.")
         if o.rest and o.word not in {*_WITH_FORMULA, "call", "return", "endsub", "alarm", "error"}:
             self._refuse(line, f"{o.rest[:40]!r} stands behind {o.word}", "Take it out.")
+
+    def _refuse_while_in_do(self, o: OWord, line: int) -> None:
+        if self._flavour.subroutines or o.word != "while":
+            return
+        if self._open and self._open[-1].o.word == "do":
+            self._refuse(
+                line,
+                f"while {o.label} stands directly in do {self._open[-1].o.label}: FluidNC takes it "
+                "for the end of a do, runs its lines once and stops at endwhile",
+                "Write an if [1] ... endif around it.",
+            )
 
     def _begin(self, step: Step) -> None:
         label, line = step.o.label, step.line

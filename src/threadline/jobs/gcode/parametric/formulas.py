@@ -15,7 +15,7 @@ from typing import NoReturn
 import numpy as np
 
 from threadline.errors import JobError, Place
-from threadline.jobs.gcode.dialects import Flavour, in_degrees, radians
+from threadline.jobs.gcode.dialects import FLUIDNC, Flavour, in_degrees, radians, single
 from threadline.jobs.gcode.parametric.parameters import Values
 
 Formula = Callable[[Values], float]
@@ -123,11 +123,12 @@ class FormulaReader:
     def whole(self) -> Callable[[Values], int]:
         """Read a value that must come to a whole number, within 0.0001."""
         value, place = self.value(), self._place
+        apart = 0.0 if self._flavour is FLUIDNC else _ALMOST_WHOLE  # it cuts decimals off
 
         def whole(values: Values) -> int:
             number = value(values)
             nearest = math.floor(number + 0.5)
-            if abs(number - nearest) > _ALMOST_WHOLE:
+            if abs(number - nearest) > apart:
                 raise JobError(
                     f"{number:g} must be a whole number here", place=place, remedy="Correct it."
                 )
@@ -188,8 +189,11 @@ class FormulaReader:
             if not self.take("/"):
                 self.refuse("ATAN needs two numbers", "Write ATAN[y]/[x].")
             second = self.bracketed()
-            return lambda values: rounded(in_degrees(math.atan2(first(values), second(values))))
+            arc = _single_atan if self._flavour is FLUIDNC else _atan
+            return lambda values: rounded(arc(first(values), second(values)))
         work = _FUNCTIONS[name]
+        if self._flavour is FLUIDNC:
+            work = _IN_SINGLE.get(name, work)
 
         def function(values: Values) -> float:
             number = first(values)
@@ -259,6 +263,32 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
     "sqrt": math.sqrt,
     "tan": lambda x: float(np.tan(radians(x))),
 }
+
+
+_DEGREE = math.pi / 180
+
+
+def _atan(y: float, x: float) -> float:
+    return in_degrees(math.atan2(y, x))
+
+
+def _single_atan(y: float, x: float) -> float:
+    return single(math.atan2(y, x)) * (180 / math.pi)
+
+
+def _single_round(x: float) -> float:
+    return float(math.trunc(single(x - 0.5 if x < 0.0 else x + 0.5)))
+
+
+_IN_SINGLE: dict[str, Callable[[float], float]] = {
+    "acos": lambda x: single(math.acos(x)) * (180 / math.pi),
+    "asin": lambda x: single(math.asin(x)) * (180 / math.pi),
+    "cos": lambda x: math.cos(single(x * _DEGREE)),
+    "round": _single_round,
+    "sin": lambda x: math.sin(single(x * _DEGREE)),
+    "tan": lambda x: math.tan(single(x * _DEGREE)),
+}
+"""Functions of FluidNC that round on their way: its cosine of 90 is -4e-8, and no zero."""
 
 
 def _operators(flavour: Flavour) -> dict[str, Callable[[float, float], float]]:

@@ -84,6 +84,13 @@ class Values:
         JobError
             If there is none of that number, or the control alone knows its value.
         """
+        if 1 <= which < self.flavour.readable:
+            raise JobError(
+                f"parameter #{which} is set and never read by fluidnc, which keeps "
+                f"#{self.flavour.readable} to #{_LAST_OWN} for programs",
+                place=at,
+                remedy=f"Take a number from #{self.flavour.readable} on, or a name like #<depth>.",
+            )
         if which in self._numbers:
             return self._numbers[which]
         if _POSITION <= which < _POSITION + len(_AXES):

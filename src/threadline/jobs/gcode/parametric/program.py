@@ -21,7 +21,7 @@ from threadline.jobs.gcode.parametric.statements import Code, code_of
 from threadline.jobs.gcode.scan import Findings
 from threadline.jobs.gcode.textfile import Lines, SourceFile
 from threadline.jobs.gcode.words import ONE, TAPE, Tapes, refuse_switched
-from threadline.jobs.gcode.zeros import SystemsUsed, zeros_of
+from threadline.jobs.gcode.zeros import SystemsUsed, ToolLengths, zeros_of
 from threadline.jobs.operations import Move, MoveRun, Operation, Source, Stop
 from threadline.machine import Machine
 
@@ -70,7 +70,8 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
             remedy="Have it written with numbers alone.",
         )
     flow = FlowReader(reading.file, flavour)
-    tapes = Tapes(file)
+    first_alone = reading.dialect.grammar.tape == "first"
+    tapes = Tapes(file, reading.dialect.name if first_alone else "")
     codes: list[Code] = []
     lines = Lines(file, file.begin, 1)
     begun = False
@@ -80,6 +81,7 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
         if text.strip() == TAPE:
             tapes.take(number, begun)
         else:
+            tapes.pass_by(text)
             here = Place(reading.file, number)
             check_length(text, reading.dialect.grammar, reading.dialect.name, here)
             code = code_of(text, flavour, reading.file, number)
@@ -273,6 +275,7 @@ def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> 
     most = min(budget, MOST_OPERATIONS)
     operations, moves, motion = 0, False, -1
     interpreter = ParametricInterpreter(program)
+    lengths = ToolLengths(file)
     for block, made in interpreter.blocks():
         motion = block.motion if block.motion >= 0 else motion
         if block.feed is not None and block.axes and motion == 0 and not findings.rapid_f:
@@ -280,6 +283,8 @@ def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> 
         findings.note(None, block)
         moved.update(index for index, _ in block.axes)
         systems.take(block.settings, block.line, moves=block.goes)
+        goes = block.goes or block.action == 280
+        lengths.take(block.length, block.settings, block.line, moves=goes, later=False)
         for operation in made:
             moves = moves or isinstance(operation, Move)
             operations += 1
@@ -298,6 +303,7 @@ def _run(program: ParametricProgram, systems: SystemsUsed, machine: Machine) -> 
             place=file.place(),
             remedy="Name a file with a program that moves an axis.",
         )
+    findings.length = lengths.line
     findings.unset = interpreter.values.unset
     findings.doubtful = interpreter.values.doubtful
     return Surveyed(program, findings, sorted(moved))

@@ -108,13 +108,13 @@ def with_length(c: FloatArray, radius_m: FloatArray) -> FloatArray:
     powers = np.arange(1, order)
     way = np.zeros(n)
     for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
-        way += weight * _along_path_size(_at(at_tool[:, 1:] * powers[:, None], node))
+        way += weight * _norm_along_path(_at(at_tool[:, 1:] * powers[:, None], node))
     first = at_tool[:, 1:] * powers[:, None]
     second = first[:, 1:] * powers[: order - 2, None]
     ends = []
     for u in (0.0, 1.0):
         rate, bend = _at(first, u), _at(second, u)
-        size = _along_path_size(rate)
+        size = _norm_along_path(rate)
         along = np.divide((rate * bend).sum(axis=1), size, out=np.zeros(n), where=size > 0.0)
         ends.append((size, along))
     (v0, a0), (v1, a1) = ends
@@ -192,7 +192,7 @@ def true_shares(
         v, a, j = (
             _at(orders[k], place) / duration_s[:, None] ** k for k in (1, 2, 3)
         )  # fmt: skip
-        speed = _along_path_size(v)
+        speed = _norm_along_path(v)
         fast = speed > 1e-3 * speed.max(initial=0.0)
         tangent = np.divide(v, speed[:, None], out=np.zeros_like(v), where=fast[:, None])
         push = (tangent * a).sum(axis=1)
@@ -230,7 +230,7 @@ def _at(poly: FloatArray, place: float) -> FloatArray:
     return np.asarray(out)
 
 
-def _along_path_size(vectors: FloatArray) -> FloatArray:
+def _norm_along_path(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
 
 
@@ -271,11 +271,11 @@ def along_shares(
         (n, axes) of the axes, in their own units.
     """
     v, a, j = (rate * limits.radius_m for rate in (velocity, acceleration, jerk))
-    speed = _along_shares_size(v)
+    speed = _norm_of_shares(v)
     moving = speed > _MOVING * speed.max(initial=0.0)
     along = np.divide(v, speed[:, None], out=np.zeros_like(v), where=moving[:, None])
     push = (along * a).sum(axis=1)
-    across = np.where(moving, _along_shares_size(a - push[:, None] * along), 0.0)
+    across = np.where(moving, _norm_of_shares(a - push[:, None] * along), 0.0)
     # The travelled path length has the derivatives v, t a and t j + |a across|^2 / v.
     bent = np.divide(across**2, speed, out=np.zeros_like(speed), where=moving)
     up, down = limits.sides
@@ -323,5 +323,5 @@ def path_use(trajectory: Trajectory, limits: AlongPath) -> PathUse | None:
     return worst
 
 
-def _along_shares_size(vectors: FloatArray) -> FloatArray:
+def _norm_of_shares(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((vectors**2).sum(axis=1)))

@@ -13,7 +13,7 @@ from threadline.machine import Machine
 from threadline.motion.path.types import PieceBlock, PlannedPath
 from threadline.motion.timing.optimal.along_path import with_acceleration
 from threadline.motion.timing.optimal.elements import DENSE, PiecesAhead
-from threadline.motion.timing.optimal.first_guess import line_alone
+from threadline.motion.timing.optimal.first_guess import straight_run
 from threadline.motion.timing.optimal.followers import Follower, Past
 from threadline.motion.timing.optimal.following_error import followed
 from threadline.motion.timing.optimal.in_time import in_time
@@ -128,4 +128,6 @@ def _line(run: PieceBlock, limits: Limits, begin_s: float) -> TrajectoryBlock | 
     """Return the motion along a run that is one straight line, if a closed form is known."""
     if not run.coefficients[0, 1].any():
         return None
-    return line_alone(run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, begin_s)
+    return straight_run(
+        run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, begin_s
+    )

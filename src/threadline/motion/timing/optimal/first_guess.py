@@ -18,7 +18,7 @@ from threadline.motion.timing.optimal.rows import WEIGHTS
 from threadline.motion.timing.types import TrajectoryBlock
 
 
-def line_alone(
+def straight_run(
     c: FloatArray, nominal_s: float, operation: int, limits: Limits, begin_s: float
 ) -> TrajectoryBlock | None:
     """Return the fastest motion from rest to rest along a straight piece.

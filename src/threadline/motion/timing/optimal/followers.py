@@ -163,7 +163,7 @@ class Past:
         self._blocks = [kept for kept in self._blocks if kept.end_s > since]
         self._blocks.append(block)
 
-    def told(self, block: TrajectoryBlock, time_s: FloatArray) -> FloatArray:
+    def commanded(self, block: TrajectoryBlock, time_s: FloatArray) -> FloatArray:
         """Return (n, axes) commanded positions at ascending times; ``block`` is the last block."""
         blocks = [*self._blocks, block]
         out = np.tile(blocks[0].coefficients[0, 0], (len(time_s), 1))
@@ -293,14 +293,14 @@ class Follower:
         at = begin + (np.arange(count) - before) * tick
         fine = max(1, ceil(tick / _FINE_S))
         way_s = at[0] + np.arange((count - 1) * fine + 1) * (tick / fine)
-        way = past.told(block, way_s) * self.radius_m
+        way = past.commanded(block, way_s) * self.radius_m
         load = np.empty((count, way.shape[1]))
         for k, answer in enumerate(self.answers):
             if answer is None:
                 load[:, k] = way[::fine, k]
                 continue
             own_s = np.arange(at[0], at[-1] + answer.period_s, answer.period_s)
-            told = past.told(block, own_s)[:, k] * self.radius_m[k]
+            told = past.commanded(block, own_s)[:, k] * self.radius_m[k]
             load[:, k] = np.interp(at, own_s, answer.load(told))
         first = before - 2 * window
         error, seen = strayed(load[first:], way[first * fine :], fine, window)

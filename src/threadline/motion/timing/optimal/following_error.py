@@ -145,8 +145,8 @@ def _by_coefficients(by_y: FloatArray, length: FloatArray) -> FloatArray:
     return out
 
 
-_POLISHED_MOST = 1_000_000  # rows times elements
-POLISHED_ROUNDS = 24
+_MOST_CONSTRAINT_ENTRIES = 1_000_000  # rows times elements
+MOST_ROUNDS_OF_ROWS = 24
 _IDLE = 3  # rounds without much gain, after which the search stops
 _ENOUGH = 5e-4  # of the duration: a smaller gain is not much
 _NEAR = 0.6  # of the tolerance: a larger error that is a local maximum gets a row
@@ -184,7 +184,7 @@ def polished(
     problem.regard(
         replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)),
     )
-    for _ in range(POLISHED_ROUNDS):
+    for _ in range(MOST_ROUNDS_OF_ROWS):
         solution = problem.solution()
         now = in_time(solution, limits, begin_s)
         strays = follower.strays(past, now)
@@ -197,7 +197,7 @@ def polished(
             idle = 0 if kept.end_s < best.end_s - enough_s else idle
             best = kept
         chosen = _chosen(strays.share, len(at))
-        if idle == _IDLE or len(chosen) * len(at) > _POLISHED_MOST:
+        if idle == _IDLE or len(chosen) * len(at) > _MOST_CONSTRAINT_ENTRIES:
             break
         _descend(problem, stray_rows(solution, now, strays, chosen))
     return best
@@ -236,7 +236,7 @@ def _descend(problem: Problem, rows: Rows) -> None:
     length = at.length
     problem.limit(replace(at, guard_cap=_FASTER * bernstein(problem.b, length).max(axis=1)))
     was = problem.b.copy()
-    room = _polished_slowed(problem, rows)
+    room = _slowed_near_rows(problem, rows)
     slacks = problem.slacks + len(room)
     for share in _WEIGHTS:
         weight = share * float(barrier.duration(problem.b, length)) / slacks
@@ -254,7 +254,7 @@ def _descend(problem: Problem, rows: Rows) -> None:
     problem.limit(at)
 
 
-def _polished_slowed(problem: Problem, rows: Rows) -> FloatArray:
+def _slowed_near_rows(problem: Problem, rows: Rows) -> FloatArray:
     """Slow the motion evenly until every row has room; return the (m,) rooms from the old motion.
 
     All limits of a motion use less as x falls, and so do most errors; an error that does not shrink
@@ -294,7 +294,7 @@ def _newton(
     return step, -float(g @ step)
 
 
-_LEAST, _FOLLOWING_ERROR_MOST = 0.02, 100.0  # of an ease
+_LEAST, _MOST = 0.02, 100.0  # of an ease
 _LEAST_USED = 0.5
 _MOST_CHANGE = 1.1  # of the logarithm of a guard, in one round
 _GAP = 1e-3  # of the duration
@@ -342,7 +342,7 @@ def followed(
             # An inactive guard is tightened from where it would become active.
             bites = np.clip(problem.guards_used(), _LEAST_USED, 1.0)
             ease = ease[at] * np.exp(due) * np.where(due < 0.0, bites, 1.0)
-            ease = np.clip(ease, _LEAST, _FOLLOWING_ERROR_MOST)
+            ease = np.clip(ease, _LEAST, _MOST)
         else:
             over = strays.worst(begin_s + middles)
             ease, straight = ease[at], straight[at]

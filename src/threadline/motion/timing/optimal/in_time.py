@@ -11,7 +11,7 @@ from threadline.base.arrays import FloatArray
 from threadline.motion.timing.optimal.along_path import across, true_shares
 from threadline.motion.timing.optimal.elements import restricted
 from threadline.motion.timing.optimal.motion_limits import Limits
-from threadline.motion.timing.optimal.rows import asked as asked_of_sides
+from threadline.motion.timing.optimal.rows import used_shares
 from threadline.motion.timing.optimal.solve import Solution
 from threadline.motion.timing.types import TrajectoryBlock
 
@@ -31,7 +31,7 @@ def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> Traject
     would exceed a limit in between, it is cut in two. If some still do after a few cuts the whole
     motion is slowed evenly, as a motion from rest to rest may be.
     """
-    return _told(solution, limits, begin_s, np.inf)[0]
+    return _stretched_motion(solution, limits, begin_s, np.inf)[0]
 
 
 def as_it_is(
@@ -41,11 +41,11 @@ def as_it_is(
 
     None if it would have to be stretched by more than a share ``most``.
     """
-    block, factor = _told(solution, limits, begin_s, 1.0)
+    block, factor = _stretched_motion(solution, limits, begin_s, 1.0)
     return block if factor <= 1.0 + most else None
 
 
-def _told(
+def _stretched_motion(
     solution: Solution, limits: Limits, begin_s: float, most: float
 ) -> tuple[TrajectoryBlock, float]:
     """Return the motion, stretched at most by the factor ``most``, and the factor it needs."""
@@ -173,7 +173,7 @@ def _shares(
     time_s = duration_s[:, None, None]
     if limits.deceleration is not None:
         pushes = _bernstein(acceleration) / time_s**2
-        yield 2, asked_of_sides(_bernstein(velocity), pushes, limits.sides).max(axis=1)
+        yield 2, used_shares(_bernstein(velocity), pushes, limits.sides).max(axis=1)
     if limits.along is not None and np.isfinite(limits.along.centripetal):
         bent = across(coefficients[:, :, :-1] * limits.along.radius_m)
         yield 2, bent / (limits.along.centripetal * duration_s**2)

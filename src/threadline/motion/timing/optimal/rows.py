@@ -349,7 +349,7 @@ def braking_shares(c, y, speeding, braking, places):
     return out
 
 
-def asked(
+def used_shares(
     velocity: FloatArray, push: FloatArray, limits: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
     """Return (n, axes) bounds of the used shares of the limits, from Bernstein coefficients.
@@ -400,9 +400,9 @@ def shares(c, guard, y, limit_v, limit_a, limit_j, demand, cap, places):
                 jerk = root * (third * now + 1.5 * second * rate + 0.5 * first * bend)
                 out[i, k, 3 * j + 2] = abs(jerk) / limit_j[j]
                 for m in range(len(demand)):
-                    asked = demand[m, j, 0] * first * root
-                    asked += demand[m, j, 1] * (second * now + 0.5 * first * rate)
-                    out[i, k, behind + m] = max(out[i, k, behind + m], abs(asked))
+                    demanded = demand[m, j, 0] * first * root
+                    demanded += demand[m, j, 1] * (second * now + 0.5 * first * rate)
+                    out[i, k, behind + m] = max(out[i, k, behind + m], abs(demanded))
             out[i, k, 3 * axes] = root / np.sqrt(cap[i])
             for j in range(guard.shape[2]):
                 first, second = 0.0, 0.0

@@ -173,7 +173,7 @@ def windowed(
             del plan
         if found is None and kept is not None:
             # No feasible continuation is known: the plan ends in a rest.
-            blocks = _told(kept.to_rest(), limits, now)
+            blocks = _as_polynomials(kept.to_rest(), limits, now)
             assert blocks is not None  # true when it was kept
             found = blocks, None
             if run is not None:
@@ -202,17 +202,19 @@ def _window(
     plan.problem.settled_s = 0.0 if rests else 0.5 * horizon_s
     solved = _solved(plan, gap)
     if rests:
-        blocks = _told(solved.to_rest(), limits, begin_s)
+        blocks = _as_polynomials(solved.to_rest(), limits, begin_s)
         return None if blocks is None else (blocks, None)
     way, kept = solved.left(solved.before(horizon_s))
     del solved
-    blocks = _told(way, limits, begin_s)
-    if blocks is None or _told(kept.to_rest(), limits, 0.0) is None:
+    blocks = _as_polynomials(way, limits, begin_s)
+    if blocks is None or _as_polynomials(kept.to_rest(), limits, 0.0) is None:
         return None
     return blocks, kept
 
 
-def _told(solution: Solution, limits: Limits, begin_s: float) -> list[TrajectoryBlock] | None:
+def _as_polynomials(
+    solution: Solution, limits: Limits, begin_s: float
+) -> list[TrajectoryBlock] | None:
     """Return a motion as polynomials in time, None if they exceed a limit."""
     blocks: list[TrajectoryBlock] = []
     for part in solution.parts(_AT_A_TIME):
