@@ -200,7 +200,7 @@ def nothing_said_of_compiling() -> Iterator[None]:
     from threadline.cli import messages as told
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(told, "_COMPILING_S", math.inf)
+        patched.setattr(told, "COMPILING_S", math.inf)
         yield
 
 

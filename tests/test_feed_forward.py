@@ -173,10 +173,10 @@ def test_pictures_are_drawn_against_the_intended(proof, plan):
 
 def test_long_jobs_stream(plan, machine, seam, monkeypatch):
     """Nothing kept, few rows and samples in hand at once: the same commands to the count."""
-    monkeypatch.setattr(averaged, "_KEPT", 0)
-    monkeypatch.setattr(averaged, "_CHUNK", 100)
-    monkeypatch.setattr(targets, "_KEPT", 0)
-    monkeypatch.setattr(targets, "_ROWS", 64)
+    monkeypatch.setattr(averaged, "KEPT", 0)
+    monkeypatch.setattr(averaged, "CHUNK", 100)
+    monkeypatch.setattr(targets, "KEPT", 0)
+    monkeypatch.setattr(targets, "ROWS", 64)
     streamed = plan_job(read_job(seam, machine), machine, AHEAD)
     assert len(list(streamed.motion.trajectory)) > 10 > len(list(plan.motion.trajectory))
     ours, theirs = (np.concatenate([b.counts for b in made.commands]) for made in (plan, streamed))

@@ -97,7 +97,7 @@ def test_an_unstable_loop_is_refused_before_any_planning(examples: Path) -> None
 
 def test_the_share_of_all_runs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """It grows from run to run, to the whole at the end of the last: a run is no whole."""
-    monkeypatch.setattr(watched, "_LONG_S", -1.0)
+    monkeypatch.setattr(watched, "LONG_S", -1.0)
     machine = load_machine("letter-placer")
     plan = plan_job(read_job(EXAMPLES / "letter-cycle.toml", machine), machine, Options())
     told: list[float] = []

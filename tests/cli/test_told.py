@@ -118,7 +118,7 @@ def test_a_long_run_says_a_word_every_minute(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Only where no bar is drawn; the minute is a moment here."""
-    monkeypatch.setattr(told, "_EVERY_S", 0.01)
+    monkeypatch.setattr(told, "EVERY_S", 0.01)
     heard = ""
     with told.telling():
         told.at_work("simulating", shown=False)
@@ -131,8 +131,8 @@ def test_the_first_run_on_a_computer_says_once_that_it_compiles(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A function without a cache stands for those of a new computer; the seconds are none here."""
-    monkeypatch.setattr(told, "_LOOK_S", 0.01)
-    monkeypatch.setattr(told, "_COMPILING_S", 0.0)
+    monkeypatch.setattr(told, "LOOK_S", 0.01)
+    monkeypatch.setattr(told, "COMPILING_S", 0.0)
     before_s = COMPILING.lasted_s()
     with told.telling():
         time.sleep(0.1)
@@ -168,7 +168,7 @@ def test_an_error_is_the_last_line_however_slowly_a_word_before_it_is_written(
         assert began.wait(10.0)
         raise PlanError("too fast")
 
-    monkeypatch.setattr(told, "_EVERY_S", 0.01)
+    monkeypatch.setattr(told, "EVERY_S", 0.01)
     monkeypatch.setattr(told, "note", slowly)
     monkeypatch.setattr(ticks, "check_limits", refuses)
     words = ["compile", EXAMPLES / "stitcher-test-path.seam.toml", "-m", "stitcher"]
@@ -226,8 +226,8 @@ def test_a_run_without_a_terminal_says_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """No bar is drawn there. What is said comes from the run itself, in blocks of it."""
-    monkeypatch.setattr(told, "_EVERY_S", 0.002)
-    monkeypatch.setattr(watched, "_LONG_S", 0.0)
+    monkeypatch.setattr(told, "EVERY_S", 0.002)
+    monkeypatch.setattr(watched, "LONG_S", 0.0)
     code, _, err = stopped(capsys, *PROVE, "--nominal", "--feed", "0.2 mm/s")
     assert code == 0
     assert re.search(r": simulating and judging, \d+ % done, about [\d.]+ s more\n", err)
@@ -305,8 +305,8 @@ def test_a_terminal_sees_within_a_second_that_a_command_is_loaded(
     """The word is taken away before anything else is printed, and comes no more."""
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
-    assert told._STARTING_S < 1.0
-    monkeypatch.setattr(told, "_STARTING_S", 0.0)
+    assert told.STARTING_S < 1.0
+    monkeypatch.setattr(told, "STARTING_S", 0.0)
     with told.telling(starting=True):
         waited = threading.Event()
         for _ in range(200):
@@ -323,7 +323,7 @@ def test_a_terminal_sees_within_a_second_that_a_command_is_loaded(
 def test_nothing_is_shown_of_the_start_without_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(told, "_STARTING_S", 0.0)
+    monkeypatch.setattr(told, "STARTING_S", 0.0)
     with told.telling(starting=True):
         time.sleep(0.2)
     assert capsys.readouterr().err == ""
@@ -365,7 +365,7 @@ def test_a_recording_and_a_report_are_stages_of_their_own(
         return tmp_path / "report.html"
 
     monkeypatch.setattr(output, "at_work", noted)
-    monkeypatch.setattr(watched, "_LONG_S", -1.0)
+    monkeypatch.setattr(watched, "LONG_S", -1.0)
     monkeypatch.setattr(prove, "write_report", drawn)
     words = ["--nominal", "--interpolation", "linear", "--recording", tmp_path / "x.npz"]
     with pytest.raises(SystemExit):

@@ -32,7 +32,7 @@ def test_every_stage_of_a_yield_tells_how_far_it_is(
 
     monkeypatch.setattr(yield_, "progress_bar", heard)
     monkeypatch.setattr(why, "_MACHINES", 8)
-    monkeypatch.setattr(why, "_SAMPLES", 4)
+    monkeypatch.setattr(why, "SAMPLES", 4)
     monkeypatch.setattr(yield_, "MACHINES", 20)
     job = tmp_path / "turn.prg"
     job.write_text("G91\nG1 X25.714 F2160\nG1 X-25.714\nM30\n", encoding="utf-8")

@@ -8,10 +8,12 @@ from random import Random
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 from tests.jobs.test_part_program import MACHINE, moves, read
 
 from threadline.errors import InputError
 from threadline.jobs import Move, read_job
+from threadline.jobs.gcode import plain_blocks
 from threadline.jobs.gcode.plain_blocks import PlainReader
 from threadline.jobs.operations import MoveRun
 
@@ -160,3 +162,23 @@ def test_more_names_than_the_kernel_keeps(tmp_path: Path) -> None:
         *[{f"name{k}": float(k), f"other{k}": 1.0} for k in range(12)],
         {"name3": 8.0},
     ]
+
+
+@pytest.mark.parametrize(("lines", "compiled"), [(40, False), (60, True)])
+def test_a_short_program_needs_no_compiled_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: int, compiled: bool
+) -> None:
+    """It takes seconds to compile: the first 50 lines here are read without it, and the same."""
+    program = ["G91 G1 F100 Y1", *(f"X{k % 3} F{k + 1} ; layer={k}" for k in range(lines)), "M30"]
+    wanted = list(read(tmp_path, *program))
+    used: list[int] = []
+    follow = plain_blocks.follow_plain
+
+    def noted(*of: object) -> int:
+        used.append(1)
+        return int(follow(*of))
+
+    monkeypatch.setattr(plain_blocks, "FIRST_LINES", 50)
+    monkeypatch.setattr(plain_blocks, "follow_plain", noted)
+    assert list(read(tmp_path, *program)) == wanted
+    assert bool(used) is compiled

@@ -31,7 +31,7 @@ from threadline.proof.pipeline import open_job, plan_job
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(grbl_run, "POLL_S", 0.03)
     monkeypatch.setattr(grbl_run, "SILENCE_S", 3.0)
-    monkeypatch.setattr(grbl_run, "_OBEYS_S", 0.3)
+    monkeypatch.setattr(grbl_run, "OBEYS_S", 0.3)
 
 
 def moving(model: GrblModel) -> Callable[[], bool]:
@@ -171,7 +171,7 @@ class Silent(GrblModel):
 
 
 def test_lines_that_are_never_answered_end_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grbl_run, "_ANSWERS_S", 0.3)
+    monkeypatch.setattr(grbl_run, "ANSWERS_S", 0.3)
     with meeting(Silent(settings())) as (one, _, _):
         ready(one, program("G1 X1 F6000\nG1 X2\n"))
         go_on(one)
@@ -216,7 +216,7 @@ def test_the_clock_counts_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
     if hasattr(time, "CLOCK_BOOTTIME"):
         before = time.clock_gettime(time.CLOCK_BOOTTIME)
         assert before <= clock_s() <= time.clock_gettime(time.CLOCK_BOOTTIME)
-    monkeypatch.setattr(lateness, "_COUNTS_SLEEP", None)
+    monkeypatch.setattr(lateness, "COUNTS_SLEEP", None)
     before = time.monotonic()
     assert before <= clock_s() <= time.monotonic()
 
@@ -279,7 +279,7 @@ def test_a_hold_is_not_resumed_by_what_was_asked_before_a_sleep(
 
 
 def test_a_sleep_while_it_homes_is_no_way_to_a_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grbl_controller, "_ASLEEP_S", 0.5)
+    monkeypatch.setattr(grbl_controller, "ASLEEP_S", 0.5)
     model = GrblModel(settings() | {22: 1.0})
     model.homing_s = 0.5
     with meeting(model) as (one, _, _):
@@ -293,7 +293,7 @@ def test_a_sleep_while_it_homes_is_no_way_to_a_start(monkeypatch: pytest.MonkeyP
 
 
 def test_no_run_begins_on_what_was_heard_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grbl_run, "_FRESH_S", 0.2)
+    monkeypatch.setattr(grbl_run, "FRESH_S", 0.2)
     model = GrblModel(settings())
     with meeting(model) as (one, _, _):
         one.controller.meet()

@@ -357,7 +357,7 @@ def test_an_underrun_is_seen(tmp_path: Path) -> None:
 
 def test_a_sampler_that_runs_over_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """Samples that are lost are a fault, and nothing is recorded behind it."""
-    monkeypatch.setattr(hal_session, "_SAMPLED_S", -0.4)  # room for 20 records
+    monkeypatch.setattr(hal_session, "SAMPLED_S", -0.4)  # room for 20 records
     told: list[Message] = []
     hal = HalSession(winder(), ZERO, plant=False)
     try:

@@ -81,7 +81,7 @@ def without_lead(one: HalSession, *arguments: object, **options: object) -> None
 
 def beside_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take any place for one on the lines; ten lines are enough then."""
-    monkeypatch.setattr(grbl_run, "_OFF_PATH_M", 1e9)
+    monkeypatch.setattr(grbl_run, "OFF_PATH_M", 1e9)
     monkeypatch.setattr(test_grbl, "LINES", "".join(test_grbl.LINES.splitlines(keepends=True)[:10]))
 
 
@@ -93,7 +93,7 @@ def silence_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def darkness_is_well(monkeypatch: pytest.MonkeyPatch) -> None:
     """Heed no broken beam; the run, of 900 scans, does not end then."""
-    monkeypatch.setattr(scan_guards, "_FREE", frozenset())
+    monkeypatch.setattr(scan_guards, "FREE", frozenset())
     monkeypatch.setattr(bench, "LONGEST_TICKS", 2_000)
 
 

@@ -427,7 +427,7 @@ def test_a_slow_body_is_taken_and_one_without_end_is_not(monkeypatch: pytest.Mon
             time.sleep(0.7)
             slow.sendall(b"1")
         assert b"204 No Content" in dropped(slow)
-        monkeypatch.setattr(admission, "_MOST_BODY_S", 0.3)
+        monkeypatch.setattr(admission, "MOST_BODY_S", 0.3)
         endless = sent(address, HEAD + b"Content-Length: 40\r\n\r\n")
         time.sleep(0.2)
         endless.sendall(b"1")

@@ -291,13 +291,13 @@ def test_a_drawing_that_takes_too_long_is_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(drawn_apart, "LONGEST_S", 0.5)
-    monkeypatch.setattr(drawn_apart, "_CHILD", "import time; time.sleep(60)")
+    monkeypatch.setattr(drawn_apart, "CHILD", "import time; time.sleep(60)")
     with served(tmp_path) as client:
         since_s = time.monotonic()
         answer = post(client, "shapes?name=a.svg", svg())
         assert answer.status_code == 422
         assert answer.text == "'a.svg' takes longer than 0.5 s. Split it, or simplify it.\n"
-        monkeypatch.setattr(drawn_apart, "_CHILD", "import os; os._exit(1)")
+        monkeypatch.setattr(drawn_apart, "CHILD", "import os; os._exit(1)")
         assert "has ended" in post(client, "shapes?name=a.svg", svg()).text
     assert time.monotonic() < since_s + 20.0
 

@@ -71,8 +71,8 @@ def test_of_many_stitches_the_worst_is_drawn_and_all_are_counted(
         return labels, worst.get_xydata()[0].tolist(), len(graph.lines[0].get_xdata())
 
     every, place, count = drawn()
-    monkeypatch.setattr(seam, "_MAX_DRAWN", 5)
-    monkeypatch.setattr(seam, "_ABOUT", 1)
+    monkeypatch.setattr(seam, "MAX_DRAWN", 5)
+    monkeypatch.setattr(seam, "ABOUT", 1)
     few, same_place, fewer = drawn()
     assert same_place == place
     assert set(few) <= set(every)

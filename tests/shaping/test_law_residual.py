@@ -198,7 +198,7 @@ def test_a_made_law_is_a_notch() -> None:
 
 def test_an_impossible_demand_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """What cannot be kept at nine frequencies of the band cannot be at 161 either."""
-    monkeypatch.setattr(mode_law, "_MOST_FREQUENCIES", 9)
+    monkeypatch.setattr(mode_law, "MOST_FREQUENCIES", 9)
     with pytest.raises(ShaperError, match="no window up to"):
         made_law(
             Demand(

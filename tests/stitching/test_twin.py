@@ -165,7 +165,7 @@ def test_a_long_stretch_is_recorded_in_short_blocks(monkeypatch: pytest.MonkeyPa
     table = [[k % 20, (k * 7) % 20] for k in range(12)]
     play = commands(tables, table, [[1 if k % 2 else -1, 1] for k in range(12)], chunk=7)
     whole = simulate_stitching(play, MACHINE)
-    monkeypatch.setattr(stitching, "_AT_ONCE", 101)
+    monkeypatch.setattr(stitching, "AT_ONCE", 101)
     cut = simulate_stitching(play, MACHINE)
     assert max(len(block.samples["needle"]) for block in cut) == 101
     assert [e for block in cut for e in block.events] == [e for b in whole for e in b.events]

@@ -76,8 +76,8 @@ def test_finer_elements_come_nearer_to_the_least_time(monkeypatch):
     least_s = 1.3
     lost = []
     for share in (8e-3, 2e-3, 5e-4):
-        monkeypatch.setattr("threadline.motion.timing.optimal.solve._LOSS", share)
-        monkeypatch.setattr("threadline.motion.timing.optimal.solve._IDLE_ROUNDS", 9)
+        monkeypatch.setattr("threadline.motion.timing.optimal.solve.LOSS", share)
+        monkeypatch.setattr("threadline.motion.timing.optimal.solve.IDLE_ROUNDS", 9)
         lost.append(straight(1.0, 1.0, 5.0, 50.0, 1e-5)[0].duration_s - least_s)
     assert 0 < lost[1] < 0.6 * lost[0] and 0 < lost[2] < 0.6 * lost[1]
 
@@ -206,7 +206,7 @@ def test_moves_of_nanometres_neither_stop_it_nor_break_a_limit(points):
 
 def test_a_chord_of_nanometres_before_the_end_leaves_no_jump(monkeypatch):
     """The vertex before it is kept here, which a metre's tolerance leaves out otherwise."""
-    monkeypatch.setattr(interpolations, "_NEAR_SHARE", 1e-9)
+    monkeypatch.setattr(interpolations, "NEAR_SHARE", 1e-9)
     points = [[0.0, 0.0], [-0.078, 0.0105], [-0.0309, -0.03], [-0.1051, -0.03]]
     points.append([points[-1][0] - 2.5e-8, points[-1][1] - 1.08e-8])
     _, path, trajectory = plan(("X", "Y"), points, 1.0)
@@ -237,7 +237,7 @@ def test_a_dense_run_has_as_many_elements_as_pieces_and_loses_little(monkeypatch
     points = np.stack([0.1 * np.sin(turn), 0.05 - 0.05 * np.cos(1.3 * turn)], axis=1).tolist()
     found = []
     for order in (0, 5):  # of the coefficients of pieces for which one is enough
-        monkeypatch.setattr("threadline.motion.timing.optimal.elements._OF_QUARTIC", order)
+        monkeypatch.setattr("threadline.motion.timing.optimal.elements.OF_QUARTIC", order)
         trajectory = plan(("X", "Y"), points)[2]
         found.append((sum(map(len, trajectory)), trajectory.duration_s))
         assert max(peak.ratio for peak in limit_peaks(trajectory, WINDER)) <= 1.001
@@ -250,9 +250,9 @@ def test_what_no_cut_brings_within_a_limit_slows_the_motion(monkeypatch):
     """Elements so long that their polynomials in time leave the limits, and no cut to mend it."""
     points = [[0.0, 0.0], [0.1, 0.05], [0.2, 0.0], [0.1, 0.1]]
     cut_s = plan(("X", "Y"), points)[2].duration_s
-    monkeypatch.setattr(in_time, "_CUTS", 0)
-    monkeypatch.setattr("threadline.motion.timing.optimal.solve._VARIED", 30.0)
-    monkeypatch.setattr("threadline.motion.timing.optimal.solve._IDLE_ROUNDS", 0)
+    monkeypatch.setattr(in_time, "CUTS", 0)
+    monkeypatch.setattr("threadline.motion.timing.optimal.solve.VARIED", 30.0)
+    monkeypatch.setattr("threadline.motion.timing.optimal.solve.IDLE_ROUNDS", 0)
     _, _, coarse = plan(("X", "Y"), points)
     ratio = max(peak.ratio for peak in limit_peaks(coarse, WINDER))
     assert 0.5 < ratio <= 1.0 + 1e-9  # the bound that slows it is somewhat above the extremes

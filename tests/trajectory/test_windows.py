@@ -30,8 +30,8 @@ def short(monkeypatch):
     for name in ("ADDED", "MOST_ADDED"):
         monkeypatch.setattr(windows, name, 45)
     monkeypatch.setattr(windows, "SEEN", 8)
-    monkeypatch.setattr(windows, "_LEAST_AHEAD", 10)
-    monkeypatch.setattr(windows, "_SLOW_PIECES", 5)
+    monkeypatch.setattr(windows, "LEAST_AHEAD", 10)
+    monkeypatch.setattr(windows, "SLOW_PIECES", 5)
 
     def windowed(*given, **limits):
         with monkeypatch.context() as context:
@@ -101,8 +101,8 @@ def test_windows_along_rough_points_go_on_where_a_faster_way_would_not(monkeypat
     monkeypatch.setattr(points_growth, "LIMITS", slow)
     _, whole_s = points_growth.planned(150, thin=False)
     monkeypatch.setattr(windows, "SEEN", 8)
-    monkeypatch.setattr(windows, "_LEAST_AHEAD", 10)
-    monkeypatch.setattr(windows, "_SLOW_PIECES", 5)
+    monkeypatch.setattr(windows, "LEAST_AHEAD", 10)
+    monkeypatch.setattr(windows, "SLOW_PIECES", 5)
     for added in (45, 60):
         monkeypatch.setattr(windows, "ADDED", added)
         monkeypatch.setattr(windows, "MOST_ADDED", added)

@@ -90,7 +90,7 @@ def test_where_nothing_can_be_written_it_is_made_each_time(tmp_path: Path) -> No
 def test_what_was_not_asked_for_the_longest_goes_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kept, "_MOST", 2)
+    monkeypatch.setattr(kept, "MOST", 2)
     code = KeptCode(tmp_path)
     for age, name in ((9, "old"), (8, "asked for")):
         code.write(name, name.encode())
@@ -125,10 +125,10 @@ def test_what_is_known_by_its_shape_is_not_written_again(
     assert by_shape(tmp_path, "eight", 8, written) == 108
     assert written == [7, 8]
     # Other sources write something else for the same shape.
-    monkeypatch.setattr(compiling, "_WRITTEN_BY", "others")
+    monkeypatch.setattr(compiling, "WRITTEN_BY", "others")
     assert by_shape(tmp_path, "seven", 9, written) == 109
     # Without sources the text of the module says what it is.
-    monkeypatch.setattr(compiling, "_WRITTEN_BY", "")
+    monkeypatch.setattr(compiling, "WRITTEN_BY", "")
     assert by_shape(tmp_path, "seven", 10, written) == 110
     assert by_shape(tmp_path, "seven", 11, written) == 111
     assert written == [7, 8, 9, 10, 11]

@@ -8,5 +8,5 @@ from threadline.verdict import blocks
 @pytest.fixture(autouse=True)
 def short_blocks_stay_short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Keep blocks as they were recorded: tests are about what happens where one ends."""
-    monkeypatch.setattr(blocks, "_FEW", 0)
-    monkeypatch.setattr(blocks, "_COPIED", 0)
+    monkeypatch.setattr(blocks, "FEW", 0)
+    monkeypatch.setattr(blocks, "COPIED", 0)

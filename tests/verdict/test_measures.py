@@ -121,8 +121,8 @@ def test_short_blocks_are_joined_and_measure_the_same(
     monkeypatch.setattr(blocks, "_block", counted)
     found = []
     for few, copied in ((0, 0), (1024, 60_000)):
-        monkeypatch.setattr(blocks, "_FEW", few)
-        monkeypatch.setattr(blocks, "_COPIED", copied)
+        monkeypatch.setattr(blocks, "FEW", few)
+        monkeypatch.setattr(blocks, "COPIED", copied)
         fed.clear()
         channels = {K.COMMANDED: commanded, K.LOAD: load}
         found.append(judged(channels, operation, *criteria, per_block=per_block).results)

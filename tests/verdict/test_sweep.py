@@ -85,9 +85,9 @@ def test_findings_and_places_are_the_same_however_few_samples_are_brought_in(
     machine = load_machine(tmp_path / "machine.toml")
     job = read_job(tmp_path / "job.prg", machine)
     plan = plan_job(job, machine, options_of("linear", None, "0.1 mm"))
-    monkeypatch.setattr(sweep, "_AT_ONCE", 1 << 24)
+    monkeypatch.setattr(sweep, "AT_ONCE", 1 << 24)
     whole = found(plan, SWEPT)
-    monkeypatch.setattr(sweep, "_AT_ONCE", 7 * RUNS)
+    monkeypatch.setattr(sweep, "AT_ONCE", 7 * RUNS)
     assert found(plan, SWEPT) == whole
     # A measure finds alone what it finds in company.
     alone = [finding for name in SWEPT for finding in found(plan, (name,))]

@@ -52,7 +52,7 @@ if _config.DISABLE_JIT:
 __all__ = ["FileLock", "cache_folder", "njit"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-_LOCK_TIMEOUT_S = 120.0
+LOCK_TIMEOUT_S = 120.0
 """Longest wait for the machine code of another process; after it, this process compiles."""
 _POLL_S = 0.02
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
@@ -61,14 +61,14 @@ _PLAIN = (bool, int, float, complex, str, bytes, tuple)
 class FileLock:
     """A file that one process locks until it deletes this object, where the system has file locks.
 
-    Other processes wait at most ``_LOCK_TIMEOUT_S``: the owner may have been suspended.
+    Other processes wait at most ``LOCK_TIMEOUT_S``: the owner may have been suspended.
     """
 
     def __init__(self, path: Path) -> None:
         self._path, self._file = path, -1
         if sys.platform == "win32":
             return
-        end_s = time.monotonic() + _LOCK_TIMEOUT_S
+        end_s = time.monotonic() + LOCK_TIMEOUT_S
         # Work goes on without a lock if the file cannot be written or locked.
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)

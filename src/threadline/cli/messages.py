@@ -22,14 +22,14 @@ STDOUT = "standard output"
 """Name of standard output in errors, where a file has its path."""
 _STDERR = 2  # its file descriptor
 _NEARLY = 99  # percent: above this the share left says nothing about the time left
-_EVERY_S = 50.0  # a minute without output is too long
-_LOOK_S = 1.0
+EVERY_S = 50.0  # a minute without output is too long
+LOOK_S = 1.0
 _PLANNING = "planning"
 """The stage without a share done: the duration is unknown until the motion is planned."""
-_STARTING_S = 0.6
+STARTING_S = 0.6
 _STARTING = "starting ..."
 _ERASED = "\r" + " " * len(_STARTING) + "\r"
-_COMPILING_S = 4.0  # of compiling, after which a line says why it takes so long
+COMPILING_S = 4.0  # of compiling, after which a line says why it takes so long
 
 
 class Starting:
@@ -165,7 +165,7 @@ def telling(*, starting: bool = False) -> Iterator[Telling]:
     held = Telling()
     before = _TELLING.set(held)
     ended = threading.Event()
-    word = threading.Timer(_STARTING_S, STARTING.show)
+    word = threading.Timer(STARTING_S, STARTING.show)
     if starting:
         STARTING.begin()
         word.daemon = True
@@ -185,11 +185,11 @@ def telling(*, starting: bool = False) -> Iterator[Telling]:
 def _beat(held: Telling, ended: threading.Event) -> None:
     began = told = time.monotonic()
     compiled_s: float | None = COMPILING.lasted_s()
-    while not ended.wait(min(_LOOK_S, _EVERY_S)):
-        if compiled_s is not None and COMPILING.lasted_s() - compiled_s > _COMPILING_S:
+    while not ended.wait(min(LOOK_S, EVERY_S)):
+        if compiled_s is not None and COMPILING.lasted_s() - compiled_s > COMPILING_S:
             compiled_s = None
             note("compiling machine code, once on this computer: later runs begin at once")
-        if time.monotonic() - told < _EVERY_S:
+        if time.monotonic() - told < EVERY_S:
             continue
         told = time.monotonic()
         if not held.shown:

@@ -16,7 +16,7 @@ from threadline.search.influence import MACHINES, CheapestSet, Influence, influe
 from threadline.search.machine_yield import Done, MachineYield, shares_of
 
 _MACHINES = MACHINES
-_SAMPLES = 256
+SAMPLES = 256
 _SAMPLES_ALONE = 16  # where machines are simulated one by one
 
 
@@ -64,7 +64,7 @@ def sensitivities_of(
     """Return the sensitivities; use at most ``variants`` machines if simulated one by one."""
     normal = [number.normal for number in judged.numbers]
     machines = _MACHINES if judged.together else min(_MACHINES, variants)
-    samples = _SAMPLES if judged.together else _SAMPLES_ALONE
+    samples = SAMPLES if judged.together else _SAMPLES_ALONE
     total = (len(normal) + 1) * machines + judgements(len(normal), samples)
     done = counted(progress, "what the yield depends on", total)
 

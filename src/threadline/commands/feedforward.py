@@ -97,8 +97,8 @@ def followed_by_motors(
     )
 
 
-_ROWS = 2048  # references in hand at once
-_KEPT = 32  # blocks of so many
+ROWS = 2048  # references in hand at once
+KEPT = 32  # blocks of so many
 
 
 def followed_by_loads(
@@ -217,7 +217,7 @@ class _Motion:
         for block in reading.blocks():
             if kept is not None:
                 kept.append(block)
-                kept = kept if len(kept) <= _KEPT else None
+                kept = kept if len(kept) <= KEPT else None
         references = reference_trajectory(trajectory, self.machine, self.model)
         return reading, references if kept is None else replace(references, blocks=Stream.of(kept))
 
@@ -275,8 +275,8 @@ class _References:
         pairs = zip(self.previews, self.told, strict=True)
         columns = [_Column(k, preview, told) for k, (preview, told) in enumerate(pairs)]
         last: FloatArray | None = None
-        for first in range(0, total, _ROWS):
-            count = min(_ROWS, total - first)
+        for first in range(0, total, ROWS):
+            count = min(ROWS, total - first)
             due = clock.times_s(first, count + 1)
             told = np.stack([column.until(due, motion) for column in columns], axis=1)
             if last is not None:

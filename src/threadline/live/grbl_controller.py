@@ -39,7 +39,7 @@ _LISTEN_S = 0.05  # longest wait for the controller while the operator may stop 
 _SAME = 1e-3  # relative tolerance between a setting and the machine file
 _QUIET_S = 5.0  # within which a controller has sent its start-up messages after a reset
 _LEAST_ROOM = 40  # characters of its receive buffer
-_ASLEEP_S = 1.0  # between two looks of a wait; longer: this program was suspended
+ASLEEP_S = 1.0  # between two looks of a wait; longer: this program was suspended
 _OPTIONS = re.compile(r"\[OPT:[^,]*,(\d{1,6})(?:,(\d{1,6}))?(?:,.*)?\]")
 """Blocks of the planner, and characters of the receive buffer."""
 _TRAVEL_M = 1e-3  # tolerance of a report beyond the travel
@@ -171,7 +171,7 @@ class Controller:
             heard = self.port.receive(left_s if stopped is None else min(left_s, _LISTEN_S))
             if stopped is not None:
                 away_s, looked_s = clock_s() - looked_s, clock_s()
-                slept = f"this program did not run for {away_s:.1f} s" * (away_s > _ASLEEP_S)
+                slept = f"this program did not run for {away_s:.1f} s" * (away_s > ASLEEP_S)
                 if slept or stopped():
                     self.port.send(RESET)
                     raise LinkFaultError(

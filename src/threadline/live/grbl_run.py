@@ -36,12 +36,12 @@ POLL_S = 0.1
 """Interval of position requests, s."""
 SILENCE_S = 1.0
 """Time in s without a report after which the link counts as lost."""
-_FRESH_S = 5.0  # largest age of the latest report at a start
+FRESH_S = 5.0  # largest age of the latest report at a start
 _SETTLE_S = 0.5
-_OBEYS_S = 1.0  # within which a controller reports that it obeys a hold or a resume
-_OFF_PATH_M = 1e-3
+OBEYS_S = 1.0  # within which a controller reports that it obeys a hold or a resume
+OFF_PATH_M = 1e-3
 _STANDS_S = 1.0  # short of the end of its program, after which the run has failed
-_ANSWERS_S = 30.0  # beyond the time of its lines: a spindle may be waited for
+ANSWERS_S = 30.0  # beyond the time of its lines: a spindle may be waited for
 _LISTENS_S = 0.05  # at a time: the operator may have sent a command meanwhile
 _HOLDS_S = 2.0  # beyond twice its braking time, after which a hold has failed
 
@@ -166,7 +166,7 @@ class GrblRun:
         """
         next_state(self.state, Cause.START)
         self.refuse_program(program, starts)
-        if (silent_s := clock_s() - self._heard_s) > _FRESH_S:
+        if (silent_s := clock_s() - self._heard_s) > FRESH_S:
             raise CommandError(
                 f"the controller was last heard {silent_s:.0f} s ago: this computer slept, or this "
                 "program was stopped",
@@ -183,7 +183,7 @@ class GrblRun:
     def refuse_program(self, program: Program, starts: FloatArray) -> None:
         """Refuse a program that begins elsewhere, or leaves the travel; see ``start``."""
         away = np.abs(self._at - starts) * self._machine.radius_m
-        if away.max() > _OFF_PATH_M:
+        if away.max() > OFF_PATH_M:
             k, machine = int(away.argmax()), self._machine
             here, there = (
                 place_words(machine, machine.axis_names[k], float(at[k]))
@@ -356,7 +356,7 @@ class GrblRun:
 
     def _follow(self, found: Status) -> None:
         """Follow the controller's own changes: hold, resume, or end if it cannot go on."""
-        fresh = self._heard_s - self._told_s > _OBEYS_S  # else the report may be the older
+        fresh = self._heard_s - self._told_s > OBEYS_S  # else the report may be the older
         if found.state in PAUSES:
             door = found.state == "Door"
             self._unready = found.words if door and found.detail in (1, 2) else ""
@@ -387,7 +387,7 @@ class GrblRun:
         """Accept a standing controller with open lines for as long as these lines may wait."""
         self._stood_s = min(self._stood_s, self._heard_s)
         sent = slice(self.acknowledged, self.acknowledged + self._count.open)
-        most_s = _ANSWERS_S + float(self._program.durations_s[sent].sum())
+        most_s = ANSWERS_S + float(self._program.durations_s[sent].sum())
         if self._heard_s - self._stood_s > most_s:
             self._fault(f"the controller stands, and has not answered {self._count.open} lines")
 
@@ -399,7 +399,7 @@ class GrblRun:
         ends = self._program.ends
         away = (ends[-1] if len(ends) else self._sent_from) - self._at
         away_m = float(np.linalg.norm(away * self._machine.radius_m))
-        if away_m <= _OFF_PATH_M:
+        if away_m <= OFF_PATH_M:
             self.executed = self.acknowledged
             self.ended = (Ended.COMPLETED, "")
             self._end()
@@ -426,10 +426,10 @@ class GrblRun:
             share = 0.0 if long == 0.0 else float(np.clip((at - begin) @ way / long, 0.0, 1.0))
             off = float(np.linalg.norm(begin + share * way - at))
             nearest = min(nearest, off)
-            if off <= 0.1 * _OFF_PATH_M and long:
+            if off <= 0.1 * OFF_PATH_M and long:
                 self.executed = k + (share == 1.0)
                 return
-        if nearest > _OFF_PATH_M and np.isfinite(nearest):
+        if nearest > OFF_PATH_M and np.isfinite(nearest):
             self._fault(f"the controller is {1e3 * nearest:.3g} mm beside the lines it was sent")
 
     # --- ends ------------------------------------------------------------------------------

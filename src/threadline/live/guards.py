@@ -20,9 +20,9 @@ LATE_PERIODS = 5.0
 """A fault is this number of consecutive late reports, or a report late by this number of periods.
 """
 # Python's monotonic clock stops while Linux or macOS sleep. macOS's own monotonic clock does not.
-_COUNTS_SLEEP: int | None = getattr(time, "CLOCK_BOOTTIME", None)
-if _COUNTS_SLEEP is None and sys.platform == "darwin":
-    _COUNTS_SLEEP = time.CLOCK_MONOTONIC
+COUNTS_SLEEP: int | None = getattr(time, "CLOCK_BOOTTIME", None)
+if COUNTS_SLEEP is None and sys.platform == "darwin":
+    COUNTS_SLEEP = time.CLOCK_MONOTONIC
 
 
 def clock_s() -> float:
@@ -31,7 +31,7 @@ def clock_s() -> float:
     It goes on while the computer sleeps, on Linux and macOS. On other systems it may stop then: a
     silence counts only the time for which the computer was awake.
     """
-    return time.monotonic() if _COUNTS_SLEEP is None else time.clock_gettime(_COUNTS_SLEEP)
+    return time.monotonic() if COUNTS_SLEEP is None else time.clock_gettime(COUNTS_SLEEP)
 
 
 class Lateness:
@@ -340,7 +340,7 @@ def _in_order(
     return True, after
 
 
-_FREE = frozenset(("light-grid", "enable"))
+FREE = frozenset(("light-grid", "enable"))
 """Kinds of contacts that are on while the machine may move."""
 
 
@@ -356,7 +356,7 @@ class ScanGuards:
     def __init__(self, machine: Machine) -> None:
         self._lateness = Lateness()
         contacts = machine.contacts.items()
-        self._grids = [name for name, contact in contacts if contact.kind in _FREE]
+        self._grids = [name for name, contact in contacts if contact.kind in FREE]
         self._needs = {name: output.needs for name, output in machine.outputs.items()}
         ends = [(name, one) for name, one in contacts if one.cylinder and one.beyond and one.at]
         self._both = [

@@ -160,7 +160,7 @@ FILL_S = 0.15
 SILENT_S = 0.3
 """Time in s without a tick of HAL's thread after which it counts as gone."""
 _HELD_S = 1.2  # rows, tail and rest: capacity of the fifo
-_SAMPLED_S = 4.0
+SAMPLED_S = 4.0
 _LEAD_S = 0.005  # a row this close to being played is not replaced any more
 _PATIENCE_S = 10.0
 _FLIP, _NUMBER = 0, 1  # fields of a record of the streamer
@@ -254,7 +254,7 @@ class HalSession:
         self._axes, self._plant = len(machine.axes), plant
         tick_s = float(machine.tick_clock.period_s)
         self._depth = int(_HELD_S / tick_s) + 300
-        sampled = int(_SAMPLED_S / tick_s) + 100
+        sampled = int(SAMPLED_S / tick_s) + 100
         self._folder = tempfile.TemporaryDirectory(prefix="threadline-hal-")
         self._words = as_user()
         if self._words:

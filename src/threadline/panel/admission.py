@@ -32,7 +32,7 @@ HALF_OPEN_S = 5.0
 """Time in s within which a request must be complete, and then each further part of its body."""
 MOST_HALF_OPEN = 256
 """Most connections without a complete request; beyond that the oldest is dropped."""
-_MOST_BODY_S = 60.0  # from the first part of a body to its last
+MOST_BODY_S = 60.0  # from the first part of a body to its last
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; "
@@ -178,7 +178,7 @@ class PromptHttp(H11Protocol):
         now_s = self.loop.time()
         gone = self.transport.is_closing() or self.transport.get_protocol() is not self
         if not gone and self.conn.their_state is h11.SEND_BODY:
-            self._body_until_s = self._body_until_s or now_s + _MOST_BODY_S
+            self._body_until_s = self._body_until_s or now_s + MOST_BODY_S
             self._await_until(min(now_s + HALF_OPEN_S, self._body_until_s))
         elif gone or self.conn.their_state is not h11.IDLE:
             self._have()

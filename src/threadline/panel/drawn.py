@@ -264,7 +264,7 @@ def outlines(asked: Lettering) -> list[dict[str, Any]]:
 
 LONGEST_S = 20.0
 """Longest time in s for reading a drawing."""
-_CHILD = import_and_call("threadline.panel.drawn", "main")
+CHILD = import_and_call("threadline.panel.drawn", "main")
 _WRONG = 2
 _one_at_a_time = asyncio.Semaphore(1)
 
@@ -280,7 +280,7 @@ async def written_apart(content: bytes) -> bytes | str:
 
 
 async def _apart(what: str, name: str, content: bytes) -> bytes | str:
-    words = (sys.executable, "-c", _CHILD, what, name)
+    words = (sys.executable, "-c", CHILD, what, name)
     try:
         async with _one_at_a_time:
             status, told, why = await answer_of(*words, sent=content, longest_s=LONGEST_S)

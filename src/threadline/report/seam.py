@@ -90,8 +90,8 @@ def _cell(value: float) -> str:
 
 
 _LENGTH, _PLACE = 0.05, 5e-4  # the stitcher's thesis; for a specification without
-_MAX_DRAWN = 20_000
-_ABOUT = 20  # stitches before and after the worst that are all drawn
+MAX_DRAWN = 20_000
+ABOUT = 20  # stitches before and after the worst that are all drawn
 
 # Per band of stitches: label, upper end of the share of the limit, marker, area, colour, filled.
 _BANDS: tuple[tuple[str, float, str, float, str, bool], ...] = (
@@ -177,7 +177,7 @@ def _columns(run: SewnStitches, length_limit: float, place_limit: float) -> Floa
 def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Return the stitches to draw, (m, 9), and the number of all stitches in each band.
 
-    If there are many, every second, fourth and so on is drawn, and ``_ABOUT`` stitches on both
+    If there are many, every second, fourth and so on is drawn, and ``ABOUT`` stitches on both
     sides of the worst. A row is the number of the stitch and its row of ``_columns``.
     """
     bounds = np.array([high for _, high, *_ in _BANDS[:-1]])
@@ -191,10 +191,10 @@ def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
         counts += np.bincount(np.searchsorted(bounds, share), minlength=len(_BANDS))
         if len(rows) and share.max() > worst:
             at = int(share.argmax())
-            worst, about_worst = float(share[at]), rows[max(at - _ABOUT, 0) : at + _ABOUT + 1]
+            worst, about_worst = float(share[at]), rows[max(at - ABOUT, 0) : at + ABOUT + 1]
         count += len(rows)
         others.append(rows[rows[:, 0] % step == 0])
-        while sum(map(len, others)) > _MAX_DRAWN:
+        while sum(map(len, others)) > MAX_DRAWN:
             step *= 2
             kept = np.concatenate(others)
             others = [kept[kept[:, 0] % step == 0]]

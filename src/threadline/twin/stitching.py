@@ -74,7 +74,7 @@ class Needles:
 
 
 _REST_S = Fraction(2)
-_AT_ONCE = 1 << 16
+AT_ONCE = 1 << 16
 """Largest number of samples in a block: a turn may last a thousand periods of the drives' clock."""
 
 
@@ -156,7 +156,7 @@ def _read(commands: StepPlay, machine: Machine, driven: Driven) -> Iterator[Reco
         played.turn[:], played.at[:] = 0, 0
         events = [*_at_samples(block, commands, every)]
         while True:
-            count = min(until - first, _AT_ONCE)
+            count = min(until - first, AT_ONCE)
             states, steps = play(driven, library, played, block, commands, (first, count, every))
             ticks = every * np.arange(first, first + count, dtype=np.int64)
             turn = np.searchsorted(block.begin, ticks, side="right") - 1

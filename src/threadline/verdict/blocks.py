@@ -40,9 +40,9 @@ _LARGEST = ("voltage", "current", "current_peak", "torque_share")
 _PEAK_NAME = "{axis}.current_peak"
 _MOST = 1e15  # SI: no measurement is larger
 _CHORDS = ("low", "high", "safe")
-_FEW = 1024  # samples: a smaller block waits for more, since each block costs every measure a call,
+FEW = 1024  # samples: a smaller block waits for more, since each block costs every measure a call,
 _OF_RUNS = 1 << 18  # unless the samples of all runs are this many, as in a block of the twin
-_COPIED = 60_000  # values of a column
+COPIED = 60_000  # values of a column
 
 
 def find_first(recording: Recording, kinds: Sequence[ChannelKind], axis: str) -> Channel | None:
@@ -121,7 +121,7 @@ class _Held:
 
     def short_with(self, after: _Held) -> bool:
         """Return whether copying both into one costs less than measuring one block more."""
-        return sum(max(v.size for v in one.columns.values()) for one in (self, after)) <= _COPIED
+        return sum(max(v.size for v in one.columns.values()) for one in (self, after)) <= COPIED
 
     def joined(self, after: _Held) -> _Held:
         """Return these samples and those ``after`` them, joined."""
@@ -330,7 +330,7 @@ def judged_blocks(
     waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first
     past: dict[str, IntArray] = {}  # chords of the samples before them, as far as the lag reaches
     last: FloatArray | None = None  # the command before the next samples
-    first, few = 0, min(_FEW, _OF_RUNS // recording.runs)
+    first, few = 0, min(FEW, _OF_RUNS // recording.runs)
     for fresh in _samples(recording, axes):
         commanded = fresh.columns.get("commanded")
         if held is not None and commanded is not None:

@@ -36,7 +36,7 @@ from threadline.verdict.turning import TurningPart, follow_turnings
 PartT = TypeVar("PartT", bound=NamedTuple)
 
 _OF_DRIVES = {PeakPart, RmsPart, DacPart}
-_AT_ONCE = 1 << 14
+AT_ONCE = 1 << 14
 """Samples times runs that are loaded together: more miss the cache, fewer cost more calls."""
 
 
@@ -203,7 +203,7 @@ def _that(parts: Mapping[type, NamedTuple], none: PartT) -> PartT:
 
 def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     """Sweep over a block with at most one part of each type."""
-    at_once = max(_AT_ONCE // block.runs, 1)
+    at_once = max(AT_ONCE // block.runs, 1)
     if not parts.keys().isdisjoint(_OF_DRIVES):
         peak, rms, dac = _that(parts, _NO_PEAK), _that(parts, _NO_RMS), _that(parts, _NO_DAC)
         _sweep_drives_fast(peak, rms, dac, at_once)

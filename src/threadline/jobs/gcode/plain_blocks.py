@@ -357,6 +357,9 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
 follow_plain = njit(nogil=True)(_follow_plain)
 
 
+FIRST_LINES = 200
+"""Lines of a program that ``block`` and ``interpreter`` read before this reader is tried: they take
+some 10 ms for them, and to compile this reader takes seconds on a new computer."""
 _ROOM = 4096
 _LONGEST_PAUSE = 63
 
@@ -397,7 +400,7 @@ class PlainReader:
         self._tagged = np.zeros(NAMES, np.int64)
         self._names: dict[int, str] = {}
         self.usable = True
-        self._pause = self._patience = 0
+        self._pause, self._patience = FIRST_LINES, 0
 
     def worth_trying(self) -> bool:
         """Return whether to try the next line, which is rarely after lines that were not plain."""

@@ -75,7 +75,7 @@ def deviation_summary(programmed: ProgrammedPath, planned: PlannedPath) -> dict[
 
 
 PARABOLA_SHARE = 0.9
-_NEAR_SHARE = 0.01  # share of the tolerance: ``optimal`` leaves out vertices closer together
+NEAR_SHARE = 0.01  # share of the tolerance: ``optimal`` leaves out vertices closer together
 _ROUNDING = 1e-9
 CHORDS = "chords"
 """The programmed chords unchanged; not an interpolation of its own."""
@@ -260,8 +260,8 @@ def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions)
     # The timing limits the jerk, so the shape may use the whole tolerance, less the distance of
     # vertices that are left out: moves of a nanometre cannot be timed.
     del machine
-    near_m = _NEAR_SHARE * options.tolerance_m
-    cut_m = options.tolerance_m * (1.0 - _NEAR_SHARE - _ROUNDING)
+    near_m = NEAR_SHARE * options.tolerance_m
+    cut_m = options.tolerance_m * (1.0 - NEAR_SHARE - _ROUNDING)
     path = PlannedPath(
         axes=programmed.axes,
         radius_m=programmed.radius_m,

@@ -29,7 +29,7 @@ RAMPS = 16.0
 _COEFFICIENTS = 80
 _LEVELS = 160
 _FREQUENCIES = 50  # per turn of phase between the band's two ends over the window
-_MOST_FREQUENCIES = 161
+MOST_FREQUENCIES = 161
 _KEPT = 0.996  # of the residual: it may bulge a little between two frequencies
 _SIDES = 16
 _CHECKED = 41
@@ -244,7 +244,7 @@ class _Spline:
         """(rows, count): residual over the wanted one, per coefficient, frequency and direction."""
         d = self.demand
         parted = 2.0 * d.band * d.mode.frequency_hz * window_s
-        count = int(min(max(5.0, np.ceil(_FREQUENCIES * parted)), _MOST_FREQUENCIES))
+        count = int(min(max(5.0, np.ceil(_FREQUENCIES * parted)), MOST_FREQUENCIES))
         omega = 2.0 * pi * _band(d, count)
         zeta = d.mode.damping_ratio
         damped = omega * sqrt(1.0 - zeta**2)

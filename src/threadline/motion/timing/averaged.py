@@ -35,8 +35,8 @@ DEGREE = 5
 _AVERAGES, _SAMPLES = 4, 9
 STEPS = _AVERAGES * (_SAMPLES - 1) + DEGREE + 1
 """Width of the kernel in sampling steps."""
-_CHUNK = 8192
-_KEPT = 1 << 16
+CHUNK = 8192
+KEPT = 1 << 16
 _STILL = 1e-9  # of the fastest speed so far
 
 
@@ -147,7 +147,7 @@ def averaged_trajectory(held: Trajectory, averages: Averages) -> Trajectory:
     held
         It must stand for half of the width of ``averages`` at both ends.
     """
-    if held.duration_s / averages.step_s <= _KEPT:
+    if held.duration_s / averages.step_s <= KEPT:
         # A short motion is computed once and kept, as it is read many times.
         return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, averages))))
     return Trajectory(axes=held.axes, blocks=Stream(_averaged, held, averages))
@@ -238,7 +238,7 @@ def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]
             raw = np.tile(block.coefficients[0, 0], (ahead, 1))
         end_s = block.end_s
         while True:
-            fresh = np.arange(sampled, sampled + _CHUNK)
+            fresh = np.arange(sampled, sampled + CHUNK)
             inside = int(np.searchsorted(fresh * step_s, end_s))
             if inside:
                 raw = np.concatenate([raw, block.evaluate(np.asarray(fresh[:inside] * step_s))])
@@ -253,7 +253,7 @@ def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]
                 yield _spline(raw, labels, done, ready, averages, basis, ends)
                 raw, labels = raw[ready:], labels[ready:]
                 done += ready
-            if inside < _CHUNK:
+            if inside < CHUNK:
                 break
         final = block.coefficients[-1].sum(axis=0)
     if raw is None:

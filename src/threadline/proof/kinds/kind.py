@@ -82,7 +82,7 @@ class Kind:
         return planned_by(self.name)
 
 
-_LONG_S = 1.0  # of simulating, after which progress is reported
+LONG_S = 1.0  # of simulating, after which progress is reported
 _DOING = "simulating and judging"
 WRITING = "simulating and writing the recording"
 
@@ -128,7 +128,7 @@ class Share:
         assert self._progress is not None
         if block is None:
             self._done[number] = 1.0
-        if time.monotonic() - self._began <= _LONG_S:
+        if time.monotonic() - self._began <= LONG_S:
             return
         if block is not None:
             clock = self._plan.commands.clock

@@ -40,7 +40,7 @@ def _digest() -> str:
 
 
 # Computed at import, because this process does not use later changes of the files.
-_WRITTEN_BY = _digest()
+WRITTEN_BY = _digest()
 
 
 class Compiler:
@@ -68,10 +68,10 @@ class Compiler:
         cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
         machine = target.create_target_machine(cpu=cpu, features=features, opt=_OPTIMISES, jit=True)
         text = ""
-        if not (shape and _WRITTEN_BY):
+        if not (shape and WRITTEN_BY):
             text = _text(write(), target, machine)
         versions = llvmlite.__version__, llvm.llvm_version_info, _OPTIMISES, _PASSES
-        known = text or f"{_WRITTEN_BY} {shape}"
+        known = text or f"{WRITTEN_BY} {shape}"
         made_from = "\n".join([repr(versions), cpu, features, known])
         code = self._kept.read(made_from)
         if code is None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from threadline.base.compiled import FileLock
 
-_MOST = 512
+MOST = 512
 """Largest number of files; the least recently used one is removed first."""
 _DIGEST_BYTES = 32
 
@@ -89,11 +89,11 @@ class KeptCode:
     @staticmethod
     def _forget(folder: Path) -> None:
         files = list(folder.glob("kernel-*.bin"))
-        if len(files) <= _MOST:
+        if len(files) <= MOST:
             return
         aged = []
         for file in files:
             with suppress(OSError):  # another process may have removed it
                 aged.append((file.stat().st_mtime, file))
-        for _, file in sorted(aged)[: len(aged) - _MOST]:
+        for _, file in sorted(aged)[: len(aged) - MOST]:
             file.unlink(missing_ok=True)

@@ -21,7 +21,7 @@ DEGREE = 5
 _LEAD_SHARE = 0.3  # of the first piece, in its own parameter: extent of a lead-in
 _LEAST_LEAD_SHARE = 1e-5
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
-_OF_QUARTIC = 5  # coefficients of a piece; such paths have twice as many pieces at a corner
+OF_QUARTIC = 5  # coefficients of a piece; such paths have twice as many pieces at a corner
 DENSE = 5000
 """Number of pieces of a run above which curved pieces need no cut."""
 _ROUNDING = 1e-13  # of the largest coefficient of an axis: smaller ones are rounding
@@ -175,7 +175,7 @@ def elements_of(
         whole = join([whole.take(slice(None, -1)), lead_out])
     straight = ~whole.c[:, 2:].any(axis=(1, 2))
     if dense is None:
-        dense = order == _OF_QUARTIC or count > DENSE
+        dense = order == OF_QUARTIC or count > DENSE
     curve = 1 if dense else _PARTS_OF_CURVE
     parts = np.where(straight, _PARTS_OF_STRAIGHT, curve)
     if from_rest:

@@ -146,7 +146,7 @@ def _by_coefficients(by_y: FloatArray, length: FloatArray) -> FloatArray:
 
 
 _MOST_CONSTRAINT_ENTRIES = 1_000_000  # rows times elements
-_MOST_ROUNDS_OF_ROWS = 24
+MOST_ROUNDS_OF_ROWS = 24
 _IDLE = 3  # rounds without much gain, after which the search stops
 _ENOUGH = 5e-4  # of the duration: a smaller gain is not much
 _NEAR = 0.6  # of the tolerance: a larger error that is a local maximum gets a row
@@ -184,7 +184,7 @@ def polished(
     problem.regard(
         replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)),
     )
-    for _ in range(_MOST_ROUNDS_OF_ROWS):
+    for _ in range(MOST_ROUNDS_OF_ROWS):
         solution = problem.solution()
         now = in_time(solution, limits, begin_s)
         strays = follower.strays(past, now)

@@ -17,7 +17,7 @@ from threadline.motion.timing.types import TrajectoryBlock
 
 _ORDER = 6
 _WITHIN = 1.0  # of a limit: a polynomial in time that exceeds it is cut in two
-_CUTS = 6
+CUTS = 6
 # Nodes and weights of Gauss and Legendre on [0, 1]: y changes little within an element.
 _NODES, _WEIGHTS = (0.5 * (1.0 + np.polynomial.legendre.leggauss(6)[0]),
                     0.5 * np.polynomial.legendre.leggauss(6)[1])  # fmt: skip
@@ -53,10 +53,10 @@ def _stretched_motion(
     c, operation = elements.c, elements.operation
     done: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     source = np.arange(len(c), dtype=np.float64)
-    for cut in range(_CUTS + 1):
+    for cut in range(CUTS + 1):
         coefficients, duration_s = _hermite(c, y)
         beyond = _beyond(coefficients, duration_s, limits)
-        if cut == _CUTS:
+        if cut == CUTS:
             beyond[:] = False
         kept = ~beyond
         done.append((source[kept], coefficients[kept], duration_s[kept]))

@@ -22,11 +22,11 @@ from threadline.motion.timing.optimal.rows import (
 )
 
 _COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are refined
-_VARIED = 1.3  # ratio of y within an element, above which it is cut
-_LOSS = 2e-3  # of the jerk time to the nearer limit
+VARIED = 1.3  # ratio of y within an element, above which it is cut
+LOSS = 2e-3  # of the jerk time to the nearer limit
 _PART = 0.2  # of the barrier's cost of an element: losing less is acceptable
 _MUCH = 64.0  # times the acceptable loss: such an element is cut in four
-_ROUNDS, _IDLE_ROUNDS = 12, 6
+_ROUNDS, IDLE_ROUNDS = 12, 6
 _FIRST_WEIGHT = 0.1  # of the duration, over all slacks
 _FALL = 0.35  # of the weight of the barrier from round to round
 _CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weight falls
@@ -170,7 +170,7 @@ class Problem:
             if not self._refine(self._varied()):
                 break
             self._descend(max(_COARSE, gap))
-        for _ in range(_IDLE_ROUNDS if idle else 0):
+        for _ in range(IDLE_ROUNDS if idle else 0):
             self._descend(max(_FINE, gap))
             if not self._refine(np.maximum(self._idle(), self._varied())):
                 break
@@ -266,7 +266,7 @@ class Problem:
         y = bernstein(self.b, self.elements.length)
         ratio = y.max(axis=1) / y.min(axis=1)
         ratio[(y**-0.5).mean(axis=1) < self._cost_s()] = 1.0
-        return np.where(ratio > _VARIED**4, 3, np.where(ratio > _VARIED, 2, 1))
+        return np.where(ratio > VARIED**4, 3, np.where(ratio > VARIED, 2, 1))
 
     def guards_used(self) -> FloatArray:
         """Return the (n,) largest shares of a guard within each element."""
@@ -306,7 +306,7 @@ class Problem:
         used = np.concatenate([part.max(axis=2).min(axis=1) for part in self._shares()])
         lost_s = time_s * (1.0 - used)
         ramp_s = self.limits.ramp_s(self._fastest())
-        enough_s = max(_LOSS * ramp_s, _PART * self._cost_s())
+        enough_s = max(LOSS * ramp_s, _PART * self._cost_s())
         lost_s[np.cumsum(self.elements.length) <= self.fresh] = 0.0
         return np.where(lost_s > _MUCH * enough_s, 4, np.where(lost_s > enough_s, 2, 1))
 

@@ -32,7 +32,7 @@ HORIZON = 1.25
 """Part that is planned again with the next window, in braking times from the speed limit; at most
 ``MOST_AHEAD`` pieces."""
 MOST_AHEAD = 5000
-_LEAST_AHEAD = 80  # least number of pieces that are planned again
+LEAST_AHEAD = 80  # least number of pieces that are planned again
 SEEN = 100
 """Pieces after a window that are considered."""
 _SLOW = 0.25  # of the constant rate that elements near the end of a window allow
@@ -41,7 +41,7 @@ _AT_A_TIME = 4096  # elements converted to time together
 _SLOWER, _TRIES = 0.8, 16  # factor on x if the stretching is too large
 _HELD = (1, 8, 64, 512)
 """Least number of elements in which a window keeps the constant x that it began with."""
-_SLOW_PIECES = 40  # pieces at the end of a window that are traversed evenly
+SLOW_PIECES = 40  # pieces at the end of a window that are traversed evenly
 _CUT = 2.0  # mean number of elements per piece above which the next pieces start with two
 _EVEN = 1e-9  # of x: relative change that counts as constant
 
@@ -90,7 +90,7 @@ class _Kept:
         fast = self.up_to(len(self.borders) - self.shape.slow)
         place = _place(self.elements.take(slice(0, fast)), self.b[: fast + 2], horizon_s)
         count = int(np.searchsorted(self.borders, place * (1.0 + _EVEN), side="right"))
-        most = len(self.borders) - _LEAST_AHEAD
+        most = len(self.borders) - LEAST_AHEAD
         return max(min(max(count, len(self.borders) - MOST_AHEAD), most), 1)
 
     def left(self, pieces: int) -> tuple[Solution, _Kept]:
@@ -252,7 +252,7 @@ def _planned(
     if kept is not None:
         before, fine = kept.shape, fine if kept.cut < _CUT else False
     shape = shaped(
-        run, radius_m, limits, before, to_rest=after is None, dense=fine, slow=_SLOW_PIECES
+        run, radius_m, limits, before, to_rest=after is None, dense=fine, slow=SLOW_PIECES
     )
     if shape is None:
         return None
