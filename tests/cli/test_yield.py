@@ -115,7 +115,7 @@ def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
     )
     job.write_text("G91\nG1 X25.714 F1000\nG1 X-25.714\nM30\n", encoding="utf-8")
     words = ["yield", str(job), "-m", str(machine), "--variants", "8"]
-    for more, level in ([], "over tolerances"), (["--at-least", "50 %"], "yield over tolerances"):
+    for more, level in ([], "drawn machines"), (["--at-least", "50 %"], "drawn machines"):
         with pytest.raises(SystemExit) as ended:
             main([*words, *more])
         told = capsys.readouterr().out

@@ -312,7 +312,7 @@ def test_a_circuit_is_a_pass_of_the_program(tmp_path: Path) -> None:
     executed = passes.index((4,)) + 1
     assert operation_at(plan, executed, "circuit") == passes.index((4,))
     assert operation_at(plan, executed, "circuit 2") == passes.index((2,))
-    with pytest.raises(OptionError, match="executed none such"):
+    with pytest.raises(OptionError, match="has not executed it"):
         operation_at(plan, executed, "circuit 5")
 
 
@@ -348,7 +348,7 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     write_recording(whole, kept.trace)
     options = Options(interpolation="linear")
     other = plan_job(open_job(EXAMPLES / "x-180.prg", plan.machine, options), plan.machine, options)
-    with pytest.raises(StoreError, match="was of other rows than these"):
+    with pytest.raises(StoreError, match="had other rows than these"):
         ask(other)
     store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
@@ -360,7 +360,7 @@ def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_p
     plan = planned("lathe-winder")
     write_proof(prove_plan(plan, load_spec(None, plan.machine)), tmp_path / "a.proof.json")
     folder = tmp_path / "runs"
-    with pytest.raises(OptionError, match="--at is of --continue"):
+    with pytest.raises(OptionError, match="--at needs --continue"):
         check_continued(folder, None, "block", confirmed=False)
     with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
         check_continued(folder, "nosuch", None, confirmed=False)

@@ -241,7 +241,7 @@ def test_a_program_that_was_changed_since_is_not_run(project: Path) -> None:
         proof = anna.until("state")["proven"]["proof"]
         assert "not the program that was proven last" in anna.act("start", proof="0" * 64)
         (project / "there.prg").write_text(PROGRAM.replace("X 60", "X 61"), "utf-8")
-        assert "it is no proof of what is to be run: job" in anna.act("start", proof=proof)
+        assert "the proof does not match the run: job" in anna.act("start", proof=proof)
         assert anna.until("state")["state"] == "idle"
 
 

@@ -46,10 +46,10 @@ def test_a_warning_of_a_proof_names_the_field_of_the_page() -> None:
 
 def test_refusals_name_fields_or_the_command_line() -> None:
     said, refused = told(
-        Said(text="--smoothing '9 ms' is of feed-forward. Give --feed-forward too.", wrong=True),
+        Said(text="--smoothing '9 ms' needs feed-forward. Give --feed-forward too.", wrong=True),
         Answer(number=1, ok=False, text="Leave --dialect out; a--b and --- are no options."),
     )
-    assert said["text"] == "'Smoothing' '9 ms' is of feed-forward. Give 'Loads follow' too."
+    assert said["text"] == "'Smoothing' '9 ms' needs feed-forward. Give 'Loads follow' too."
     assert refused["text"] == (
         "Leave --dialect of the command line out; a--b and --- are no options."
     )

@@ -110,7 +110,7 @@ def test_a_start_that_is_being_checked_is_given_up(
         check.set()
         while (answer := anna.until("answer"))["number"] != number:
             pass
-        assert answer["text"] == f"it was not begun: {what!r} was asked for meanwhile"
+        assert answer["text"] == f"it was not begun: the command {what!r} came meanwhile"
         anna.allows("calculate")
         assert anna.state["progress"] is None  # no run was opened
 

@@ -145,7 +145,7 @@ def test_the_set_is_told_where_the_yield_is_too_low(
         main([*words, "--at-least", "85 %"])
     content = json.loads(capsys.readouterr().out)
     assert ended.value.code == 1 and content["interval"][0] < 0.85
-    assert content["level"] == "yield over tolerances"
+    assert content["level"] == "drawn machines"
     assert content["cheapest"]["reached"]
     assert set(content["cheapest"]["factors"].values()) <= {0.5, 0.25, 0.125, 0.0625}
     with pytest.raises(SystemExit) as ended:

@@ -1,4 +1,4 @@
-"""Vibration that laws leave on a mode, and the law made for it: tables and JSON content."""
+"""Residual vibration of laws in a mode, and the law made for that mode: tables and JSON content."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from threadline.report.document import Table
 from threadline.units import parse_number
 
 COPIED = "modified-sine"
-"""The law that the made one is compared with: the cams of embroidery machines have it."""
+"""The law that the made one is compared with: cams of embroidery machines use it."""
 _RATIOS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 _BAND = 0.1
 _DRAWN = 3
@@ -44,12 +44,12 @@ def study(
     mass: str, residual: str | None, limit: str | None, jerk: str | None, band: float | None,
     out: Path | None, report: Path | None, json: bool,
 ) -> None:  # fmt: skip
-    """Rank ``laws`` on a mode, make one for it where limits are given, print and write.
+    """Rank ``laws`` on a mode, make a law for it if limits are given, print and write files.
 
     Raises
     ------
     OptionError
-        If an option cannot be read, lacks another, or has a value that no machine has.
+        If an option cannot be read, needs another one, or has an impossible value.
     """
     flexible = _mode(mode, damping)
     if move is None or time is None:
@@ -116,7 +116,7 @@ def study(
 
 
 def _mode(mode: str, damping: float) -> FlexibleMode:
-    """Return the mode, or refuse its options by their names."""
+    """Return the mode; errors name the options."""
     frequency_hz = parse_mode_hz(mode)
     if not 0.0 < frequency_hz < np.inf:
         raise OptionError(
@@ -136,7 +136,7 @@ def _report(
     mode: FlexibleMode, move_m: float, window_s: float, still: float | None,
     tables: Sequence[Table], warnings: Sequence[str],
 ) -> Path:  # fmt: skip
-    """Write the report on the best laws, ``COPIED`` and the made one; return its page."""
+    """Write the report on the best laws, ``COPIED`` and the made law; return its page."""
     from threadline.report.laws import Curve, write_laws
 
     drawn = [Curve(one.law, window_s) for one in found[:_DRAWN]]
@@ -154,7 +154,7 @@ def _demand(
     mode: FlexibleMode, move_m: float, still: float | None, most: float | None, jerk: str | None,
     band: float | None, out: Path | None,
 ) -> Demand | None:  # fmt: skip
-    """Return the demand on the law to be made; None where none is to be made."""
+    """Return the demand on the law to be made; None if no law is to be made."""
     if most is not None and still is None:
         raise OptionError("--limit makes a law", remedy='Add --residual "0.05 mm", too.')
     for option, given in (("--jerk", jerk), ("--band", band), ("--out", out)):

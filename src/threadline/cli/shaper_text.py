@@ -45,7 +45,7 @@ _IN_BAND, _ROUNDED = 201, 1.005
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """A mode as ``--mode`` names it; a part that is None takes the value for all modes.
+    """A mode given by ``--mode``; a part that is None takes the value for all modes.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Asked:
     band
         Half width of the band over the mode's frequency, in (0, 1).
     tolerance
-        Vibration allowed over the band, over that of one unit impulse.
+        Vibration allowed over the band, as a share of one unit impulse's vibration.
     """
 
     mode: FlexibleMode
@@ -63,13 +63,13 @@ class Asked:
 
 
 def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Asked, ...]:
-    """Return the modes that the options name, ``FREQUENCY[:DAMPING[:BAND[:TOLERANCE]]]`` each.
+    """Return the modes in ``texts``, each ``FREQUENCY[:DAMPING[:BAND[:TOLERANCE]]]``.
 
     Raises
     ------
     OptionError
-        If a part cannot be read or is out of range, there is not one damping ratio for all or one
-        for each, or bands overlap.
+        If a part cannot be read or is out of range, the number of damping ratios is neither one
+        nor the number of modes, or bands overlap.
     """
     ratios = list(damping or [0.0])
     if len(ratios) == 1:
@@ -146,22 +146,22 @@ def _refuse_overlaps(asked: Sequence[Asked]) -> None:
 
 
 def bands_of(asked: Sequence[Asked], band: float) -> tuple[float, ...]:
-    """Return the half width of every mode's band: that of the mode, else ``band``."""
+    """Return the half band width of every mode: its own, else ``band``."""
     return tuple(band if one.band is None else one.band for one in asked)
 
 
 def tolerances_of(asked: Sequence[Asked], tolerance: float) -> tuple[float, ...]:
-    """Return the tolerance of every mode: that of the mode, else ``tolerance``."""
+    """Return the tolerance of every mode: its own, else ``tolerance``."""
     return tuple(tolerance if one.tolerance is None else one.tolerance for one in asked)
 
 
 def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
-    """Refuse a train that ticks and the dwell have made worse, at its own mode, than no shaper.
+    """Refuse a train that rings more at its own mode than no shaper, due to ticks and dwell.
 
     Raises
     ------
     OptionError
-        With the mode and what rings.
+        Names the mode and its vibration.
     """
     for mode in modes:
         left = vibration_of(made, mode)
@@ -174,7 +174,7 @@ def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
 
 
 def missed(made: Shaper, asked: Sequence[tuple[FlexibleMode, float, float]]) -> Iterator[str]:
-    """Yield a warning for each mode, band and tolerance that a train does not keep to."""
+    """Yield a warning for each mode at which a train exceeds the tolerance within the band."""
     for mode, band, tolerance in asked:
         parts = np.linspace(1.0 - band, 1.0 + band, _IN_BAND)
         left = [
@@ -199,8 +199,8 @@ def designed(
 ) -> Shaper:
     """Return the shaper of a kind for ``modes``.
 
-    ``si``, ``um-si``, ``direct`` and ``um-direct`` are designed for all modes at once; of the other
-    kinds one shaper per mode and kind is designed, and all are convolved.
+    ``si``, ``um-si``, ``direct`` and ``um-direct`` are designed for all modes at once. Of the other
+    kinds, one shaper per mode and kind is designed, and all are convolved.
 
     Raises
     ------
@@ -281,9 +281,9 @@ def price_content(made: Realised) -> list[dict[str, float]]:
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:
-    """Yield a warning for every damping ratio that may be the real part of an eigenvalue instead.
+    """Yield a warning for each damping ratio that may be the real part of an eigenvalue instead.
 
-    A mode so slow that it would hardly ring with that real part gives no warning.
+    A mode that would hardly ring with that real part gives no warning.
     """
     for m in modes:
         modulus = 2.0 * np.pi * m.frequency_hz
@@ -324,11 +324,11 @@ _HEADER = "[input_shaper]\n"
 
 
 DEFAULT_DAMPING = 0.1
-"""Klipper's default damping ratio: no warning is given where a mode repeats it."""
+"""Klipper's default damping ratio: modes that use it give no warning."""
 
 
 def doubted(modes: Sequence[FlexibleMode]) -> list[str]:
-    """Return warnings of suspicious damping ratios; Klipper's default is none."""
+    """Return warnings for suspicious damping ratios, except Klipper's default."""
     own = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
     return list(suspicions(tuple(own)))
 
@@ -341,12 +341,12 @@ def shape_two_axes(
     others: Sequence[object],
     json: bool,
 ) -> None:
-    """Print one section of Klipper's for both axes: the first mode is of X, the second of Y.
+    """Print Klipper's section for both axes: the first mode is X's, the second Y's.
 
     Parameters
     ----------
     others
-        Values of the options that need one train of impulses; each must be None.
+        Values of options that need a single impulse train; each must be None.
 
     Raises
     ------

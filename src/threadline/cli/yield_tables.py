@@ -1,4 +1,4 @@
-"""What a yield depends on, and the cheapest tolerances, as tables and as JSON content."""
+"""Sensitivities of a yield, and the cheapest tolerances, as tables and as JSON content."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from threadline.search.machine_yield import Done, MachineYield, shares_of
 
 _MACHINES = MACHINES
 _SAMPLES = 256
-_SAMPLES_ALONE = 16  # where machines go one by one
+_SAMPLES_ALONE = 16  # where machines are simulated one by one
 
 
 def counted(progress: Progress, what: str, total: int | None = None) -> Done:
-    """Return what tells the progress of a stage from the machines that it has judged.
+    """Return a callback that reports progress from the number of machines judged.
 
-    Of a search nobody knows how many it will take: it tells how many it took so far.
+    A search has no known total: it reports how many machines it has tried.
     """
     through = 0
 
@@ -40,16 +40,16 @@ def counted(progress: Progress, what: str, total: int | None = None) -> Done:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Why:
-    """What the yield depends on.
+    """Sensitivity of the yield to each tolerance.
 
     Parameters
     ----------
     indices
         Sobol indices of the largest share of a limit.
     halved
-        (n,) yield of ``machines`` machines, with the tolerance of one of the n numbers halved.
+        (n,) yield of ``machines`` machines, with one of the n tolerances halved.
     own
-        Yield of the same machines with every tolerance as it is in the file.
+        Yield of the same machines with every tolerance as in the file.
     """
 
     indices: Influence
@@ -59,7 +59,7 @@ class Why:
 
 
 def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -> Why:
-    """Return what the yield depends on; of no more machines than drawn where they go one by one."""
+    """Return the sensitivities; use at most ``variants`` machines if simulated one by one."""
     normal = [number.normal for number in judged.numbers]
     machines = _MACHINES if judged.together else min(_MACHINES, variants)
     samples = _SAMPLES if judged.together else _SAMPLES_ALONE
@@ -77,7 +77,7 @@ def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -
 
 
 def show_why(hangs: Why, judged: MachineYield) -> None:
-    """Print what the yield depends on, the number with the largest total index first."""
+    """Print the sensitivities, the number with the largest total index first."""
     indices = hangs.indices
     rows = [
         [
@@ -102,7 +102,7 @@ def _within(share: float, ends: FloatArray) -> str:
 
 
 def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
-    """Return what the yield depends on as JSON content."""
+    """Return the sensitivities as JSON content."""
     indices = hangs.indices
     return {
         "machines": hangs.machines,
@@ -122,7 +122,7 @@ def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
 
 
 def yield_words(interval: tuple[float, float]) -> str:
-    """Return between which shares a yield lies, rounded outwards: it never reads better than it is.
+    """Return a confidence interval in words, rounded outwards: never better than it is.
 
     >>> yield_words((0.989979, 0.99742)), yield_words((0.025 ** (1 / 10_000), 1.0))
     ('98.99 to 99.75 %', 'at least 99.963 %')
@@ -154,7 +154,7 @@ def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
 
 
 def set_content(found: CheapestSet, judged: MachineYield) -> dict[str, Any]:
-    """Return the tolerances to halve and the yield they give as JSON content."""
+    """Return the tolerances to halve and the resulting yield as JSON content."""
     return {
         "reached": found.reached,
         "halvings": found.halvings,

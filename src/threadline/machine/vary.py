@@ -201,8 +201,27 @@ def corners(machine: Machine, share: float = 1.0) -> list[Machine]:
     return found
 
 
-def ends_of(machine: Machine, share: float) -> list[tuple[str, Machine]]:
-    """Return the other machines of ``corners`` that differ, each with what sets it apart.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Others:
+    """Other machines that must pass as well.
+
+    Parameters
+    ----------
+    name
+        Which they are, in words.
+    machines
+        What sets each apart from the machine of the file, and the machine.
+    """
+
+    name: str
+    machines: tuple[tuple[str, Machine], ...]
+
+    def __len__(self) -> int:
+        return len(self.machines)
+
+
+def ends_of(machine: Machine, share: float) -> Others:
+    """Return the other machines of ``corners`` that differ.
 
     Raises
     ------
@@ -214,11 +233,50 @@ def ends_of(machine: Machine, share: float) -> list[tuple[str, Machine]]:
         for mass in ("", "lighter loads", "heavier loads")
         for spring in ("", "softer springs", "stiffer springs")
     ]
+    name = "at the ends of the tolerances of loads and springs"
     found: list[tuple[str, Machine]] = []
     for word, other in zip(words, corners(machine, share), strict=True):
         if other != machine and all(other != known for _, known in found):
             found.append((word, other))
-    return found
+    return Others(name=name, machines=tuple(found))
+
+
+_BAND = 17  # machines
+
+
+def band_parts(share: float) -> list[float]:
+    """Return by how much the modes of each machine of ``band_of`` are off."""
+    return [float(part) for part in np.linspace(-share, share, _BAND)]
+
+
+def band_of(machine: Machine, share: float) -> Others:
+    """Return machines with modes all over a band, as ``mode_off`` has them.
+
+    Parameters
+    ----------
+    share
+        Half the width of the band, of the frequency: 0.2 for +-20 %.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no spring, or the band is not above 0 and below 1.
+    """
+    if not 0.0 < share < 1.0:
+        raise OptionError(
+            f"a band of +-{share * 100:g} % must be above 0 % and below 100 %",
+            remedy='A fifth to either side is "20 %".',
+        )
+    if not machine.links:
+        raise OptionError(
+            f"{machine.name} has no link with a stiffness, and so no mode to be off",
+            place=machine.place,
+            remedy="Leave --band out, or write the springs of the machine as [links].",
+        )
+    others = (
+        (f"modes at {part * 100.0:+.3g} %", mode_off(machine, part)) for part in band_parts(share)
+    )
+    return Others(name="with modes all over the band", machines=tuple(others))
 
 
 def mode_off(machine: Machine, relative: float) -> Machine:

@@ -1,7 +1,7 @@
-"""A calculation of the panel, in a process of its own: plan, simulate, judge, write the proof.
+"""A calculation of the panel, in a separate process: plan, simulate, judge, write the proof.
 
 It reads one request as JSON from standard input and writes JSON lines to standard output: the share
-that is done, and at the end the figures, or why there are none.
+done, and at the end the figures, or why there are none.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _by_priority(
 
 
 def figures(proof: Proof) -> dict[str, Any]:
-    """Return what the operator sees of a proof, SI units."""
+    """Return the figures of a proof that the operator sees, SI units."""
     plan, verdict = proof.plan, proof.verdict
     circuits, points = circuits_and_points(plan.job)
     ticks = plan.commands.tick_count()
@@ -112,18 +112,18 @@ def figures(proof: Proof) -> dict[str, Any]:
 
 
 def circuits_and_points(job: Job) -> tuple[int | None, int]:
-    """Return the number of passes of outermost subroutine calls, and that of moves.
+    """Return the number of passes of outermost subroutine calls, and the number of moves.
 
-    Where there is but one pass, or none, the first is None.
+    With one pass or none, the first is None.
     """
     circuits, points, least = 0, 0, 0
     before: Source | None = None
     for item, times, _ in job.folded():
-        if times == 0:  # where repeated passes end
+        if times == 0:  # the end of repeated passes
             continue
         first, last = _ends(item)
         if begins_circuit(before, first):
-            # Of the moves of a pass those that no call inside it repeats happen least often.
+            # The moves of a pass that are in no inner call happen least often.
             circuits, least = circuits + least, times
         elif first.passes:
             least = min(least, times)
@@ -135,7 +135,7 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
 
 
 def _ends(item: Operation | MoveRun) -> tuple[Source, Source]:
-    """Return where the first and the last move of a run come from, or an operation twice."""
+    """Return the sources of a run's first and last move; for an operation, twice its own."""
     if not isinstance(item, MoveRun):
         return item.source, item.source
     first, last = (Source(item.file, int(item.line[k]), item.passes) for k in (0, -1))
@@ -143,7 +143,7 @@ def _ends(item: Operation | MoveRun) -> tuple[Source, Source]:
 
 
 def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return instants, and the commanded position of every axis at them, ``_SHOWN`` at most."""
+    """Return at most ``_SHOWN`` instants, and the commanded position of every axis at them."""
     recording = proof.recording
     found = {c.axis: c for c in recording.channels if c.kind is ChannelKind.COMMANDED}
     if not found:

@@ -329,7 +329,8 @@ def _proved(
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
     refused: list[str] = []
     order = _cheapest_first(space, tried)
-    if trials.machines:  # many cost nearly the same, and would all be as far from passing
+    if trials.machines or trials != trials.alone:
+        # Many cost nearly the same, and would all be as far from passing.
         order = pareto(space, tried, 1.0 + 1e-9)
         # Evenly, from the cheapest to the one of most margin, which passes if any does.
         most = min(len(order), _MOST_PROOFS)

@@ -1,4 +1,4 @@
-"""Which instants of each channel a recording holds, and how its run ended."""
+"""Instants of each channel that a recording covers, and how its run ended."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from threadline.machine import Machine
 from threadline.verdict.types import Change, Happening, Result, Status
 
 _ROUNDING = 1e-9  # of a sample
+_MOST = 1e15  # SI: no measurement is larger
 
 
 @dataclass(slots=True)
 class _Seen:
-    """Ticks of a channel: of its first sample, after its last one, and about its first gap."""
+    """Ticks of a channel: the first sample, the end, and the first gap."""
 
     first: int
     end: int
@@ -29,8 +30,7 @@ class _Seen:
 class Lack:
     """What is missing of a channel.
 
-    ``why`` says it for people. ``early`` is whether only the end is missing: what came before it
-    was seen without a gap.
+    ``why`` says it in words. ``early``: only the end is missing, without a gap before it.
     """
 
     why: str
@@ -38,12 +38,12 @@ class Lack:
 
 
 class Coverage:
-    """Watches the blocks of a recording as they are read; nothing of them is kept.
+    """Watches the blocks of a recording as they are read, without keeping them.
 
     Parameters
     ----------
     recording
-        The recording; what is to be judged is ``watched``.
+        The recording; judge ``watched`` in its place.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -84,12 +84,11 @@ class Coverage:
         seen.end = end
 
     def lack(self, channels: Iterable[Channel], begin_s: float, end_s: float) -> Lack | None:
-        """Return what is missing of the channels between two instants; None where nothing is.
+        """Return what is missing of the channels between two instants; None if nothing is.
 
-        A gap anywhere counts. So does a whole sample missing at the beginning or at the end, even
-        if only because another of the channels goes on longer. If several channels lack samples,
-        the lack that leaves least of the run to be judged is returned. Call it after the recording
-        has been read to its end.
+        A gap anywhere counts. So does a whole sample missing at the start or end, even if only
+        compared with a longer channel. If several channels lack samples, the lack that leaves least
+        of the run to judge is returned. Call it after the recording has been read to its end.
         """
         channels = list(channels)
         asked = tuple(channel.name for channel in channels), begin_s, end_s
@@ -112,7 +111,7 @@ class Coverage:
             if seen is None:
                 if any(channel is c for c in self._recording.channels):
                     found.append(Lack(f"{channel.name} has no samples", early=False))
-                continue  # it was not recorded but worked out, for every instant
+                continue  # computed for every instant, not recorded
             period_s = float(channel.clock.period_s)
             slack_s = (1.0 + _ROUNDING) * period_s * channel.stride
             if seen.gap is not None:
@@ -138,19 +137,42 @@ def _s(channel: Channel, tick: int) -> str:
 
 
 MOST_TOLD = 50
-"""Happenings of one kind that a verdict names; further ones are only counted."""
+"""Number of events of one kind that a verdict names; further ones are only counted."""
 _ENDS = {"stopped": Change.STOPPED, "fault": Change.FAULT}
 
 
+def _refuse_absurd(block: RecordingBlock) -> None:
+    """Refuse samples whose squares could overflow; NaN counts as not measured.
+
+    Parallel runs come from the simulation, which checks its own output.
+    """
+    for name, samples in block.samples.items():
+        if samples.ndim > 1 or not len(samples):
+            continue
+        if -_MOST <= samples.min() <= samples.max() <= _MOST:
+            continue
+        if np.isinf(samples).any():
+            raise RecordingError(
+                f"channel {name!r} holds a value that is not finite",
+                remedy="Repair the trace, or leave the channel out.",
+            )
+        if (np.abs(samples) > _MOST).any():
+            worst = float(np.nanmax(np.abs(samples)))
+            raise RecordingError(
+                f"channel {name!r} has a sample of {worst:.3g}, beyond {_MOST:g}",
+                remedy="No machine can have measured it; record it again.",
+            )
+
+
 class Heard:
-    """The blocks of a recording; what their events say is known once they have been read.
+    """Reads the blocks of a recording and collects its events.
 
     Attributes
     ----------
     happenings
-        What changed the motion until then, by limit switches and events.
+        Limit switches and events that changed the motion so far.
     stopped_s
-        When the stop began that ended the run, s; None of a run that nobody stopped.
+        Start of the stop that ended the run, s; None if nobody stopped it.
     """
 
     def __init__(self, recording: Recording, machine: Machine) -> None:
@@ -168,6 +190,7 @@ class Heard:
         ]
         events = _Events(self._recording)
         for block in self._recording:
+            _refuse_absurd(block)
             known = known.after(block.events)
             for event in block.events:
                 events.take(event)
@@ -179,7 +202,7 @@ class Heard:
         self.happenings, self.stopped_s = [*cuts, *events.found()], events.stopped_s
 
     def outcome(self) -> Outcome:
-        """Return how the run ended; reads the recording only if nothing else has read all of it."""
+        """Return how the run ended; read the recording if that has not been done."""
         if self._outcome is None:
             for _ in self:
                 pass
@@ -188,7 +211,7 @@ class Heard:
 
 
 class _Cut:
-    """Watches a limit switch until it cuts the supply of its drive, in whichever run first."""
+    """Watches a limit switch until it cuts the supply of its drive, in the first run that hits."""
 
     def __init__(self, channel: Channel, recording: Recording, machine: Machine) -> None:
         self._channel, self._runs = channel, recording.runs
@@ -197,7 +220,7 @@ class _Cut:
         self.found: Happening | None = None
 
     def take(self, block: RecordingBlock) -> None:
-        """Look at the samples of a block."""
+        """Examine the samples of a block."""
         if self.found is not None:
             return
         channel = self._channel
@@ -234,7 +257,7 @@ class _Events:
         self._holds = 0
         self._late: Event | None = None
         self._late_ticks = 0
-        self._brakes = (0, -1)  # ticks at which the latest hold began and ended
+        self._brakes = (0, -1)  # first and last tick of the latest hold
         self.stopped_s: float | None = None
 
     def take(self, event: Event) -> None:
@@ -255,12 +278,12 @@ class _Events:
                 self.stopped_s = float(self._clock.time_s(began))
             last = self._found[-1] if self._found else None
             if self._brakes[1] >= event.tick and last and last.change is Change.HOLD:
-                self._found.pop()  # it braked to its end
+                self._found.pop()  # braking went on to the end of the run
             why = said_once(event.kind, event.name)
             self._add(_ENDS[event.kind], f"the run ended early, {why},", event)
 
     def found(self) -> list[Happening]:
-        """Return what was collected, once all events were taken."""
+        """Return the collected events, once all were taken."""
         if self._held is not None:
             self._end_hold(None)
         if self._holds > MOST_TOLD:
@@ -316,11 +339,11 @@ _CHANGES = {
         "the most",
     ),
 }  # fmt: skip
-"""By measure: what changes the motion where more than so much of it is measured."""
+"""By measure: the effect on the motion, and the measured value above which it is listed."""
 
 
 def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
-    """Return what changed the motion of the runs by the measured results of a verdict."""
+    """Return the effects on the motion that follow from the measured results of a verdict."""
     found = []
     for result in results:
         if result.name not in _CHANGES or result.measured is None:
@@ -355,11 +378,11 @@ def heard(recordings: Sequence[Recording], machine: Machine) -> list[tuple[Recor
 
 
 def told_end(outcome: Outcome) -> str:
-    """Say how a run ended before its last row; empty if it came to its end."""
+    """Say how a run ended before its last row; empty if it was complete."""
     if not outcome.incomplete:
         return ""
     assert outcome.ended is not None
-    # A controller that tells of no operation leaves -1.
+    # A controller that reports no operation leaves -1.
     told = outcome.operation is not None and outcome.operation >= 0
     where = f" in operation {outcome.operation}" if told else ""
     return f"the run ended{where}, {said_once(outcome.ended.value, outcome.text)}"
@@ -368,16 +391,16 @@ def told_end(outcome: Outcome) -> str:
 def not_beyond(
     result: Result, why: str, stopped_s: float | None = None, *, of_worst: bool = True
 ) -> Result:
-    """Return ``result`` when a run ended early: only a failure seen until then is certain.
+    """Return ``result`` of a run that ended early: only a failure seen before the end is certain.
 
     Parameters
     ----------
     why
-        How the run ended; empty where it came to its end.
+        How the run ended; empty if it was complete.
     stopped_s
-        When somebody began to stop it: what the stop itself does to the work fails nothing.
+        Start of a requested stop: the effect of the stop itself on the work fails nothing.
     of_worst
-        Whether the measure is the worst of all samples. Others say nothing of a part of a run.
+        Whether the measure is the worst of all samples. Other measures need the whole run.
     """
     late = result.time_s is None or (stopped_s is not None and result.time_s >= stopped_s)
     by_stop = stopped_s is not None and (late or not of_worst)
@@ -393,7 +416,7 @@ def not_beyond(
 
 
 def _told(value: float, unit: str) -> str:
-    """Return a value with its unit; what has none is a share.
+    """Return a value with its unit; without a unit it is a share.
 
     >>> _told(0.25e-3, "m"), _told(0.05, "")
     ('0.00025 m', '5 %')

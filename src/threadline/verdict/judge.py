@@ -1,4 +1,4 @@
-"""How a recording is opened beside a plan for the measures, by the type of the plan's intent."""
+"""The judge: opens a recording beside its plan, by the type of the plan's intent, and measures."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa:
 
 
 def _stitch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
-    """Return a run beside its stitches; it has no lag, because the needle tells their times."""
+    """Return a run beside its stitches; it has no lag, because the needle sets their times."""
     return StitchRun(recording, plan)
 
 
@@ -42,16 +42,16 @@ RUNS: Mapping[type, Callable[[Recording, Plan, float], Run]] = {
     Scheduled: _switch_run,
     Stitched: _stitch_run,
 }
-"""By intent: opens a recording beside its plan with the lag, s, that the specification allows."""
+"""By intent: opens a recording beside its plan, with the lag, s, that the specification allows."""
 
 
 def open_run(recording: Recording, plan: Plan, lag_s: float) -> Run:
-    """Return ``recording`` beside ``plan``, as its measures read it.
+    """Return ``recording`` beside ``plan``, in the form that its measures read.
 
     Raises
     ------
     RecordingError
-        If channels are absent without which nothing at all can be judged.
+        If channels are missing without which nothing can be judged.
     """
     return RUNS[type(plan.intent)](recording, plan, lag_s)
 
@@ -67,14 +67,14 @@ def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
 class Judge:
     """Judges any number of runs of one plan by one specification.
 
-    What does not depend on a run is worked out once.
+    Results that do not depend on a run are computed once.
 
     Parameters
     ----------
     plan
-        What was intended.
+        The intended work.
     spec
-        What is asked.
+        The specification.
 
     Raises
     ------
@@ -97,30 +97,30 @@ class Judge:
         *,
         recorded: bool = False,
     ) -> Verdict:
-        """Measure every criterion and say what came of it.
+        """Measure every criterion and return the verdict.
 
-        Each recording is read once, in bounded memory, all runs that it holds at once; of several,
-        the worst counts. One without operations has those of the commands at the same instant.
-        Where a run ended before its last row nothing passes: what had not failed until then was not
-        measured.
+        Each recording is read once, in bounded memory, with all runs that it holds; the worst run
+        counts. A recording without operations gets those of the commands at the same instant. If a
+        run ended before its last row nothing passes: a criterion that had not failed before counts
+        as not measured.
 
         Parameters
         ----------
         recordings
-            Of one and the same job; at least one.
+            Recordings of the same job; at least one.
         others
             Recordings of other machines within the tolerances. Their worst counts too, except in
             measures of many runs together (repeatability), which compare runs of one machine.
         recorded
-            Whether recordings are judged, and not runs that were simulated for this verdict. Limits
-            of travel and velocity are then measured on them as well, whatever a recording says of
-            its origin: a run that was simulated for its verdict played the commands of the plan.
+            Whether these are recordings, not runs simulated for this verdict. Limits of travel and
+            velocity are then measured on them as well, whatever a recording says of its origin; a
+            run simulated for its verdict plays exactly the commands of the plan.
 
         Raises
         ------
         RecordingError
-            If there is no recording, one is of another job, one has angles of a linear axis or
-            lengths of a rotary one, or a trace is damaged.
+            If there is no recording, one is of another job, one has angles for a linear axis or
+            lengths for a rotary one, or a trace is damaged.
         """
         plan, spec = self.plan, self.spec
         findings, runs, listened = self._measured(recordings, recorded=recorded)
@@ -170,8 +170,8 @@ class Judge:
     def each(self, recording: Recording) -> EachRun:
         """Measure every criterion in every run that ``recording`` holds, each of another machine.
 
-        It measures as ``verdict`` does, run by run; measures of many runs together
-        (repeatability) are left out.
+        As ``verdict``, but run by run; measures of many runs together (repeatability) are left
+        out.
 
         Raises
         ------
@@ -207,7 +207,7 @@ class Judge:
         opened = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
         kinds = {key: MEASURES[criterion.name] for key, criterion in self._keys.items()}
         of_recording = {} if each else kinds_of(self.spec, recorded=recorded)
-        # Runs side by side in one recording are measured together as they come.
+        # Parallel runs in one recording are measured together while it is read.
         several = together and len(opened) == 1 and recordings[0].runs > 1
         passes = [Pass(run, kinds | of_recording, together=several) for run in opened]
         in_step = {
@@ -238,7 +238,7 @@ def _check_same_job(recording: Recording, plan: Plan) -> None:
 
 
 def _check_units(recording: Recording, plan: Plan) -> None:
-    """Refuse angles of a linear axis and lengths of a rotary one: both are plain numbers."""
+    """Refuse angles for a linear axis and lengths for a rotary one: both are plain numbers."""
     for channel in recording.channels:
         if channel.axis not in plan.machine.moving or channel.unit not in _KIND_OF_UNIT:
             continue
@@ -252,7 +252,7 @@ def _check_units(recording: Recording, plan: Plan) -> None:
 
 
 def _told(result: Result, runs: Sequence[Run]) -> Result:
-    """Note in a result of a measure that needs operations that they were not recorded."""
+    """Add a note to a result that needs operations if they were not recorded."""
     reading = MEASURES[result.name].of_run(runs[0])
     if result.measured is None or reading is None or not any(run.by_time for run in runs):
         return result
@@ -262,7 +262,7 @@ def _told(result: Result, runs: Sequence[Run]) -> Result:
 
 
 def _run_told(result: Result, found: Found, runs: int) -> Result:
-    """Note in a result in which of several runs it was found, unless its value is 0."""
+    """Add to a result the number of the worst run, unless its value is 0."""
     if runs == 1 or len(found) != runs or not result.measured:
         return result
     return replace(result, run=int(np.nanargmax(found.value)) + 1)
@@ -281,7 +281,7 @@ def _key(criterion: Criterion) -> Key:
 def _of_runs(
     begun: Mapping[Key, MeasureOfRuns], runs: Sequence[Run], keys: Mapping[Key, Criterion]
 ) -> Findings:
-    """Return what was found of several recordings together, which have been read."""
+    """Return the findings of measures over several recordings, once these have been read."""
     found: Findings = {}
     for key, measure in begun.items():
         kind = MEASURES[keys[key].name]
@@ -301,7 +301,7 @@ def _of_runs(
 
 
 def _of_plan(plan: Plan, keys: Mapping[Key, Criterion]) -> Findings:
-    """Run every measure of the plan; those of one pass share it."""
+    """Run every measure of the plan; measures of one pass share it."""
     names = {name for name, _ in keys}
     readings = {name: MEASURES[name].of_plan(plan) for name in names}
     passes = dict.fromkeys(reading.measure for reading in readings.values() if reading is not None)
@@ -316,7 +316,7 @@ def _of_plan(plan: Plan, keys: Mapping[Key, Criterion]) -> Findings:
 def _rows(
     criterion: Criterion, findings: Mapping[Key, list[Found]], run: Run, spec: Spec
 ) -> Iterator[tuple[MeasureKind, Found]]:
-    """Yield what was found of a criterion: of each axis and step that it is asked of."""
+    """Yield the findings of a criterion, for each axis and step that it covers."""
     kind, plan = MEASURES[criterion.name], run.plan
     found = findings.get(_key(criterion), [])
     axes: Sequence[str] = ("",)
@@ -332,7 +332,7 @@ def _rows(
         if criterion.step:
             mine = [one for one in mine if one.step in ("", criterion.step)]
         if not mine and not _endless(criterion.name, axis, plan):
-            # A finding without an axis is the reason why none was measured.
+            # A finding without an axis gives the reason why no axis was measured.
             reasons = [one for one in found if not one.axis]
             note = reasons[0].worst().note if reasons else _absent(criterion, kind, axis, run)
             blank = Finding(value=None, axis=axis, step=criterion.step, note=note)
@@ -343,7 +343,7 @@ def _rows(
 
 
 def _absent(criterion: Criterion, kind: MeasureKind, axis: str, run: Run) -> str:
-    """Say why nothing was found of an axis, or of the tool."""
+    """Return why there is no finding for an axis, or for the tool."""
     if kind.of_run(run) is None and kind.of_plan(run.plan) is None:
         return f"not a measure of {run.of}"
     if criterion.step:
@@ -352,7 +352,7 @@ def _absent(criterion: Criterion, kind: MeasureKind, axis: str, run: Run) -> str
 
 
 def _replaced(criterion: Criterion, found: Found, spec: Spec) -> bool:
-    """Say whether a criterion of one step replaces this one of every step there."""
+    """Return whether a criterion for one step replaces this one for every step there."""
     if criterion.step or not found.step:
         return False
     place = criterion.name, criterion.axis, found.step
@@ -386,7 +386,7 @@ def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Findin
 
 
 def _lined(happened: Sequence[Happening], plan: Plan) -> list[Happening]:
-    """Fill in the job lines of what happened."""
+    """Fill in the job lines of events."""
     wanted = {one.operation for one in happened if one.operation is not None}
     lines = plan.intent.lines_of(plan.job, wanted) if wanted else {}
     return [
@@ -396,7 +396,7 @@ def _lined(happened: Sequence[Happening], plan: Plan) -> list[Happening]:
 
 
 def _in_order(happened: Sequence[Happening]) -> list[Happening]:
-    """Return what happened in the order of time; what has none comes last."""
+    """Return events in the order of time; events without a time come last."""
     return sorted(happened, key=lambda one: np.inf if one.time_s is None else one.time_s)
 
 
