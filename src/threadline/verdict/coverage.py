@@ -14,6 +14,7 @@ from threadline.machine import Machine
 from threadline.verdict.types import Change, Disturbance, Result, Status
 
 _ROUNDING = 1e-9  # of a sample
+_MOST = 1e15  # SI: no measurement is larger
 
 
 @dataclass(slots=True)
@@ -140,6 +141,29 @@ MOST_NAMED = 50
 _ENDS = {"stopped": Change.STOPPED, "fault": Change.FAULT}
 
 
+def _refuse_absurd(block: RecordingBlock) -> None:
+    """Refuse samples whose squares could overflow; NaN counts as not measured.
+
+    Parallel runs come from the simulation, which checks its own output.
+    """
+    for name, samples in block.samples.items():
+        if samples.ndim > 1 or not len(samples):
+            continue
+        if -_MOST <= samples.min() <= samples.max() <= _MOST:
+            continue
+        if np.isinf(samples).any():
+            raise RecordingError(
+                f"channel {name!r} holds a value that is not finite",
+                remedy="Repair the trace, or leave the channel out.",
+            )
+        if (np.abs(samples) > _MOST).any():
+            worst = float(np.nanmax(np.abs(samples)))
+            raise RecordingError(
+                f"channel {name!r} has a sample of {worst:.3g}, beyond {_MOST:g}",
+                remedy="No machine can have measured it; record it again.",
+            )
+
+
 class EventReader:
     """Reads the blocks of a recording and collects its events.
 
@@ -166,6 +190,7 @@ class EventReader:
         ]
         events = _Events(self._recording)
         for block in self._recording:
+            _refuse_absurd(block)
             known = known.after(block.events)
             for event in block.events:
                 events.take(event)
