@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 BENCH_STAMP := .venv-bench/.ready
+DOCS_STAMP := .venv-docs/.ready
 
 NODE := $(abspath $(VENV))/.node/bin
 PAGE := src/threadline/panel/page/index.html
@@ -11,7 +12,7 @@ PAGE := src/threadline/panel/page/index.html
 # Byte code is kept: without it each interpreter that tests start reads 109 000 lines anew, a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo panel wheel test test-cores bench lint format fuzz soak lock clean
+.PHONY: demo docs panel wheel test test-cores bench lint format fuzz soak lock clean
 
 $(STAMP): requirements/dev.txt pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Threadline needs Python 3.11 or newer; set PYTHON=..."; exit 2; }
@@ -57,6 +58,14 @@ $(BENCH_STAMP): requirements/bench.txt pyproject.toml
 	.venv-bench/bin/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
 
+$(DOCS_STAMP): requirements/docs.txt
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --require-hashes -r requirements/docs.txt
+	@touch $@
+
+docs: $(DOCS_STAMP)  ## Build the site of the documents into build/site; a warning is an error
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/mkdocs build --strict
+
 bench: $(BENCH_STAMP)  ## Compare with peers in one run; writes benchmarks/results.json
 	.venv-bench/bin/python -m benchmarks
 
@@ -69,12 +78,12 @@ soak: $(STAMP)  ## A day of simulated running at 100 times real time, and 200 ki
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tools.soak
 
 lock:  ## Renew the locked requirements (needs uv)
-	for name in run dev bench panel; do \
-	  case $$name in run) from=pyproject.toml;; panel) from=requirements/panel.in;; \
+	for name in run dev bench panel docs; do \
+	  case $$name in run) from=pyproject.toml;; panel|docs) from=requirements/$$name.in;; \
 	    *) from="pyproject.toml requirements/$$name.in";; esac; \
 	  uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
 	    --custom-compile-command "make lock" $$from -o requirements/$$name.txt || exit 2; \
 	done
 
 clean:
-	rm -rf $(VENV) .venv-bench build dist reports .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) .venv-bench .venv-docs build dist reports .pytest_cache .mypy_cache .ruff_cache

@@ -92,7 +92,7 @@ def test_the_contour_is_of_optimal_followed_by_motors() -> None:
     named = options_of("optimal", None, "0.1 mm", contour="50 um")
     assert named.timing.contour_m == pytest.approx(5e-5, rel=1e-12)
     assert options_of("optimal", None, "0.1 mm", contour="none").timing.contour_m == np.inf
-    with pytest.raises(OptionError, match="bounds what loops make of optimal"):
+    with pytest.raises(OptionError, match="bounds the path deviation with optimal"):
         options_of("auto", None, "0.1 mm", contour="0.3 mm")
     at_ends = options_of("optimal", None, "0.1 mm", feed_forward=True, contour="0.2 mm").timing
     assert at_ends.ends_m == pytest.approx(2e-4, rel=1e-12)

@@ -198,9 +198,9 @@ def test_who_waited_long_enough_compiles_for_itself(
 @pytest.mark.parametrize(
     ("setting", "said"),
     [
-        ("NUMBA_DISABLE_JIT=1", "NUMBA_DISABLE_JIT is set: .* Unset it."),
-        ("NUMBA_NUM_THREADS=0", "numba refuses its settings .* Number of threads"),
-        ("NUMBA_NUM_THREADS=-3", "numba refuses its settings .* Number of threads"),
+        ("NUMBA_DISABLE_JIT=1", "NUMBA_DISABLE_JIT is set, .* Unset it."),
+        ("NUMBA_NUM_THREADS=0", "numba refuses the settings .* Number of threads"),
+        ("NUMBA_NUM_THREADS=-3", "numba refuses the settings .* Number of threads"),
     ],
 )
 def test_an_environment_without_a_compiler_is_one_line(setting: str, said: str) -> None:

@@ -45,7 +45,7 @@ WITH: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 """What some of them need beside them."""
 LINE_VERBS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", "judge")
-SEARCHED = {"fastest": {"shaper", "robust"}, "design": {"feed-forward", "smoothing"}}
+SEARCHED = {"fastest": {"shaper", "robust"}, "design": {"feed-forward", "smoothing", "robust"}}
 """Options that mean something else to a verb: a share of machines to judge, times to try."""
 
 
@@ -66,7 +66,7 @@ def planned(job: Any, machine: Any, options: Options, *_: Any, **__: Any) -> Non
 @pytest.fixture
 def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Stop every verb where it would plan what it has read; return a folder with the jobs."""
-    from threadline.cli import compile_, design, fastest, run_, yield_
+    from threadline.cli import compile_, design, run_, yield_
     from threadline.machine.radii import with_radii
     from threadline.proof import pipeline, recorded
     from threadline.search import by_pace
@@ -77,7 +77,6 @@ def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     searched = lambda asked: planned(asked.job, asked.machine, asked.options)  # noqa: E731
     for pace, search in by_pace.SEARCHES.items():
         monkeypatch.setitem(by_pace.SEARCHES, pace, replace(search, find=searched))
-        monkeypatch.setitem(fastest.ANSWERS, pace, lambda asked: searched(asked.question))
 
     def designed(file: Path, machine: Any, spec: Any, options: Options, **_: Any) -> None:
         planned(pipeline.open_job(file, machine, options), with_radii(machine, options.radius),

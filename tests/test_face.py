@@ -19,11 +19,13 @@ import pytest
 import threadline as tl
 from tests.test_limits_alone import files as limits_alone
 from threadline import face
-from threadline.cli.fastest import ANSWERS
+from threadline.cli.fastest import TOLD
 from threadline.errors import InputError, OptionError
 from threadline.jobs.operations import Pace
+from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.pipeline import Trials
 from threadline.search.by_pace import SEARCHES
+from threadline.search.question import ASKED
 from threadline.verdict import load_spec
 
 pytestmark = pytest.mark.usefixtures("coarse_search")
@@ -33,7 +35,7 @@ PAGE = ROOT / "docs" / "api.md"
 
 
 def test_every_pace_of_a_job_has_its_search() -> None:
-    assert set(SEARCHES) == set(ANSWERS) == set(get_args(Pace))
+    assert set(SEARCHES) == set(TOLD) == set(ASKED) == {*get_args(Pace), OPTIMAL}
 
 
 def test_the_page_lists_the_face_and_nothing_else() -> None:
@@ -78,9 +80,9 @@ def test_mistakes_are_told_as_on_the_command_line() -> None:
         tl.judge([])
     with pytest.raises(OptionError, match="no interpolation to compare"):
         tl.compare(example, "lathe-winder", [])
-    with pytest.raises(InputError, match="is of another kind of machine"):
+    with pytest.raises(InputError, match="is for another kind of machine"):
         tl.compile(example, "lathe-winder", "st", "x.st")
-    with pytest.raises(OptionError, match="is of feed-forward"):
+    with pytest.raises(OptionError, match="needs feed-forward"):
         tl.prove(example, "lathe-winder", smoothing="40 ms")
 
 
@@ -137,8 +139,8 @@ def test_the_search_is_chosen_by_the_job(monkeypatch: pytest.MonkeyPatch) -> Non
     asked = []
 
     def noted(name: str):
-        def searched(job, machine, spec, *rest, **more):
-            asked.append((name, machine.name, spec))
+        def searched(question):
+            asked.append((name, question.machine.name, question.spec))
             raise KeyError(name)
 
         return searched
@@ -190,8 +192,8 @@ def test_a_search_is_asked_to_hold_at_the_ends_of_tolerances(
 
     given = []
 
-    def noted(one, two, spec, options, *, trials, **more):
-        given.append((options.robust_share, trials))
+    def noted(asked):
+        given.append((asked.options.robust_share, asked.trials))
         raise KeyError(search)
 
     monkeypatch.setattr(by_pace, search, noted)

@@ -22,12 +22,14 @@ from threadline.machine.vary import off_tolerance
 from threadline.motion.timing import averaged
 from threadline.motion.timing.by_law import rapid_time_s
 from threadline.proof.options import Options, options_from
-from threadline.proof.pipeline import plan_job, prove_plan
+from threadline.proof.pipeline import open_job, plan_job, prove_plan
 from threadline.report import write_report
 from threadline.report.motion import feed_forward_lines, motion_lines
 from threadline.report.traces import collect
 from threadline.search import mismatch
-from threadline.search.fastest import Fastest
+from threadline.search.by_pace import speeds
+from threadline.search.fastest import COARSE, Fastest
+from threadline.search.paced import Question
 from threadline.search.studied import studied
 from threadline.verdict import load_spec, verdict_json
 from threadline.verdict.needle import has_stitches, planned_stitches
@@ -228,17 +230,17 @@ def test_every_end_of_the_tolerances_is_tried(machine, seam, monkeypatch):
     """Plans are for the file; what sews them has masses and stiffnesses at their ends."""
     seen = []
 
-    def search(file, planned, spec, options, **rest):
-        assert planned is machine and options is AHEAD
-        actual = rest["actual"]
+    def search(asked, grid):
+        assert asked.machine is machine and asked.options is AHEAD
+        actual = asked.actual
         seen.append(
             (actual.bodies["y_head"].inertia.si / 70, actual.links["y_belt"].stiffness.si / 1e6)
         )
         return Fastest(intervals=(), limited_by="x", verdict=None, tried=1)
 
-    monkeypatch.setattr(mismatch, "fastest_needle", search)
-    spec = load_spec(PLACE, machine)
-    cells = mismatch.needle_over_tolerances(seam, machine, spec, AHEAD, high=78.0)
+    spec, job = load_spec(PLACE, machine), open_job(seam, machine, AHEAD)
+    asked = Question(job=job, machine=machine, spec=spec, options=AHEAD, high=78.0)
+    cells = mismatch.off_tolerances(asked, lambda one: speeds(search(one, COARSE)))
     wanted = [(m, k) for m in (0.9, 1.0, 1.1) for k in (0.8, 1.0, 1.2)]
     np.testing.assert_allclose(seen, wanted)
     np.testing.assert_allclose([(c.mass, c.stiffness) for c in cells],
@@ -336,7 +338,7 @@ def test_a_trace_of_another_controller_is_judged_against_the_table_it_ran(capsys
     for key in (("stitch_length_error", ""), ("shaping_deviation", "")):
         assert found[key]["measured"] == pytest.approx(proved[key]["measured"], rel=1e-3)
     code, _, err = run(capsys, *judging, "--smoothing", "40 ms")
-    assert code == 2 and "--smoothing is of --feed-forward" in err
+    assert code == 2 and "--smoothing needs --feed-forward" in err
 
 
 def test_a_machine_without_controllers_is_told_so(examples: Path) -> None:

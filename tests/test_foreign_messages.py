@@ -30,12 +30,12 @@ WRONG = {
         "true or false",
     ),
     '[bodies."1 x"]\nkind = "linear"': (
-        "m.toml:2: bodies.1 x: is no name of letters, digits, _ and -",
+        "m.toml:2: bodies.1 x: must be a name of letters, digits, _ and -",
         "Name it like x_belt.",
     ),
     '[controllers.x]\nkind = "pd"\nki = "1 dac/count exact, assumed"': (
         "m.toml:4: unknown key 'controllers.x.ki'",
-        "It is of kind 'pi' or 'pid': change kind, or take it out.",
+        "Kind 'pi' or 'pid' has it: change kind, or remove the key.",
     ),
     '[controllers.x]\nkind = "pd"\nkindd = "pd"': ("m.toml:4: ", "Did you mean 'kind'?"),
     '[axes.xx]\nkind = "linear"': ("must be one capital letter, got 'xx'", "Name it like A"),
@@ -72,5 +72,5 @@ def test_every_pattern_of_the_schema_is_told_in_words() -> None:
 def test_a_circle_of_bases_names_a_line_and_a_remedy(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('base = "b.toml"\n')
     (tmp_path / "b.toml").write_text('# the other\nbase = "a.toml"\n')
-    with pytest.raises(MachineError, match=r"b\.toml:2: .*in a circle.*Take one base out"):
+    with pytest.raises(MachineError, match=r"b\.toml:2: .*in a circle.*Remove one base"):
         load_machine(str(tmp_path / "a.toml"))

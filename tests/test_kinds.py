@@ -128,5 +128,5 @@ def test_another_machine_of_the_kind_plays_the_plan(
         prove_plan(plan, spec, actual=one).verdict for one in (None, load_machine(overlay))
     )
     assert [r.measured for r in own.results] != [r.measured for r in other.results]
-    with pytest.raises(OptionError, match=r"lathe-winder cannot do what is planned for"):
+    with pytest.raises(OptionError, match=r"lathe-winder cannot play what is planned for"):
         prove_plan(plan, spec, actual=load_machine("lathe-winder"))

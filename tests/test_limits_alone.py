@@ -105,12 +105,12 @@ def test_a_machine_file_of_limits_alone_is_read(tmp_path: Path) -> None:
          "'drives.x.clock' is missing"),
         ('clock = "pulse"\n[axes.A]', 'clock = "beat"\n[axes.A]', 17, "'beat'"),
         ("[tool]", '[bodies.x]\nkind = "linear"\ninertia = "1 kg exact, assumed"\n[tool]', 32,
-         "[bodies] beside kinematic drives"),
+         "[bodies] is not allowed with kinematic drives"),
         ('[drives.x]\nkind = "kinematic"\nclock = "pulse"',
          '[bodies.x]\nkind = "linear"\ninertia = "1 kg exact, assumed"\n[drives.x]\n'
          'kind = "pulse-servo"\nbody = "x"\nclock = "pulse"\nbandwidth = "10 Hz exact, assumed"\n'
          'resolution = "800 count/mm exact, assumed"\ntorque_limit = "9 N exact, assumed"', 15,
-         "drives.x: a drive of another kind beside kinematic drives"),
+         "drives.x: a drive of another kind is not allowed with kinematic drives"),
     ],
 )  # fmt: skip
 def test_what_has_dynamics_is_refused_beside_limits_alone(
@@ -261,9 +261,9 @@ def test_json_exit_and_report_say_the_level(
         (["prove", "JOB", "-m", "M", "--tolerances"], "has no dynamics"),
         (["prove", "JOB", "-m", "M", "--yield", "99 %"], "has no dynamics"),
         (["prove", "JOB", "-m", "M", "--actual", "M"], "has no dynamics"),
-        (["prove", "JOB", "-m", "M", "--feed-forward"], "drives.a is told positions"),
+        (["prove", "JOB", "-m", "M", "--feed-forward"], "drives.a receives positions"),
         (["prove", "JOB", "-m", "M", "--interpolation", "optimal", "--contour", "0.1 mm"],
-         "drives.a is told positions"),
+         "drives.a receives positions"),
         (["fastest", "JOB", "-m", "M", "--tolerances"], "has no dynamics"),
         (["yield", "JOB", "-m", "M"], "has no dynamics"),
         (["design", "JOB", "-m", "M"], "what a change of its parts would do cannot"),

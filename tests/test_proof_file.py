@@ -148,7 +148,9 @@ def test_verify_names_what_changed(shop: Path, what: str) -> None:
     status, said = run("verify", str(file))
     assert status == 2
     assert "\n" not in said
-    assert said.startswith("error: [PROOF] x.proof.json: it is no proof of what there is now: ")
+    assert said.startswith(
+        "error: [PROOF] x.proof.json: the proof does not match its files any more: "
+    )
     assert re.search(message, said)
 
 
@@ -220,12 +222,12 @@ def test_levels(shop: Path) -> None:
 
 
 BAD = {
-    "no JSON": ("{", "is no JSON"),
-    "a list": ("[]", "does not say that it is a 'threadline proof 1'"),
-    "no number": ('{"format": NaN}', "is no JSON"),
-    "another version": ('{"format": "threadline proof 99"}', "does not say"),
-    "half a character": ('{"format": "threadline proof 1", "level": "\\ud800"}', "is no JSON"),
-    "no end": ('{"format": "threadline proof 1", "runs": 1e400}', "is no JSON"),
+    "no JSON": ("{", "is not JSON"),
+    "a list": ("[]", "is not marked as a 'threadline proof 1'"),
+    "no number": ('{"format": NaN}', "is not JSON"),
+    "another version": ('{"format": "threadline proof 99"}', "is not marked as"),
+    "half a character": ('{"format": "threadline proof 1", "level": "\\ud800"}', "is not JSON"),
+    "no end": ('{"format": "threadline proof 1", "runs": 1e400}', "is not JSON"),
     "no hash": ('{"format": "threadline proof 1"}', "was changed since it was written"),
 }
 
@@ -319,17 +321,17 @@ FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     ),
     "a limit": (
         lambda c: first(c, "failed").update(limit=0.002, status="passed"),
-        "the limit of contour_error is 0.002, of the specification 0.0005",
+        "the limit of contour_error is 0.002, in the specification 0.0005",
     ),
     "no limit": (
         lambda c: first(c, "failed").update(limit=None, status="reported"),
-        "the limit of contour_error is none, of the specification 0.0005",
+        "the limit of contour_error is none, in the specification 0.0005",
     ),
     "not required": (
         lambda c: first(c, "failed").update(
             required=False, status="not-measured", measured=None
         ),
-        "contour_error is required by one of proof and specification",
+        "contour_error is required in only one of proof and specification",
     ),
     "a unit": (
         lambda c: first(c, "failed").update(unit="s", measured=None),
@@ -353,20 +355,32 @@ FORGED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         lambda c: c.update(level="limits and time alone"),
         "its level is 'limits and time alone', and lathe-winder has dynamics",
     ),
-    "less than no runs": (lambda c: c.update(runs=-5), "it is of -5 runs"),
+    "less than no runs": (lambda c: c.update(runs=-5), "it counts -5 runs"),
+    "more runs than there can be": (
+        lambda c: c.update(runs=10**30, level="repeated"),
+        "it counts more than 1e12 runs, and a verdict has at most 1000",
+    ),
+    "more runs than a verdict may have": (
+        lambda c: c.update(runs=1001, level="repeated"),
+        "it counts 1001 runs, and a verdict has at most 1000",
+    ),
+    "more machines than there can be": (
+        lambda c: c.update(machines=10**7, level="over tolerances"),
+        "it counts 10000000 other machines, and a verdict has at most 1000000",
+    ),
     "less than no machines": (lambda c: c.update(machines=-1), "and -1 other machines"),
     "a hash that is none": (
-        lambda c: c["commands"].update(sha256="0" * 63), "the sha256 of commands is none"
+        lambda c: c["commands"].update(sha256="0" * 63), "the sha256 of commands is not one"
     ),
     "options of another hash": (
         lambda c: c["options"]["given"].update(feed="1 count/tick"),
-        "the sha256 of its options is not the one of the options in it",
+        "the sha256 of its options does not match the options in it",
     ),
     "twice": (
         lambda c: c["verdict"]["criteria"].append(
             {**c["verdict"]["criteria"][0], "measured": 0.0, "status": "passed"}
         ),
-        "stands in it 2 times",
+        "is in it 2 times",
     ),
     "measured on no simulation": (
         lambda c: c["verdict"].update(simulated=False),
@@ -435,7 +449,7 @@ def test_who_has_the_key_sees_who_signed(shop: Path) -> None:
     assert run("run", *how, "--key", "ours.key", *over)[0] in {0, 1}
     assert list(shop.glob("runs/*/inputs/*")) and not list(shop.glob("runs/*/*/ours.key"))
     status, said = run("verify", str(file), "--key", "theirs.key")
-    assert (status, "its signature is not of this key" in said) == (2, True)
+    assert (status, "its signature is not by this key" in said) == (2, True)
     # Figures that are possible, and not those that were signed.
     criterion = next(c for c in content["verdict"]["criteria"] if c["measured"])
     criterion["measured"] *= 0.999
@@ -453,8 +467,8 @@ def test_who_has_the_key_sees_who_signed(shop: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("prove", "x-180.prg", "-m", "mine.toml", "--sign", "ours.key"), "--sign needs the file"),
-        (("run", "x-180.prg", "-m", "mine.toml", "--key", "ours.key"), "--key needs the file"),
+        (("prove", "x-180.prg", "-m", "mine.toml", "--sign", "ours.key"), "--sign signs or checks"),
+        (("run", "x-180.prg", "-m", "mine.toml", "--key", "ours.key"), "--key signs or checks"),
         (("verify", "x.json", "--key", "none.key"), "the key 'none.key' cannot be read"),
         (("verify", "x.json", "--key", "short.key"), "has 3 bytes, not 16 to 65536"),
     ],

@@ -1,4 +1,7 @@
-"""The commands of the README run; its Python does in ``tests/documents/test_one_plan.py``."""
+"""The commands of the README and of docs/commands.md run.
+
+The README's Python does in ``tests/documents/test_one_plan.py``.
+"""
 
 from __future__ import annotations
 
@@ -13,29 +16,33 @@ from threadline.cli.lazy import COMMANDS
 from threadline.cli.main import main
 
 ROOT = Path(__file__).resolve().parent.parent
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-
+SHOWN = "\n".join(
+    (ROOT / page).read_text(encoding="utf-8") for page in ("README.md", "docs/commands.md")
+)
 
 OUTPUTS = ("-o", "--report", "--recording", "--proof")
 SLOW = {"design": "its search takes minutes; tests/cli/test_design.py runs the command"}
 SLOW["panel"] = "it serves until it is ended; tests/panel/test_panel_command.py runs it"
+SLOW["connect"] = "it needs a controller; tests/live/test_connect.py has some"
 
 
 def commands() -> list[tuple[list[str], int]]:
-    """Return the words of every command of the README, in order, and what it should exit with."""
+    """Return the words of every command of both pages, in order, and what it should exit with."""
     return [
         (shlex.split(line, comments=True)[1:], int("# out of spec" in line))
-        for line in re.findall(r"^threadline .*", README, re.MULTILINE)
+        for line in re.findall(r"^threadline .*", SHOWN, re.MULTILINE)
     ]
 
 
-def test_the_readme_shows_every_command_and_no_other() -> None:
+def test_both_pages_together_show_every_command_and_no_other() -> None:
     named = {words[0] for words, _ in commands()}
     assert named == set(COMMANDS)
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    assert named == set(re.findall(r"^threadline (\S+)", page, re.MULTILINE))
 
 
 @pytest.mark.usefixtures("coarse_search")
-def test_the_commands_of_the_readme_run_in_order_and_write_below_reports(
+def test_the_commands_of_both_pages_run_in_order_and_write_below_reports(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As written, from a folder that holds the examples and nothing else.

@@ -78,7 +78,7 @@ def test_what_was_typed_stands_in_a_recording() -> None:
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        ({"robust": "100 %"}, "--robust '100 %' is of feed-forward"),
+        ({"robust": "100 %"}, "--robust '100 %' needs feed-forward"),
         ({"robust": "-1 %", "feed_forward": True}, "robust '-1 %' must be at least 0 %"),
         ({"robust": "3 mm", "feed_forward": True}, "robust '3 mm'"),
         ({"robust": "300 %", "feed_forward": True}, "at most 200 %"),

@@ -3,8 +3,8 @@
     python -m tools.memory_bounds [--only NAME] [--folder DIR]
 
 Every case is one command of its own process. It may be refused, but in one line; it may take long,
-but never says nothing for a minute; and it never holds more than 1 GB. The table is that of
-``docs/results.md``; the exit status is 1 where a case is beyond one of the bars.
+but never says nothing for a minute; and it never holds more than 1 GB. The exit status is 1 where
+a case is beyond one of the bars.
 """
 
 from __future__ import annotations

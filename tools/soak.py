@@ -30,7 +30,7 @@ from threadline.files import Ended
 from threadline.files.formats import read_recording
 from threadline.live import sim_process
 from threadline.live.executor import Executor
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_process import sim_link, simulated_of
 from threadline.live.states import Desk
 from threadline.live.store.run_store import INDEX, RunStore
@@ -126,7 +126,7 @@ class Inside(Wire):
 @contextmanager
 def link_to(plan: Plan, speed: float, *, inside: bool) -> Iterator[Any]:
     """Yield the link to a machine in this process, or in one of its own."""
-    starts = way_of(plan.machine).start(plan.commands)
+    starts = run_kind_of(plan.machine).start(plan.commands)
     if inside:
         yield Inside(plan.machine, starts)
         return
@@ -192,7 +192,7 @@ def _whole(trace: Path) -> int:
 def machine_of(plan: Plan) -> Iterator[tuple[socket.socket, int]]:
     """Start a machine as a fork of this process."""
     ours, theirs = socket.socketpair()
-    starts = way_of(plan.machine).start(plan.commands)
+    starts = run_kind_of(plan.machine).start(plan.commands)
 
     def serve() -> None:
         ours.close()
@@ -234,9 +234,9 @@ def kill(count: int, folder: Path) -> Iterator[str]:
         )
     ]  # fmt: skip
     for plan, _ in jobs:  # every fork has the twin then
-        way = way_of(plan.machine)
+        run_kind = run_kind_of(plan.machine)
         made = simulated_of(plan.machine)
-        made(plan.machine, way.start(plan.commands), lambda _: None).play(10)
+        made(plan.machine, run_kind.start(plan.commands), lambda _: None).play(10)
     chance, kept, wrong = random.Random(1994), folder / "kills", 0
     for number in range(count):
         plan, known = jobs[number % len(jobs)]

@@ -40,7 +40,7 @@ LOW, HIGH = 142, 162  # ticks between which the fewest are looked for
 MM = 1e3  # lengths in mm: the program is scaled so
 
 
-def answers(machine: Machine) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+def responses(machine: Machine) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
     """Return the tick, and what load (m), controller (V) and motor (A) answer to 1 m in a tick."""
     loop = axis_loops(machine)["X"]
     closed = loop.closed()
@@ -76,7 +76,7 @@ def farthest_m(
     within_m
         How far beyond either end the load may be.
     """
-    period_s, load, volts, amperes = answers(machine)
+    period_s, load, volts, amperes = responses(machine)
     steps = 1 if kept == "free" else STEPS
     last, free, step_s = -(-count // steps) + AFTER, count - 1, period_s / steps
     told: Any = sp.csr_matrix(
@@ -142,7 +142,7 @@ def comes(
     """Say whether a motion of ``count`` instants may come to its end; all as of ``farthest_m``."""
     middle = count // (2 * (1 if kept == "free" else STEPS))
     # Between two ticks it may have been farther by this.
-    short_m = within_m + machine.axes["X"].acceleration.si * answers(machine)[0] ** 2 / 8.0
+    short_m = within_m + machine.axes["X"].acceleration.si * responses(machine)[0] ** 2 / 8.0
     return any(
         farthest_m(machine, count, at, reserve, kept, within_m) >= WAY_M - short_m
         for at in range(middle, middle + LATEST)
@@ -155,7 +155,12 @@ def least_s(machine: Machine, reserve: float, kept: str, within_m: float = WITHI
     count = fewest(
         lambda count: comes(machine, count, reserve, kept, within_m), LOW * steps, HIGH * steps
     )
-    return (count - 1) * answers(machine)[0] / steps
+    return (count - 1) * responses(machine)[0] / steps
+
+
+def answers(kept: str) -> dict[str, float]:
+    """Return the bound with a tenth of reserve, s; ``kept`` as of ``farthest_m``."""
+    return {kept: least_s(load_machine("lathe-winder"), 0.1, kept)}
 
 
 def main() -> int:

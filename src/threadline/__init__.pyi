@@ -42,6 +42,7 @@ def compare(
     repeats: int | None = None,
     yield_: str | None = None,
     ends: str | None = None,
+    band: str | None = None,
 ) -> Comparison: ...
 def compile(
     job: PathLike,
@@ -91,7 +92,13 @@ def fastest(
     level: Literal["nominal", "repeated", "over tolerances"] = "repeated",
     repeats: int | None = None,
     yield_: str | None = None,
+    ends: str | None = None,
+    band: str | None = None,
     margin: str = "0 %",
+    low: str | None = None,
+    high: str | None = None,
+    mismatch: bool = False,
+    within: str | None = None,
 ) -> Found: ...
 def judge(
     recordings: PathLike | Sequence[PathLike],
@@ -147,4 +154,5 @@ def prove(
     repeats: int | None = None,
     yield_: str | None = None,
     ends: str | None = None,
+    band: str | None = None,
 ) -> Proved: ...

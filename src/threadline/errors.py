@@ -32,7 +32,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where in a file something stands; ``line`` counts from 1, 0 means the whole file."""
+    """A file and a line in it; ``line`` counts from 1, 0 means the whole file."""
 
     file: str
     line: int = 0
@@ -64,7 +64,7 @@ class ThreadlineError(Exception):
         super().__init__(message)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]:
-        # As it stands, not made anew: what an error needs besides its message has no order.
+        # Pickle the state instead of calling __init__ again: subclasses need further arguments.
         return type(self).__new__, (type(self), *self.args), vars(self)
 
     def __str__(self) -> str:
@@ -166,13 +166,13 @@ class BudgetError(PlanError):
 
 
 class StoreError(InputError):
-    """A folder of runs that cannot be used, or a run that is not there."""
+    """A folder of runs that cannot be used, or a run that does not exist."""
 
     code = "STORE"
 
 
 class CommandError(InputError):
-    """A command that a machine cannot take in the state in which it is."""
+    """A command that a machine cannot take in its present state."""
 
     code = "COMMAND"
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from threadline.motion.shaping import Shaper
     from threadline.proof.pipeline import Proof
     from threadline.proof.recorded import Judged
-    from threadline.search import Comparison
+    from threadline.search import Certainty, Comparison, Mismatch
 
 
 PathLike = str | Path
@@ -175,6 +175,10 @@ class Found:
     best_options
         The options of planning with which ``prove`` plans the best: ``tl.prove(job, machine,
         **best_options)``. None where nothing is in spec, or where only a move list can say it.
+    certainty
+        What it costs to hold on the machines of ``ends``, ``band`` or ``robust``; None without.
+    mismatch
+        The fastest on machines at the ends of the tolerances, with ``mismatch``.
     """
 
     best: float | None
@@ -182,6 +186,8 @@ class Found:
     limited_by: str
     of: Any
     best_options: Mapping[str, Any] | None = None
+    certainty: Certainty | None = None
+    mismatch: tuple[Mismatch, ...] = ()
 
 
 __all__ = ["compare", "compile", "fastest", "judge", "load_machine", "prove", "retime", "shaper"]
@@ -279,12 +285,19 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
     InputError
         As on the command line.
     """
-    from threadline.search.by_pace import SEARCHES, Question
+    from threadline.search.by_pace import answered
+    from threadline.search.question import question_of
 
-    question = Question.of(Words.of("fastest", Door.PYTHON, words), Path(job), machine)
-    found = SEARCHES[question.job.paced_by].find(question)
-    best = None if found.words is None else {**question.words, **found.words}
-    return Found(found.best, found.unit, found.limited_by, found.of, best)
+    found = answered(question_of(Words.of("fastest", Door.PYTHON, words), Path(job), machine))
+    return Found(
+        found.best if found.over_band is None else found.over_band.cycle_s,
+        found.unit,
+        found.limited_by,
+        found.of if found.over_band is None else found.over_band,
+        found.again,
+        found.certainty,
+        found.mismatch,
+    )
 
 
 @_with_options

@@ -1,8 +1,8 @@
 """Quantities with units at the edge, SI inside.
 
-To load one and to teach it its units takes a quarter of a second, more than all else that a command
-does with numbers and their units. Every factor is the registry's own, to the bit (``tests`` compare
-them); units that are not here are asked of the registry.
+Loading pint's registry and defining its units takes a quarter of a second, more than all other work
+of a command with units. This module therefore keeps a table of the usual factors, equal to pint's
+to the bit (a test compares them). Only an unusual unit loads the registry.
 
 Every file and option writes a number with its unit (``"7.5 in/s"``, ``"55.358 count/mm"``,
 ``"10 count/tick"``); everything behind this module is a float in SI. Angles are a dimension of
@@ -64,7 +64,7 @@ _OF_KIND: dict[str, dict[str, float]] = {
     "dac/count": {},
     "stitch/s": {"stitch/min": 0.016666666666666666},
 }
-"""What one of each unit is in the unit of SI that the program computes in."""
+"""SI unit -> unit -> its value in that SI unit."""
 
 _USUAL = {
     unit: (kind, factor)
@@ -74,7 +74,7 @@ _USUAL = {
 
 
 def usual_factor(unit: str, target: str) -> float | None:
-    """Return what one ``unit`` is in ``target``: 0 where they are of two kinds, None if not known.
+    """Return the factor from ``unit`` to ``target``: 0 if dimensions differ, None if unknown.
 
     >>> usual_factor("mm", "m"), usual_factor("mm", "rad"), usual_factor("furlong", "m")
     (0.001, 0.0, None)
@@ -140,9 +140,9 @@ _EXACT_TIME_S = {
 _EXACT_RATE_HZ = {"Hz": Fraction(1), "kHz": Fraction(1000), "MHz": Fraction(10**6)}
 _MAX_TEXT = 120
 # The only numbers in a unit are exponents of one digit and the 1 of "1/s": anything else might be
-# a tower like 9**9**9, which pint works out to the last of its millions of digits.
+# a tower like 9**9**9, and pint would compute all of its millions of digits.
 _UNIT_NUMBERS = re.compile(r"(?:\*\*|\^)\s*[-+]?\d(?!\s*(?:[\d.^]|\*\*))|^\s*1\s*/")
-# pint leaves out what it cannot read: "mm/s," would be mm/s.
+# pint skips characters that it cannot read: "mm/s," would be mm/s.
 _UNIT_TEXT = re.compile(r"[A-Za-z0-9µμ·²³%*/^()\s.+-]*")
 _NUMBER_LEFT = re.compile(r"[\d^]|\*\*")
 _DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*(?![\d,.])")
@@ -157,14 +157,14 @@ _PIECES = tuple(_KNOWN.split())
 _MOST_CUTS = 50
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
 LEAST_MEANT = 1e-9
-"""A figure in SI below it means nothing: 1 nm is a thousandth of the finest count, 1 ns less than a
-tick of the fastest timer, 1 nA and 1e-9 of a whole are far below what a converter tells apart; what
-doubles of the size of a machine leave is below 1e-12."""
+"""Smallest SI value that means anything. 1 nm is a thousandth of the finest encoder count, 1 ns is
+less than a tick of the fastest timer, and 1 nA is far below the resolution of a converter. Rounding
+errors of doubles of a machine's size stay below 1e-12."""
 
 
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
-    import pint  # slow to import, and asked for by unusual units alone
+    import pint  # slow to import, and needed only for unusual units
 
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None)
     registry.load_definitions(_DEFINITIONS.strip().splitlines())
@@ -198,7 +198,7 @@ def refuse_decimal_comma(text: str) -> None:
     Raises
     ------
     UnitError
-        Saying how to write it.
+        If the text has a decimal comma; the remedy shows the number with a point.
     """
     match = _DECIMAL_COMMA.match(text[:_MAX_TEXT])
     if match is not None:
@@ -240,7 +240,7 @@ def _cuts(text: str) -> Iterator[list[str]]:
 
 @cache
 def unit_factor(unit: str, target: str) -> float:
-    """Return what one ``unit`` is in ``target``, both unit strings of one dimension.
+    """Return the factor from ``unit`` to ``target``, two unit strings of one dimension.
 
     >>> round(unit_factor("in/s", "m/s"), 10)
     0.0254
@@ -259,9 +259,9 @@ def unit_factor(unit: str, target: str) -> float:
     try:
         normal = _normalise(unit)
         if _UNIT_TEXT.fullmatch(unit) is None:
-            raise ValueError("a character that no unit has")
+            raise ValueError("a character that no unit contains")
         if _NUMBER_LEFT.search(_UNIT_NUMBERS.sub(" ", normal)):
-            raise ValueError("a number that is no exponent of one digit")
+            raise ValueError("a number that is not an exponent of one digit")
         source = registry.parse_units(normal)
     except Exception as error:  # pint raises a dozen unrelated types on malformed text
         meant = respelt_unit(unit, target)
@@ -273,17 +273,17 @@ def unit_factor(unit: str, target: str) -> float:
     try:
         factor = float(registry.Quantity(1.0, source).to(wanted).magnitude)
     except ArithmeticError as error:
-        raise UnitError(f"{unit!r} in {target!r} is beyond any number") from error
+        raise UnitError(f"the factor from {unit!r} to {target!r} is not a finite number") from error
     if not (math.isfinite(factor) and factor > 0):
-        raise UnitError(f"{unit!r} in {target!r} is beyond any number")
+        raise UnitError(f"the factor from {unit!r} to {target!r} is not a finite number")
     return factor
 
 
 def _of_another_kind(unit: str, target: str) -> UnitError:
     return UnitError(
-        f"{unit!r} is not a unit of the kind of {target!r}"
+        f"{unit!r} does not measure the same quantity as {target!r}"
         if target
-        else f"{unit!r} is a unit; a number or a percentage is wanted",
+        else f"{unit!r} is a unit, but this value is a plain number or a percentage",
         remedy=f"Use a unit like {target!r}." if target else 'Write it like "20 %".',
     )
 
@@ -329,10 +329,10 @@ def parse_quantity(text: str, target: str) -> float:
 
 
 def without_noise(value: float, limit: float | None = None) -> float:
-    """Return ``value`` as people are to read it: 0 where it is rounding.
+    """Return ``value`` for display: 0 where it is only a rounding error.
 
-    That is below ``LEAST_MEANT``, or below the same share of a larger ``limit``: the third
-    derivative of a motion, which is in the thousands, is rounded more coarsely.
+    A rounding error is a value below ``LEAST_MEANT``, or below the same share of ``limit`` where
+    that is above 1: a jerk in the thousands carries a larger rounding error.
 
     >>> without_noise(4.3e-19), without_noise(2e-8), without_noise(-1e-7, 500.0)
     (0.0, 2e-08, 0.0)
@@ -343,7 +343,7 @@ def without_noise(value: float, limit: float | None = None) -> float:
 
 
 def same_dimension(unit: str, target: str) -> bool:
-    """Say whether two unit strings measure the same kind of thing."""
+    """Return whether two unit strings have the same dimension."""
     try:
         unit_factor(unit, target)
     except UnitError:
@@ -364,7 +364,7 @@ def parse_exact_time_s(text: str) -> Fraction:
     """
     number, unit = split_quantity(text)
     if not _SMALLEST_EXACT <= float(number) <= _LARGEST_EXACT:
-        # Before the fraction: 1e999999999 would be a number of a billion digits.
+        # Checked before making the fraction: 1e999999999 would have a billion digits.
         limit = "greater than zero" if float(number) <= 0 else "from 1e-30 to 1e30"
         raise UnitError(f"{text!r} must be {limit}")
     exact = Fraction(number)
@@ -376,23 +376,23 @@ def parse_exact_time_s(text: str) -> Fraction:
 
 
 def parse_number(subject: str, text: str, unit: str, example: str) -> float:
-    """Return what an option says, in ``unit``.
+    """Return the value of an option as a number of ``unit``.
 
     Parameters
     ----------
     subject
-        The option, as an error names it.
+        Name of the option in errors.
     text
-        A number with a unit, as it was written.
+        The number with its unit.
     unit
         The SI unit wanted; ``""`` for a plain number.
     example
-        How such an option is written.
+        A valid value, shown in the remedy.
 
     Raises
     ------
     OptionError
-        If it is not a quantity of that kind.
+        If it is not a quantity of that dimension.
     """
     try:
         return parse_quantity(text, unit)

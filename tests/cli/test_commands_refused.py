@@ -62,7 +62,12 @@ def test_wrong_options_exit_with_two_and_one_line(
         ("fastest", "letter-cycle.toml", ["--low", "1 mm/s"], ["of which commands and waits are"]),
         ("fastest", "strap.seam.toml", ["--high", "1e6 stitch/s"], ["at most 1000", "--high"]),
         ("fastest", "strap.seam.toml", ["--margin", "100 %"], ["below 100 %", '"20 %"']),
-        ("fastest", "x-180.prg", ["--margin", "1 mm"], ["a percentage is wanted", '"20 %"']),
+        (
+            "fastest",
+            "x-180.prg",
+            ["--margin", "1 mm"],
+            ["a plain number or a percentage", '"20 %"'],
+        ),
         ("design", "strap.seam.toml", ["--feed-forward", "--smoothing", ""], ["not a number"]),
         (
             "fastest",

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 import threadline.cli.design as command
 from threadline.cli.main import main
+from threadline.errors import OptionError
 from threadline.machine import load_machine
-from threadline.search.design import DesignResult
+from threadline.proof.options import options_of
+from threadline.proof.pipeline import Trials
+from threadline.search.design import DesignResult, Wanted
 from threadline.search.design import design as search
-from threadline.search.design_evaluate import Effort
+from threadline.search.design_evaluate import Effort, Evaluator
 from threadline.verdict import load_spec
 
 PLACE = Path(__file__).parents[2] / "examples" / "stitcher-place.spec.toml"
@@ -63,8 +68,10 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     library = resources.files("threadline.machine") / "library" / "stitcher.spec.toml"
     (tmp_path / "spec.toml").write_text(library.read_text(encoding="utf-8"))
 
-    def quick(*arguments: Any, **options: Any) -> DesignResult:
-        return search(*arguments, **options, effort=QUICK)
+    def quick(
+        file: Path, machine: Any, spec: Any, options: Any, wanted: Wanted, progress: Any
+    ) -> DesignResult:
+        return search(file, machine, spec, options, replace(wanted, effort=QUICK), progress)
 
     monkeypatch.setattr(command, "search_design", quick)
     return tmp_path
@@ -153,3 +160,33 @@ def test_wrong_input(
     assert out == ""
     assert err.count("\n") == 1
     assert words in err
+
+
+def test_a_design_is_planned_and_judged_as_a_proof_is_asked_to(
+    files: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Limits, a robust plan and other machines that must pass: what is typed back means the same.
+
+    The search itself is not what is tested here.
+    """
+    given: list[Any] = []
+
+    def noted(*arguments: Any) -> DesignResult:
+        given.append(arguments)
+        raise OptionError("far enough")
+
+    monkeypatch.setattr(command, "search_design", noted)
+    job = (str(files / "corner.seam.toml"), "-m", str(files / "mine.toml"), "--limits", "80 %")
+    ahead = ("--feed-forward", "--robust", "100 %", "--smoothing", "50 ms")
+    more = ("--ends", "100 %", "--band", "10 %", "--nominal")
+    assert run(capsys, "design", *job, *ahead, *more)[0] == 2
+    ((_, _, _, options, wanted, _),) = given
+    assert wanted.trials == Trials(ends=1.0, band=0.1)
+    evaluator = SimpleNamespace(
+        space=SimpleNamespace(ahead=True, levels=wanted.smoothing_s), _options=options
+    )
+    assert Evaluator.options_at(cast("Evaluator", evaluator), 0) == options_of(
+        limits="80 %", feed_forward=True, robust="100 %", smoothing="50 ms"
+    )
+    code, _, err = run(capsys, "design", *job, "--robust", "100 %")
+    assert code == 2 and "is of feed-forward" in err

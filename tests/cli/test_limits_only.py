@@ -120,7 +120,7 @@ def test_answers_about_motors_are_refused_beside_limits_only(
             capsys, "new", "grbl", tmp_path / "mine", "--from", dump, "--limits-only",
             "--set", "rotary=A", "--set", "radius=50 mm", "--set", given,
         )  # fmt: skip
-        assert code == 2 and "which --limits-only leaves out" in err
+        assert code == 2 and "which --limits-only omits" in err
         assert len(err.strip().splitlines()) == 1
     code, _, err = run(capsys, "new", "winder", tmp_path / "mine", "--limits-only")
     assert code == 2 and "--limits-only" in err

@@ -61,7 +61,7 @@ def test_a_value_of_thousands_of_characters_is_cut_in_the_middle(
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert len(err) < 500
     assert err.startswith(f"error: [OPTION] --smoothing '{value[:200]}")
-    assert err.endswith("is of feed-forward. Give --feed-forward too.\n")
+    assert err.endswith("needs feed-forward. Give --feed-forward too.\n")
     assert " ... " in err
 
 

@@ -32,7 +32,7 @@ def test_an_uneven_needle_is_told(tmp_path, capsys):
     """The warning is there exactly where the measure is above the limit of a stitch's length."""
     error, said = prove(tmp_path, capsys, "")
     assert error > 0.05
-    assert "the needle is to turn evenly" in said
+    assert "the needle should turn evenly" in said
     assert f"{100 * error:.2g} % more than a turn, limit 5 %" in said
     assert "--feed-forward" in said
 
@@ -47,5 +47,5 @@ def test_an_uneven_needle_is_told(tmp_path, capsys):
 )
 def test_an_even_or_slowed_needle_is_not(more, options, tmp_path, capsys):
     error, said = prove(tmp_path, capsys, more, *options)
-    assert "needle is to turn evenly" not in said
+    assert "needle should turn evenly" not in said
     assert error < 0.05 or more

@@ -172,7 +172,7 @@ def test_a_dump_of_settings_becomes_a_project_in_spec(
         (["grbl", "mine"], "Name what grbl answers to $$ with --from"),
         (
             ["winder", "mine", "--set", "mass=1 kg"],
-            "--limits-only are not of the kind",
+            "--limits-only do not apply to the kind",
         ),
         (["marlin", "mine", "--from", "dump.txt"], "threadline new grbl"),
     ],

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import shlex
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import threadline as tl
 from threadline.cli.main import main
+from threadline.errors import OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
-from threadline.machine.vary import ends_of, off_tolerance
+from threadline.machine.vary import band_parts, ends_of, mode_off, off_tolerance
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials, plan_job, prove_plan, try_plan
@@ -128,3 +131,46 @@ def test_the_worst_of_each_criterion_counts() -> None:
     assert [r.measured for r in both.results] == [0.7, 1.2, 0.2]
     assert [r.note for r in both.results] == ["a", "b", ""]
     assert not both.passed and both.ends == 2
+
+
+def test_ends_ask_of_a_plan_for_the_file_what_robust_asks(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Where nothing can be planned for other machines, both judge the plan of the file on them."""
+    asked = ("fastest", X180, "-m", "lathe-winder", "--interpolation", "linear", *SPAN, "--json")
+    told = [
+        json.loads(run(capsys, *asked, option, "100 %")[1]) for option in ("--ends", "--robust")
+    ]
+    assert told[0] == told[1]
+    assert told[0]["certainty"]["machines"] == 3
+
+
+def test_modes_all_over_a_band_are_judged_one_machine_at_a_time(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The worst of the verdict is the worst of seventeen machines that are proved by themselves."""
+    machine = load_machine("lathe-winder+springy")
+    spec, options = load_spec(None, machine), Options(interpolation="linear")
+    plan = plan_job(read_job(X180, machine), machine, options)
+    over = prove_plan(plan, spec, None, Trials(band=0.3)).verdict
+    assert (over.band, over.ends, over.level) == (17, 0, "nominal")
+    each = [
+        prove_plan(plan, spec, actual=mode_off(machine, part)).verdict for part in band_parts(0.3)
+    ]
+    worst = [one.result("contour_error").measured for one in each]
+    assert over.result("contour_error").measured == pytest.approx(max(filter(None, worst)))
+    code, _, err = run(capsys, "prove", X180, "-m", "lathe-winder", "--band", "20 %")
+    assert code == 2 and "no link with a stiffness" in err
+
+
+def test_a_search_in_python_takes_what_the_command_takes() -> None:
+    words: dict[str, Any] = {"interpolation": "linear", "level": "nominal", "low": "36 mm/s"}
+    found = tl.fastest(X180, "lathe-winder", **words, high="40 mm/s", mismatch=True)
+    assert found.best is not None and 0.036 <= found.best <= 0.040
+    assert [(cell.mass, cell.stiffness) for cell in found.mismatch] == [
+        (mass, stiffness) for mass in (-1.0, 0.0, 1.0) for stiffness in (-1.0, 0.0, 1.0)
+    ]
+    with pytest.raises(OptionError, match="no plan could be judged in that time"):
+        tl.fastest(X180, "lathe-winder", **words, high="40 mm/s", within="1 us")
+    with pytest.raises(OptionError, match="exclude each other"):
+        tl.fastest(X180, "lathe-winder", **words, mismatch=True, actual="lathe-winder")

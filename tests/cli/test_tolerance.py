@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from tests.with_firmware import winder_with_grbl_file
 
-from threadline.cli import fastest_seam
 from threadline.cli.main import main
 from threadline.motion.path import interpolation_names
 from threadline.motion.path.interpolations import KEEPING_TOLERANCE
+from threadline.search import Grid, by_pace
 from threadline.search import least_limits as gentle
 from threadline.search.fastest import RANGE, Fastest, Interval
 from threadline.verdict import Verdict
@@ -100,7 +100,7 @@ def test_fastest_says_it_of_the_plan_that_it_found(
     anything = tmp_path / "anything.spec.toml"
     anything.write_text('name = "anything"\n[[criteria]]\nname = "contour_error"\nlimit = "1 m"\n')
     monkeypatch.setattr(gentle, "_LADDER", (1.0,))
-    monkeypatch.setattr(gentle, "_SCAN_POINTS", 2)
+    monkeypatch.setattr(gentle, "_SCAN", Grid(points=2))
     planning = ["-m", "lathe-winder", "--interpolation", "b-spline"]
     span = ["-s", str(anything), "--low", "1 mm/s", "--high", "5 mm/s", "--json"]
     _, out, err = run(capsys, "fastest", job, *planning, *span)
@@ -122,7 +122,7 @@ def test_fastest_of_a_seam_says_it_too(
         verdict=Verdict(results=(), simulated=True),
         tried=1,
     )
-    monkeypatch.setattr(fastest_seam, "fastest_needle", lambda *_, **__: passed)
+    monkeypatch.setattr(by_pace, "fastest_needle", lambda _: passed)
     for name, count in (("b-spline", 1), ("auto", 0)):
         arguments = ["-m", "stitcher", "--interpolation", name, "--json"]
         code, _, err = run(capsys, "fastest", seam, *arguments)

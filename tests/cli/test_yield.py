@@ -99,8 +99,8 @@ def test_what_goes_one_by_one_is_not_asked_of_thousands(variants: int) -> None:
             asked.append(2 * count)
             return np.ones(2)
 
-    hangs = why.why_of(OneByOne(), variants, 1, lambda stage, share: None)
-    assert hangs.machines == variants
+    sensitivities = why.sensitivities_of(OneByOne(), variants, 1, lambda stage, share: None)
+    assert sensitivities.machines == variants
     assert sum(asked) == 3 * variants + 4 * 16
 
 
@@ -115,7 +115,7 @@ def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
     )
     job.write_text("G91\nG1 X25.714 F1000\nG1 X-25.714\nM30\n", encoding="utf-8")
     words = ["yield", str(job), "-m", str(machine), "--variants", "8"]
-    for more, level in ([], "over tolerances"), (["--at-least", "50 %"], "yield over tolerances"):
+    for more, level in ([], "drawn machines"), (["--at-least", "50 %"], "drawn machines"):
         with pytest.raises(SystemExit) as ended:
             main([*words, *more])
         told = capsys.readouterr().out
@@ -125,7 +125,7 @@ def test_a_yield_says_its_level_and_what_it_leaves_as_it_is(
         assert plain.count(line) == 2 and told.endswith(f"{line}\n")
         assert ended.value.code == 0
         assert "the same in every machine, excluded by the machine file: drives.x.torque" in plain
-        assert "the same in every machine, only plans go by it: axes.A.acceleration," in plain
+        assert "the same in every machine, it affects only plans: axes.A.acceleration," in plain
 
 
 CONTOUR = '[[criteria]]\nname = "contour_error"\nlimit = "0.6 mm"\n'

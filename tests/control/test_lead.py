@@ -116,7 +116,7 @@ def test_many_plants_at_once_are_the_single_ones():
         (60, 80, 1 / 256, "needs 180.0 deg of lead; this filter gives 0.0 ... 84.2 deg"),
         (2, 20, 1 / 256, "of lead; this filter gives"),
         (0, 60, 1 / 256, "outside 0 ... "),
-        (4000, 60, 1 / 256, "Half the controller's rate"),
+        (4000, 60, 1 / 256, "half the controller's rate"),
         (13, 200, 1 / 256, "phase margin 200 deg"),
         (13, 60, 0.999, "outside 1/256 ... 255/256"),
     ],

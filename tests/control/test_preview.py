@@ -61,7 +61,7 @@ def test_filters_without_a_stable_inverse_are_refused(tmp_path):
         'kd = "1 dac/count exact, assumed"\ngain = "none"\nzero = "none"\npole = "none"\n'
     )
     # kp e + kd (e - e before): the zero lies at kd / (kp + kd), here 1.
-    with pytest.raises(MachineError, match=r"no stable inverse, a zero lies at \|z\| = 1\. "):
+    with pytest.raises(MachineError, match=r"no stable inverse, because of a zero at \|z\| = 1\. "):
         AxisPreview(load_machine(str(file)), "X")
 
 

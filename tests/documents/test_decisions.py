@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-RECORDS = sorted((Path(__file__).parents[2] / "docs" / "decisions").glob("*.md"))
+RECORDS = sorted((Path(__file__).parents[2] / "docs" / "decisions").glob("0*.md"))
 
 
 def test_every_record_has_a_number_of_its_own_and_says_it() -> None:

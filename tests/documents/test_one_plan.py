@@ -1,7 +1,7 @@
 """What three documents say of one plan, the slowest of those that they show: it is made once.
 
-The README's Python, the command of docs/results.md and a row of docs/interpolations.md ask for the
-same: ``cone-dome-cylinder.prg`` on ``lathe-winder`` by ``optimal``. Each does all else as ever.
+The README's Python, a row of docs/validation-winder.md and one of docs/interpolations.md ask for
+the same: ``cone-dome-cylinder.prg`` on ``lathe-winder`` by ``optimal``. Each does all else as ever.
 """
 
 from __future__ import annotations
@@ -12,10 +12,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from tools import validation
 
-from tests.documents.of_the_winder import WHOLE
-from tests.documents.quick import ROOT
-from tests.documents.test_results_run import has_its_figures
 from tests.path.test_interpolations_document import row_is_of
 from threadline.commands.plan import Plan
 from threadline.jobs import read_job
@@ -23,6 +21,7 @@ from threadline.machine import load_machine
 from threadline.proof import pipeline
 from threadline.proof.options import Options
 
+ROOT = validation.ROOT
 MADE = pipeline.plan_job
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -68,8 +67,15 @@ def test_the_python_of_the_readme_runs_and_says_that_the_job_is_in_spec(
     assert 0.0 < float(said[1].split()[2]) <= 0.5  # mm, the limit of the winder's specification
 
 
-def test_the_results_have_the_figures_that_the_command_answers() -> None:
-    has_its_figures(WHOLE)
+def test_the_validation_has_the_figures_that_the_command_answers() -> None:
+    command = "threadline prove examples/cone-dome-cylinder.prg -m lathe-winder "
+    page = ROOT / "docs" / "validation-winder.md"
+    (row,) = (
+        row
+        for row in validation.rows_of(page)
+        if row.command == f"{command}--interpolation optimal"
+    )
+    assert not validation.differences(row)
 
 
 def test_the_row_of_optimal_says_what_the_planner_does() -> None:

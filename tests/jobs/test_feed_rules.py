@@ -125,8 +125,8 @@ def test_the_machine_file_names_the_rule(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ('feed_mode = "gbrl"', "programs.feed_mode"),
-        ('feed_mode = "base-axes"', "base_axes go with"),
-        ('base_axes = ["A"]', "base_axes go with"),
+        ('feed_mode = "base-axes"', "base_axes and feed_mode"),
+        ('base_axes = ["A"]', "base_axes and feed_mode"),
         ('feed_mode = "base-axes"\nbase_axes = ["Q"]', "programs.base_axes names the axis 'Q'"),
     ],
 )

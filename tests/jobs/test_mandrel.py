@@ -164,10 +164,10 @@ def test_a_table_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
     ("text", "said"),
     [
         (CONE.replace('"X"', '"Q"'), "does not exist"),
-        (CONE.replace('"X"', '"A"'), "which turns"),
+        (CONE.replace('"X"', '"A"'), "a rotary axis"),
         (CONE.replace("100 mm", "-5 mm"), "increase"),
-        (f'[axes.A]\nradius = "1 mm exact, assumed"\n{CONE}', "takes the place of its radius"),
-        (CONE.replace(', "50 mm exact, measured"', ""), "2 places and 1 radii"),
+        (f'[axes.A]\nradius = "1 mm exact, assumed"\n{CONE}', "replaces its radius"),
+        (CONE.replace(', "50 mm exact, measured"', ""), "2 positions and 1 radii"),
     ],
 )  # fmt: skip
 def test_a_profile_in_a_machine_file_is_checked(tmp_path: Path, text: str, said: str) -> None:

@@ -90,5 +90,5 @@ def test_a_line_has_no_radius_and_a_tool_may_be_left_out(tmp_path: Path) -> None
         with_eye(tmp_path, '[axes.X]\nradius = "2 mm exact, assumed"\n')
     both = EYE + '[axes.A]\nradius = "30 mm exact, assumed"\n'
     assert with_eye(tmp_path, 'tool = "none"\n' + both).radius_m.tolist() == [1.0, 0.03, 0.002]
-    with pytest.raises(MachineError, match=r"'tool' is missing: it says at which radius .* axis A"):
+    with pytest.raises(MachineError, match=r"'tool' is missing: it gives the radius of .* axis A"):
         with_eye(tmp_path, 'tool = "none"\n' + EYE)

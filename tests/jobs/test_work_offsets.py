@@ -89,7 +89,7 @@ def test_what_the_control_alone_knows_is_asked_for(
 
 
 def test_offsets_are_of_axes_in_their_units(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"programs.offsets.G54.A is in m, the axis in rad"):
+    with pytest.raises(InputError, match=r"programs.offsets.G54.A is in m, but the axis needs rad"):
         made_machine(tmp_path, "X", "A", OFFSETS.replace('Y = "-5', 'A = "-5'))
 
 

@@ -77,7 +77,7 @@ def test_seam_files(case: str, sewer: Machine, tmp_path: Path) -> None:
 BAD_CSV = {
     "no heading": ("0,0\n1,1\n", "unknown column '0'"),
     "no unit": ("x,y\n0,0\n1,1\n", "has no unit"),
-    "odd unit": ("x [kg],y [kg]\n0,0\n", "not a unit of the kind"),
+    "odd unit": ("x [kg],y [kg]\n0,0\n", "does not measure the same quantity"),
     "twice": ("x [mm],y [mm],x [mm]\n0,0,0\n", "same name"),
     "no y": ("x [mm],bulge\n0,0\n", "no column 'y'"),
     "half a centre": ("x [mm],y [mm],cx [mm]\n0,0,0\n", "cx, cy and turn"),

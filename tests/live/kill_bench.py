@@ -24,7 +24,7 @@ from tests.live.bench import table_of_counts, there_and_back, winder
 from threadline.files import Commands
 from threadline.live import sim_process
 from threadline.live.executor import Executor
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import SimMachine
 from threadline.live.sim_process import simulated_of
 from threadline.live.states import Desk, Kept
@@ -48,7 +48,7 @@ class Case:
 
     @property
     def start(self) -> np.ndarray:
-        return way_of(self.machine).start(self.commands)
+        return run_kind_of(self.machine).start(self.commands)
 
 
 @cache

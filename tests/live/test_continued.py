@@ -19,7 +19,7 @@ from threadline.files import Ended, Recording, played, switch_schedule, tick_tab
 from threadline.files.formats import write_recording
 from threadline.live.continuing import Continued, continued, last_executed, operation_at
 from threadline.live.derived import Rest
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.sim_machine import parse_fault
 from threadline.live.sim_process import group_ticks
 from threadline.live.states import Cause, Desk, Kept
@@ -67,7 +67,7 @@ def run(
     """Run a plan, or the rest of it, on a machine that was just switched on."""
     machine = plan.machine
     found = None if fault is None else parse_fault(f"{fault}", machine)
-    wire, kept = Wire(machine, way_of(machine).start(plan.commands), found), Kept()
+    wire, kept = Wire(machine, run_kind_of(machine).start(plan.commands), found), Kept()
     wire.group = group_ticks(machine, 0.0)  # as the process of a machine has it
     with closing(Desk()) as desk:
         if asked is not None:
@@ -213,7 +213,7 @@ def test_nothing_moves_until_somebody_confirms(answer: bool | None, asked: Cause
         assert len(looks) == 3
     else:
         machine = plan.machine
-        wire = Wire(machine, way_of(machine).start(plan.commands))
+        wire = Wire(machine, run_kind_of(machine).start(plan.commands))
         with closing(Desk()) as desk:
 
             def stopped() -> None:
@@ -233,7 +233,7 @@ def test_a_stop_on_the_approach_ends_it() -> None:
     plan = planned("lathe-winder")
     again = continued(plan, broken_off("lathe-winder")[1], at_rest=False)
     machine = plan.machine
-    wire = Wire(machine, way_of(machine).start(plan.commands))
+    wire = Wire(machine, run_kind_of(machine).start(plan.commands))
     with closing(Desk()) as desk:
         played_groups: list[int] = []
 
@@ -312,7 +312,7 @@ def test_a_circuit_is_a_pass_of_the_program(tmp_path: Path) -> None:
     executed = passes.index((4,)) + 1
     assert operation_at(plan, executed, "circuit") == passes.index((4,))
     assert operation_at(plan, executed, "circuit 2") == passes.index((2,))
-    with pytest.raises(OptionError, match="executed none such"):
+    with pytest.raises(OptionError, match="has not executed it"):
         operation_at(plan, executed, "circuit 5")
 
 
@@ -327,10 +327,10 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     write_recording(broken_off("lathe-winder")[0], kept.trace)
 
     def ask(of: Plan) -> Continued | None:
-        way = way_of(of.machine)
+        run_kind = run_kind_of(of.machine)
 
         def rest(operation: int) -> Rest:
-            return way.rest(of.commands, of.machine, operation, at_rest=False)
+            return run_kind.rest(of.commands, of.machine, operation, at_rest=False)
 
         return continued_run(store.folder, "last", None, of, rest, asks=True)[0]
 
@@ -348,7 +348,7 @@ def test_another_job_a_completed_run_and_nobody_there_are_refused(tmp_path: Path
     write_recording(whole, kept.trace)
     options = Options(interpolation="linear")
     other = plan_job(open_job(EXAMPLES / "x-180.prg", plan.machine, options), plan.machine, options)
-    with pytest.raises(StoreError, match="was of other rows than these"):
+    with pytest.raises(StoreError, match="had other rows than these"):
         ask(other)
     store.index.end(kept.path.name, ended="completed", text="", late_ticks=0, passed=True)
     with pytest.raises(StoreError, match="was completed: there is no rest of it"):
@@ -360,7 +360,7 @@ def test_options_of_a_continued_run_are_checked_before_anything_is_planned(tmp_p
     plan = planned("lathe-winder")
     write_proof(prove_plan(plan, load_spec(None, plan.machine)), tmp_path / "a.proof.json")
     folder = tmp_path / "runs"
-    with pytest.raises(OptionError, match="--at is of --continue"):
+    with pytest.raises(OptionError, match="--at needs --continue"):
         check_continued(folder, None, "block", confirmed=False)
     with pytest.raises(StoreError, match="there is no run 'nosuch' in "):
         check_continued(folder, "nosuch", None, confirmed=False)

@@ -207,7 +207,7 @@ def test_a_lost_link_is_a_fault_and_what_runs_out_is_bounded(how: str) -> None:
             model.client.shutdown(2)
             go_on(one)
             assert (
-                "the link is gone; the controller runs out by itself" in (one.ended or ("", ""))[1]
+                "the link is gone; the controller executes by itself" in (one.ended or ("", ""))[1]
             )
             until = time.monotonic() + 60.0
             while model.state == "Run" and time.monotonic() < until:
@@ -282,7 +282,7 @@ def test_reports_that_are_none() -> None:
     assert status_of("ok") is None
     work = status_of("<Idle|WPos:0,0,0|FS:0,0>")
     assert work is not None and work.position is None
-    with pytest.raises(LinkFaultError, match="where numbers were due"):
+    with pytest.raises(LinkFaultError, match="instead of numbers"):
         status_of("<Idle|MPos:0,nan,0|FS:0,0>")
 
 
@@ -316,9 +316,9 @@ def test_addresses_and_options_that_are_none() -> None:
             Port(address)
     with pytest.raises(LinkFaultError, match=r"nothing answers at '127\.0\.0\.1:1'"):
         Port("127.0.0.1:1")
-    with pytest.raises(LinkFaultError, match="it is no serial line"):
+    with pytest.raises(LinkFaultError, match="it is not a serial line"):
         Port("/dev/null")
-    with pytest.raises(OptionError, match="are of the simulated machine"):
+    with pytest.raises(OptionError, match="need the simulated machine"):
         link_of("grbl:127.0.0.1:1", MACHINE, 0.0, None)
     with pytest.raises(OptionError, match="is not driven by part programs"):
         link_of("grbl:127.0.0.1:1", load_machine("letter-placer"), 1.0, None)
@@ -376,7 +376,7 @@ def test_the_command_records_and_judges(tmp_path: Path, capsys: pytest.CaptureFi
     assert ended.value.code == 1, captured.err
     assert '"ended": "completed"' in captured.out
     assert '"not-measured"' in captured.out
-    assert "runs out its own buffer" in captured.err
+    assert "executes its buffer" in captured.err
     np.testing.assert_allclose(model.at, [40.0, 0.0, 0.0, 60.0], atol=1e-9)
     (kept,) = (tmp_path / "runs").glob("*/sent/program.nc")
     assert kept.read_bytes() in bytes(model.heard).replace(b"?", b"")

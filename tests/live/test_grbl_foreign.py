@@ -164,7 +164,7 @@ def test_lines_that_were_taken_and_not_done_are_no_completed_run() -> None:
         go_on(one)
         ended, text = one.ended or (None, "")
         assert ended is Ended.FAULT
-        assert "has taken every line, and stands" in text
+        assert "has received every line, and stands" in text
         assert one.state is State.FAULT
 
 
@@ -178,7 +178,7 @@ def test_a_controller_that_does_not_hold_is_reset() -> None:
         go_on(one)
         assert time.monotonic() - began >= 2.0 * one.controller.brakes_s + grbl_run._HOLDS_S
         assert one.ended is not None and one.ended[0] is Ended.FAULT
-        assert "told to hold, tells Run, and was reset" in one.ended[1]
+        assert "told to hold, reports Run, and was reset" in one.ended[1]
         assert not model.blocks
 
 

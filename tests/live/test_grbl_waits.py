@@ -96,7 +96,7 @@ def test_a_line_that_is_longer_than_its_buffer_is_refused() -> None:
     ("state", "says"),
     [
         ("Sleep", "the controller tells Sleep: its motors are off"),
-        ("Check", "the controller tells Check: it reads lines and moves by none"),
+        ("Check", "the controller tells Check: it reads lines without moving"),
         ("Home", "the controller tells Home"),
         ("Tool", "the controller tells Tool"),
     ],
@@ -196,7 +196,7 @@ def test_a_hold_that_nobody_can_end_is_stopped(
     said = capsys.readouterr().err
     assert "holding: its door is open; " in said
     assert ("nobody is at the keys" in said) is alone
-    assert (run.stopped_by == "Threadline: nobody is at the keys to let it go on") is alone
+    assert (run.stopped_by == "Threadline: nobody is at the keys to resume") is alone
     desk.close()
 
 
@@ -343,7 +343,7 @@ def test_a_run_is_repeated_by_an_approach(approach: bool) -> None:
 
 
 def test_an_approach_is_of_grbl_alone_and_a_slower_machine_has_no_speed() -> None:
-    with pytest.raises(OptionError, match="--approach is of a controller with grbl"):
+    with pytest.raises(OptionError, match="--approach needs a controller with grbl"):
         link_of("sim", MACHINE, 1.0, None, approach=True)
     with pytest.raises(OptionError, match=f"--link {SLOWER} goes at real time where it can"):
         link_of(SLOWER, MACHINE, 4.0, None)
@@ -356,4 +356,4 @@ def test_states_in_words() -> None:
     ):  # fmt: skip
         found = status_of(f"<{text}|MPos:0,0,0|FS:0,0>")
         assert found is not None and found.stands is stands, text
-        assert found.told.startswith(f"the controller tells {text.partition(':')[0]}")
+        assert found.words.startswith(f"the controller tells {text.partition(':')[0]}")

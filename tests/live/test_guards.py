@@ -225,7 +225,7 @@ def test_the_lag_is_the_models() -> None:
         ("stuck-encoder:Q@1 s", "has no 'Q'"),
         ("stuck-encoder@1 s", "does not say where"),
         ("explode@1 s", "there is no fault 'explode'"),
-        ("lost-link:X@1 s", "is of no axis"),
+        ("lost-link:X@1 s", "takes no axis"),
         ("lost-link", "is no fault"),
         ("lost-link@soon", "soon"),
         ("lost-link@-1 s", "'-1 s' is no time of a run"),

@@ -45,7 +45,7 @@ from threadline.proof.pipeline import Proof, open_job, plan_job, prove_plan
 from threadline.proof.proof_file import ProofFile, write_proof
 from threadline.verdict import load_spec
 
-_extend, _start, _approached = JogAhead.extend, Executor.start, supervised.approached
+_extend, _start, _moved_to_begin = JogAhead.extend, Executor.start, supervised.moved_to_begin
 _start_again = Ahead.start_again
 Take = Callable[[pytest.MonkeyPatch], None]
 BY_LATENESS = ("late-ticks", "", "3 ticks in a row came late", 15)
@@ -100,7 +100,7 @@ def held_anywhere(one: Executor, commands: Commands, **options: bool) -> None:
 
 def unconfirmed(*given: object) -> object:
     """Approach without asking anybody."""
-    return _approached(*given[:-1], lambda: True)  # type: ignore[arg-type]
+    return _moved_to_begin(*given[:-1], lambda: True)  # type: ignore[arg-type]
 
 
 def with_patch(test: Callable[..., None]) -> Callable[[], None]:
@@ -256,7 +256,7 @@ GUARDS: dict[str, tuple[Take, Callable[[], None]]] = {
         lambda: test_homing.test_a_braking_that_is_refused_comes_again_later(Cause.STOP),
     ),
     "the confirmation of a rest": (
-        attribute(supervised, "approached", unconfirmed),
+        attribute(supervised, "moved_to_begin", unconfirmed),
         lambda: test_continued.test_nothing_moves_until_somebody_confirms(False, None),
     ),
     "the travel of an approach": (

@@ -202,7 +202,7 @@ def test_a_stop_brakes_along_the_path_and_the_rest_is_done(tmp_path: Path) -> No
     assert rest.left_out >= 50
     begins = [int(count) for count in rest.begins]
     approach = list(zip(winder().axes, begins, strict=True))
-    again, more = Continued(rest=rest, line=0, approach=approach, told=()), Kept()
+    again, more = Continued(rest=rest, line=0, approach=approach, notes=()), Kept()
     with (
         bridge(winder(), ZERO, tmp_path / "rest", plant=False) as far,
         closing(Desk()) as desk,

@@ -37,7 +37,7 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
         link_of("hal:mill", winder(), 1.0, None)
     with pytest.raises(OptionError, match="no encoders"):
         link_of("hal:plant", load_machine("stepper-winder"), 1.0, None)
-    with pytest.raises(OptionError, match="of the simulated machine"):
+    with pytest.raises(OptionError, match="need the simulated machine"):
         link_of("hal:plant", winder(), 2.0, None)
     hal = HalSession(winder(), ZERO, plant=False)
     try:

@@ -82,7 +82,7 @@ def test_what_hal_tells_as_it_was_sent_is_no_fault() -> None:
 def test_a_count_that_was_not_sent_is_a_fault() -> None:
     """One count, of one axis, from a place on that is reached."""
     reports = heard(Played(lambda places: places + (places[:, 1:2] > 20) * [0, 0, 1]), 6)
-    assert faults(reports) == ["HAL told its drives something else than it was sent, by 1 counts"]
+    assert faults(reports) == ["HAL's commands to the drives differ from the sent rows by 1 counts"]
 
 
 @pytest.mark.parametrize("dies", ["at once", "in motion"])

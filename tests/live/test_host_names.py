@@ -44,17 +44,17 @@ def test_addresses_of_a_controller() -> None:
     [
         ("localhost:99999", "port 99999 is not between 1 and 65535"),
         ("localhost:0", "port 0 is not between 1 and 65535"),
-        ("localhost:\u00b2", "'\u00b2' is no port"),
-        ("localhost:", "'' is no port"),
-        ("localhost:-1", "'-1' is no port"),
-        ("localhost:" + "9" * 5000, "is no port"),
-        ("a..b:23", "'a..b' is no host"),
-        ("23", "'' is no host"),
-        (":23", "'' is no host"),
-        ("dev/ttyUSB0", "'' is no host"),
+        ("localhost:\u00b2", "'\u00b2' is not a port"),
+        ("localhost:", "'' is not a port"),
+        ("localhost:-1", "'-1' is not a port"),
+        ("localhost:" + "9" * 5000, "is not a port"),
+        ("a..b:23", "'a..b' is not a host"),
+        ("23", "'' is not a host"),
+        (":23", "'' is not a host"),
+        ("dev/ttyUSB0", "'' is not a host"),
     ],
 )
 def test_what_is_no_address_of_a_controller(address: str, says: str) -> None:
-    with pytest.raises(OptionError, match="is no address of a controller") as refused:
+    with pytest.raises(OptionError, match="is not an address of a controller") as refused:
         check_address(address)
     assert says in str(refused.value)

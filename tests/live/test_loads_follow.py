@@ -15,7 +15,7 @@ from threadline.commands.plan import Plan
 from threadline.dynamics.analysis import fastest
 from threadline.errors import LimitError
 from threadline.files import Ended, Stream, TickBlock, TickTable, tick_table
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import SimLink
 from threadline.live.states import Desk, Kept
 from threadline.machine import Machine, load_machine
@@ -67,7 +67,7 @@ def test_a_seam_at_71_stitches_a_second_runs_as_it_was_proved() -> None:
 
 def test_without_feed_forward_the_limit_of_the_load_is_that_of_the_rows() -> None:
     plan = planned()
-    assert way_of(plan.machine).loads_follow(plan)
+    assert run_kind_of(plan.machine).loads_follow(plan)
     bench = Bench(other=plan.machine, same=True).ready()
     with pytest.raises(LimitError, match=r"axis X: a row asks for \d+ counts in a tick"):
         bench.executor.start(plan.commands)

@@ -26,7 +26,7 @@ from threadline.live.states import Desk
 from threadline.live.executor import Executor
 from threadline.live.states import Kept
 from threadline.live.sim_process import serve
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.wire import Connection
 from threadline.machine import load_machine
 from threadline.proof.options import Options
@@ -60,7 +60,7 @@ for told in sys.argv[1:]:
     ours, theirs = socket.socketpair()
     executor = threading.Thread(target=run, args=(Connection(ours), machine, commands))
     executor.start()
-    serve(theirs, machine, way_of(machine).start(commands), 0.0)
+    serve(theirs, machine, run_kind_of(machine).start(commands), 0.0)
     executor.join()
 """
 

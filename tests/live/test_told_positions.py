@@ -95,7 +95,7 @@ def test_a_belt_that_falls_slack_ends_the_run_there() -> None:
 
 
 def test_a_stepper_has_no_encoder_to_fail() -> None:
-    with pytest.raises(OptionError, match="has nothing that could fail so"):
+    with pytest.raises(OptionError, match="has no part with this fault"):
         parse_fault("stuck-encoder:X@1 s", load_machine("stepper-winder"))
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from threadline.errors import LinkFaultError
 from threadline.files import Event
-from threadline.live.wire import Connection, Message, decoded, event_of, event_told
+from threadline.live.wire import Connection, Message, decoded, event_of, event_row
 
 HEADS = st.dictionaries(
     st.text(max_size=10),
@@ -78,7 +78,7 @@ def test_a_length_out_of_range_is_refused(length: int) -> None:
 
 def test_events_are_checked() -> None:
     event = Event(tick=3, kind="tool", operation=2, name="trim", value=1.0)
-    assert event_of(event_told(event)) == event
+    assert event_of(event_row(event)) == event
     for told in (None, [], [1, "explode", 0, "", 0.0], ["x", "tool", 0, "", 0.0]):
         with pytest.raises(LinkFaultError):
             event_of(told)

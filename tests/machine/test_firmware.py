@@ -223,8 +223,8 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("hello\n", "these are no settings that are known"),
-        ("", "these are no settings"),
+        ("hello\n", "the settings of this file are of no known firmware"),
+        ("", "settings of this file are of no known"),
         ("$100=250\n$100=200\n", "$100 is 200 here and 250 on line 1"),
         ("$100=250\n$100=250\n$110=-5\n", "$110 is '-5'; it must be a number from 10^-6"),
         ("$100=nan\n", "$100 is 'nan'"),
@@ -233,44 +233,68 @@ def test_all_that_is_not_said_is_asked_for_at_once(tmp_path: Path) -> None:
         ("$100=250\n$11=0.01\n$11=0.02\n", "$11 is 0.02 here and 0.01 on line 2"),
         ("$100=1e99\n", "$100 is '1e99'"),
         ("$100=\n", "$100 is ''"),
-        ("$100=250\n$110 5000\n", "'$110 5000' is no line of these settings"),
-        ("$100=250\nX: $110=5000\n", "'X: $110=5000' is no line of these settings"),
-        ("$0=755.906 (x, step/mm)\n$1=755.906 (y, step/mm)\n", "grbl 0.8 and older number"),
+        ("$100=250\n$110 5000\n", "'$110 5000' is not a line of these settings"),
+        ("$100=250\nX: $110=5000\n", "'X: $110=5000' is not a line of these settings"),
+        ("$0=755.906 (x, step/mm)\n$1=755.906 (y, step/mm)\n", "is a setting of grbl 0.8 or older"),
         ("$100=250\n[OPT:VC,15,128]\n", "C is CoreXY"),
-        ("EPR:3 11 80.0 X-axis steps per mm\n", "are of Repetier-Firmware"),
-        ("echo:  M92 X80.0\nI sent M203 X5 to it\n", "'I sent M203 X5 to it' is no line"),
+        ("EPR:3 11 80.0 X-axis steps per mm\n", "belong to Repetier-Firmware"),
+        ("echo:  M92 X80.0\nI sent M203 X5 to it\n", "'I sent M203 X5 to it' is not a line"),
         ("echo:  M92 X80.0\necho:  M204 T0 R10000\n", "settings.txt:2: M204 T is '0'"),
         ("echo:  M92 X80.0 X90.0\n", "M92 X is 90.0 here and 80.0 on line 1"),
-        ("  M92 X\n", "no line of these settings"),
+        ("  M92 X\n", "not a line of these settings"),
         ("axes:\n\tx:\n", "a tab before a key"),
         ("axes:\n  x:\n    steps_per_mm: many\n", "axes.x.steps_per_mm is 'many'"),
-        ("axes:\n  x\n", "'x' is no line"),
-        ("axes:\n  q:\n    steps_per_mm: 5\n", "say nothing of any axis"),
+        ("axes:\n  x\n", "'x' is not a line"),
+        ("axes:\n  q:\n    steps_per_mm: 5\n", "contain no axis"),
         ("[stepper_x]\nrotation_distance: 0\nmicrosteps: 16\n", "rotation_distance is '0'"),
         ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 3\n", "gear_ratio: 3"),
         ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 1.2.3:1\n", "1.2.3:1"),
         ("[stepper_x]\nrotation_distance: 4\nmicrosteps: 16\ngear_ratio: 0:1\n", "0:1"),
-        ("[stepper_x]\nrotation_distance 4\n", "'rotation_distance 4' is no line"),
-        ("[printer]\nmax_velocity: 9\n", "say nothing of any axis"),
-        ("M584 X0\nif {1}\n  M92 X80\n", "M92 stands under a condition"),
-        ("M584 X0\nM92 X{var.steps}\n", "'M92 X{var.steps}' is no line of these settings"),
-        ("M584 X0\nM92 X80\nM579 X1.02\n", "M579 X1.02 scales the places of an axis"),
+        ("[stepper_x]\nrotation_distance 4\n", "'rotation_distance 4' is not a line"),
+        ("[printer]\nmax_velocity: 9\n", "contain no axis"),
+        ("M584 X0\nif {1}\n  M92 X80\n", "M92 is inside a condition"),
+        ("M584 X0\nM92 X{var.steps}\n", "'M92 X{var.steps}' is not a line of these settings"),
+        ("M584 X0\nM92 X80\nM579 X1.02\n", "M579 X1.02 scales the positions of an axis"),
         ("M584 X0\nM92 X80:80\n", "M92 X is '80:80'"),
         ("M584 X0\nM92 X80\nM208 X1:2:3\n", "M208 X is '1:2:3'"),
         ("M584 X0\nM92 X80\nM208 X9:3\n", "M208 X is '-6.0'"),
         ("M566 X900 P7..\n", "M566 P is '7..'"),
-        ("M584 X0\nM569 P0 S1\n", "say nothing of any axis (reprapfirmware)"),
+        ("M584 X0\nM569 P0 S1\n", "contain no axis (reprapfirmware)"),
         ("M584 X0\nG20\nM92 X80\n", "G20: these lengths are in inches"),
         ("echo:  G20 ; (in)\necho:  M92 X80.0\n", "G20: these lengths are in inches"),
-        ("M584 X0\nM669 K1\nM92 X80\n", "M669 K1: only machines with a motor for each axis"),
-        (MARLIN + "echo:  M665 L250.00 R105.00\n", "M665: only machines with a motor for each"),
-        (FLUIDNC + "kinematics:\n  CoreXY:\n", "kinematics: CoreXY: only machines with a motor"),
-        ("M584 X0\nM665 R105 L215\nM92 X80\n", "M665: only machines with a motor for each axis"),
-        ("M584 X0\nM667 S1\nM92 X80\n", "M667 S1: only machines with a motor for each axis"),
+        (
+            "M584 X0\nM669 K1\nM92 X80\n",
+            "M669 K1: settings can be read only for machines with one motor per axis",
+        ),
+        (
+            MARLIN + "echo:  M665 L250.00 R105.00\n",
+            "M665: settings can be read only for machines with one motor per",
+        ),
+        (
+            FLUIDNC + "kinematics:\n  CoreXY:\n",
+            "kinematics: CoreXY: settings can be read only for machines with one motor",
+        ),
+        (
+            "M584 X0\nM665 R105 L215\nM92 X80\n",
+            "M665: settings can be read only for machines with one motor per axis",
+        ),
+        (
+            "M584 X0\nM667 S1\nM92 X80\n",
+            "M667 S1: settings can be read only for machines with one motor per axis",
+        ),
         ("M584 X0\nG90 G20\nM92 X80\n", "G20: these lengths are in inches"),
-        ("[printer]\nkinematics: delta\n[stepper_x]\n", "kinematics: delta: only machines"),
-        ("Kinematics:\n  CoreXY:\n" + FLUIDNC, "kinematics: CoreXY: only machines with a motor"),
-        ("kinematics: corexy\n" + FLUIDNC, "kinematics: corexy: only machines with a motor"),
+        (
+            "[printer]\nkinematics: delta\n[stepper_x]\n",
+            "kinematics: delta: settings can be read only for machines",
+        ),
+        (
+            "Kinematics:\n  CoreXY:\n" + FLUIDNC,
+            "kinematics: CoreXY: settings can be read only for machines with one motor",
+        ),
+        (
+            "kinematics: corexy\n" + FLUIDNC,
+            "kinematics: corexy: settings can be read only for machines with one motor",
+        ),
     ],
 )
 def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -284,12 +308,15 @@ def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: st
     ("answers", "said"),
     [
         (["mas=1 kg"], "Did you mean mass?"),
-        (["mass"], "answers nothing that is asked"),
+        (["mass"], "does not answer any question"),
         (["mass=1 kg", "mass=2 kg"], "given twice"),
         (["rotary=Q", *OWNER], "no axis Q"),
         (["rotary=A", "mass.Q=1 kg", *OWNER], "no axis Q"),
         (["rotary=A", "torque=1 kg", *OWNER[1:]], "--set torque='1 kg'"),
         (["rotary=A", "rate.A=5 mm/min", *OWNER], "--set rate.A='5 mm/min'"),
+        (["rotary=A", "rate.A=5 mm/min", *OWNER], 'Write it like "rate.A=36000 deg/min"'),
+        (["rotary=A", "travel.A=600 mm", *OWNER], "axis A turns without end, it has no travel"),
+        (["rotary=A", "travel.A=90 deg", *OWNER], "Leave it out, or name the letters"),
         (["rotary=A", "travel=5", *OWNER], "--set travel='5'"),
         (["rotary=A", 'torque=1 N m", x = "', *OWNER[1:]], "--set torque="),
         (["rotary=A", "mass=-1 kg", "travel=1 m", *OWNER[:5], *OWNER[6:]], "greater than 0"),
@@ -307,8 +334,8 @@ def test_answers_that_cannot_be_are_refused(tmp_path: Path, answers: list[str], 
     [
         (MARLIN + "echo:  M593 X F41.2 D0.1\n", "M593 shapes the motion"),
         (REPRAPFIRMWARE + 'M593 P"zvd" F40 S0.1\n', "M593 shapes the motion"),
-        (REPRAPFIRMWARE + 'M98 P"config-override.g"\n', "the file that M98 runs is not read"),
-        (REPRAPFIRMWARE + "M501\n", "the file that M501 runs is not read"),
+        (REPRAPFIRMWARE + 'M98 P"config-override.g"\n', "the file run by M98 is not read"),
+        (REPRAPFIRMWARE + "M501\n", "the file run by M501 is not read"),
         (KLIPPER + "[input_shaper]\nshaper_freq_x: 40\n", "[input_shaper] shapes the motion"),
     ],
 )
@@ -331,7 +358,7 @@ def test_a_shaper_that_is_off_is_not_told(off: str, tmp_path: Path) -> None:
     [
         (FLUIDNC.replace("  x:\n", "  x: !include x.yaml\n  y:\n"), "x: !include x.yaml is not"),
         ("include: other.yaml\n" + FLUIDNC, "include: other.yaml is not followed"),
-        ("axes: {x: {steps_per_mm: 80}}\n", "an axis has its settings on lines of their own"),
+        ("axes: {x: {steps_per_mm: 80}}\n", "each setting of an axis needs a separate line"),
     ],
 )
 def test_what_stands_elsewhere_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -357,7 +384,7 @@ def test_what_save_config_has_saved_is_in_force(tmp_path: Path) -> None:
 
 
 def test_an_axis_of_reprapfirmware_without_its_jump_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(MachineError, match="do not say the jump of speed of axis A"):
+    with pytest.raises(MachineError, match="do not give the speed jump of axis A"):
         machine(tmp_path, REPRAPFIRMWARE.replace("X900.00 A600.00", "X900.00"), "rotary=A")
 
 
@@ -389,8 +416,8 @@ def test_mutated_settings_are_read_or_refused(tmp_path: Path) -> None:
     ("jump", "said"),
     [
         ('Q = "8 mm/s exact, assumed"', "names the axis 'Q', which does not exist"),
-        ('A = "8 mm/s exact, assumed"', "planner.jump.A is in m/s, the axis in rad/s"),
-        ('X = "8 deg/s exact, assumed"', "planner.jump.X is in rad/s, the axis in m/s"),
+        ('A = "8 mm/s exact, assumed"', "planner.jump.A is in m/s, but the axis needs rad/s"),
+        ('X = "8 deg/s exact, assumed"', "planner.jump.X is in rad/s, but the axis needs m/s"),
     ],
 )
 def test_jumps_of_marlin_are_of_its_axes(jump: str, said: str, tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_the_numbers_of_a_link_are_of_one_kind(refused, key, value, unit) -> Non
         key, unit = "eccentric.width", "rad"
     message = refused(text)
     assert f"{key} is in " in message
-    assert f"beside a stiffness in N*m/rad it is in {unit}" in message
+    assert f"with a stiffness in N*m/rad it must be in {unit}" in message
 
 
 def test_what_is_missing_is_told(refused) -> None:

@@ -96,7 +96,7 @@ def test_a_tool_is_asked_for_only_where_an_axis_turns(tmp_path, refused) -> None
     )
     assert without != WINDER
     message = refused(without)
-    assert "'tool' is missing" in message and "axis A acts" in message and "radius = " in message
+    assert "'tool' is missing" in message and "axis A" in message and "radius = " in message
     both = refused(without.replace('resistance = "0.4 ohm', 'x = "0.4 ohm', 1))
     assert "unknown key" in both
     both = refused(
@@ -225,7 +225,7 @@ VALUES = {
     "zero tick": ('servo = "5 ms', 'servo = "0 ms', "must be greater than zero"),
     "negative gain": ('kp = "2 dac', 'kp = "-2 dac', "must not be negative"),
     "infinite": ('"0.4 ohm', '"1e999 ohm', "not a finite number"),
-    "travel backwards": ('["-500 mm exact', '["600 mm exact', "nothing left"),
+    "travel backwards": ('["-500 mm exact', '["600 mm exact', "travel must increase"),
     "travel of an endless axis": ("endless = true", "endless = false", "either travel"),
     "angle for a linear axis": (
         'counts = "55.358 count/mm',
@@ -282,7 +282,7 @@ def test_what_moves_nothing_is_refused(refused, old, new, where) -> None:
 
 
 def test_a_tolerance_that_reaches_zero_is_refused(refused, tmp_path) -> None:
-    """Of what must stay above zero: at the end of its tolerance the mass would be none."""
+    """Of what must stay above zero: at the lower end of its tolerance the mass would be none."""
     link = (
         "\n[links.belt]\n"
         'stretch = { x = "1 exact, assumed" }\n'
@@ -294,7 +294,7 @@ def test_a_tolerance_that_reaches_zero_is_refused(refused, tmp_path) -> None:
         message = refused(text)
         line = next(n for n, row in enumerate(text.splitlines(), 1) if f"+- {tolerance}" in row)
         assert f"mine.toml:{line}: bodies." in message
-        assert "would not be above zero at the end of its tolerance" in message
+        assert "would not be above zero at the lower end of its tolerance" in message
         assert "below 100 %" in message
     text = WINDER + link.replace("STIFFNESS", "100 %")
     message = refused(text)

@@ -51,8 +51,8 @@ def test_what_a_manual_stepper_does_not_say_is_asked_for(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("text", "axes", "said"),
     [
-        (MANDREL, "X", "is left out: no macro of this file makes it an axis"),
-        (MANDREL.replace("mandrel", "a"), "XA", "is taken for the axis A"),
+        (MANDREL, "X", "is omitted: no macro of this file makes it an axis"),
+        (MANDREL.replace("mandrel", "a"), "XA", "is read as the axis A"),
     ],
 )
 def test_a_manual_stepper_without_its_command_is_told(
@@ -96,7 +96,7 @@ def test_a_manual_stepper_that_is_two_axes_is_refused(
             "microsteps is '16.5'; it must be a whole",
         ),
         ("LIMIT_VELOCITY=400", "LIMIT_VELOCITY=-400", "LIMIT_VELOCITY is '-400'"),
-        ("GCODE_AXIS=A", "GCODE_AXIS=AB", "GCODE_AXIS=AB is no axis"),
+        ("GCODE_AXIS=A", "GCODE_AXIS=AB", "GCODE_AXIS=AB is not an axis"),
     ],
 )
 def test_an_error_quotes_what_is_typed_and_its_line(
@@ -119,7 +119,7 @@ def test_a_comment_makes_no_axis(tmp_path: Path) -> None:
         file.write_text(X_ALONE + MANDREL + TAKEN.replace("MANUAL", mark + "MANUAL"))
         settings = read_settings(file)
         assert list(settings.axes) == ["X"]
-        assert "is left out" in settings.unheeded[0]
+        assert "is omitted" in settings.unheeded[0]
 
 
 def test_an_axis_that_is_taken_away_again_is_told(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_an_axis_that_is_taken_away_again_is_told(tmp_path: Path) -> None:
     file.write_text(X_ALONE + MANDREL + TAKEN + "    MANUAL_STEPPER STEPPER=mandrel GCODE_AXIS=\n")
     settings = read_settings(file)
     assert list(settings.axes) == ["X", "A"]
-    assert len(settings.unheeded) == 1 and "takes the axis away again" in settings.unheeded[0]
+    assert len(settings.unheeded) == 1 and "removes the axis again" in settings.unheeded[0]
 
 
 def test_two_steppers_of_one_letter_are_refused(tmp_path: Path) -> None:

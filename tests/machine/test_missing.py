@@ -105,8 +105,8 @@ def test_what_is_proposed_is_accepted(tmp_path: Path) -> None:
 def test_one_that_is_missing_is_told_alone(tmp_path: Path) -> None:
     message = refused(tmp_path, 'base = "lathe-winder"\ntool = "none"\n')
     assert message.endswith(
-        "'tool' is missing: it says at which radius the rotary axis A acts, "
-        'like [tool] radius = "100 mm exact, assumed", or give the axis a radius of its own.'
+        "'tool' is missing: it gives the radius of the rotary axis A, "
+        'like [tool] radius = "100 mm exact, assumed"; or give the axis a radius.'
     )
 
 

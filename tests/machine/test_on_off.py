@@ -26,12 +26,12 @@ PLACER = (resources.files("threadline.machine") / "library" / "letter-placer.tom
         (
             'watchdog = "25 ms exact',
             'watchdog = "1e6 ms exact',
-            "plc.watchdog: 1e+06 ms is longer than 100 scans, 1000 ms: it would watch nothing",
+            "plc.watchdog: 1e+06 ms is longer than 100 scans, 1000 ms: it would protect nothing",
         ),
         (
             '"%QX0.5"',
             '"%QX0.2"',
-            "outputs.x_left_a1.address: %QX0.2 is that of x_right_a1 already",
+            "outputs.x_left_a1.address: x_right_a1 already has %QX0.2",
         ),
     ],
 )
@@ -62,7 +62,7 @@ def test_an_address_is_a_byte_and_a_bit_in_one_spelling(tmp_path: Path, address:
 def test_a_bit_by_its_number_alone_is_the_same_bit(tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
     path.write_text(PLACER.replace('"%IX1.1"', '"%IX8"'), encoding="utf-8")
-    with pytest.raises(MachineError, match=r"%IX8 is that of acknowledge already"):
+    with pytest.raises(MachineError, match=r"acknowledge already has %IX8"):
         load_machine(path)
 
 

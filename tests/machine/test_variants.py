@@ -129,10 +129,10 @@ def test_other_counts_put_the_load_elsewhere() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('[clocks]\nservo = "5 ms +- 1 %, assumed"\n', "clocks.servo has a tolerance, and no"),
+        ('[clocks]\nservo = "5 ms +- 1 %, assumed"\n', "clocks.servo has a tolerance but cannot"),
         (
             '[axes.X]\nload = { x = "11.5 mm/rad exact, assumed" }\n',
-            "axes.X.counts has a tolerance, and no variant can change it: its load says",
+            "axes.X.counts has a tolerance but cannot vary: its load defines",
         ),
         (
             '[bodies.x]\ninertia = "1 kg m^2 +- 70 %, assumed"\n'
@@ -142,7 +142,7 @@ def test_other_counts_put_the_load_elsewhere() -> None:
         (
             '[tolerances]\nnormal = ["bodies.x.inertia"]\n'
             '[tolerances.groups]\nall = ["bodies.*"]\n',
-            "the group 'all' moves as one, but bodies.x.inertia is normal and bodies.y",
+            "the group 'all' varies together, but bodies.x.inertia is normal and bodies.y",
         ),
     ],
 )
@@ -162,7 +162,7 @@ def test_what_cannot_vary_is_refused_by_name(tmp_path, text, message) -> None:
             'groups = { a = ["bodies.x.*"], b = ["bodies.*.inertia"] }',
             "is in the group 'a' already",
         ),
-        ("groups = { a = [] }", "a group without numbers moves nothing"),
+        ("groups = { a = [] }", "the group has no numbers"),
     ],
 )
 def test_wrong_rules_are_refused_with_their_line(tmp_path, text, message) -> None:

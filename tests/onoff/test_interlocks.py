@@ -90,8 +90,8 @@ def test_a_cylinder_moves_only_where_its_interlock_holds(
 @pytest.mark.parametrize(
     ("needs", "words"),
     [
-        ('["z_is_upp"]', "cylinders.X.needs names 'z_is_upp', which is no end switch"),
-        ('["letter_held"]', "cylinders.X.needs names 'letter_held', which is no end switch"),
+        ('["z_is_upp"]', "cylinders.X.needs names 'z_is_upp', which is not an end switch"),
+        ('["letter_held"]', "cylinders.X.needs names 'letter_held', which is not an end switch"),
         ('["x_is_left"]', "cylinders.X.needs names 'x_is_left', an end switch of X itself"),
     ],
 )

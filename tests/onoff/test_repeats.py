@@ -20,7 +20,7 @@ from threadline.machine import load_machine
 from threadline.machine.variants import uncertain, variant
 from threadline.proof import pipeline
 from threadline.proof.kinds import kind_of
-from threadline.proof.kinds.variants import retold
+from threadline.proof.kinds.variants import with_machine_hash
 from threadline.proof.options import Options
 from threadline.proof.pipeline import Trials, plan_job, prove_plan, simulate
 from threadline.verdict import Criterion, Spec, Status, judge, load_spec
@@ -171,7 +171,7 @@ def test_a_machine_that_waits_forever_is_out_of_specification_and_counted(
     for row in parts:
         try:
             own = variant(machine, row)
-            for _ in kind_of(own).simulate(retold(plan.commands, own), own):
+            for _ in kind_of(own).simulate(with_machine_hash(plan.commands, own), own):
                 pass
             alone.append("")
         except RecordingError as error:

@@ -28,6 +28,7 @@ from threadline.proof.pipeline import plan_job
 from threadline.search.cycle_robust import robust_cycle
 from threadline.search.move_commands import left_ringing
 from threadline.search.move_list import move_list
+from threadline.search.paced import Question
 from threadline.twin.switching import SwitchOptions, ringing_m, simulate_switching
 from threadline.verdict import load_spec
 
@@ -248,7 +249,7 @@ def test_the_robust_cycle_of_such_a_machine_is_in_spec_all_over_the_band(
     down = tmp_path / "down.toml"
     down.write_text(DOWN_AND_UP, encoding="utf-8")
     job = read_job(down, machine)
-    found = robust_cycle(job, machine, spec, 0.2)
+    found = robust_cycle(Question(job=job, machine=machine, spec=spec), 0.2)
     assert found.job is not None
     assert all(run.verdict.passed for run in found.over)
     assert max(run.worst_m for run in found.over) > 0.05e-3, "most of what may ring is used"

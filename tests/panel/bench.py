@@ -22,7 +22,7 @@ from starlette.types import ASGIApp
 from tests.live.bench import winder
 from threadline.live.links import RowsOperated, at_link
 from threadline.live.sim_machine import SimMachine
-from threadline.live.sim_process import _in_step, group_ticks
+from threadline.live.sim_process import group_ticks, in_step
 from threadline.live.sim_process import simulated_of as simulated_type
 from threadline.live.states import Desk
 from threadline.live.wire import Connection, Message
@@ -112,7 +112,7 @@ def machine_thread(
     simulated = made or simulated_of(machine, connection.send)
     simulated.greet()
     period_s = float(machine.command_clock.period_s)
-    _in_step(connection, simulated, group_ticks(machine, speed), period_s / speed)
+    in_step(connection, simulated, group_ticks(machine, speed), period_s / speed)
     while not simulated.standing:
         simulated.play(5)
     connection.close()

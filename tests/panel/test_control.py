@@ -46,7 +46,7 @@ def test_it_is_what_two_people_would_say(steps: list[tuple[str, int, float]]) ->
     spent: set[str] = set()
     for what, client, pause in steps:
         now += pause
-        if (passed := control.passes(now)) is not None:
+        if (passed := control.pass_if_due(now)) is not None:
             assert model.asks == passed.client
             assert model.now(now) is None or now >= model.due
             spent |= {w for w in words.values() if w}
@@ -113,8 +113,8 @@ def test_who_does_not_answer_loses_it_after_ten_seconds() -> None:
     assert control.take(2, 1.0) is None
     for k in range(1, 11):
         assert control.renew(first.word, float(k))
-        assert control.passes(float(k)) is None
-    second = control.passes(11.0)
+        assert control.pass_if_due(float(k)) is None
+    second = control.pass_if_due(11.0)
     assert second is not None
     assert second.client == 2
     assert not control.renew(first.word, 11.0)
@@ -125,8 +125,8 @@ def test_who_is_gone_loses_it_after_five() -> None:
     first = control.take(1, 0.0)
     assert first is not None
     assert control.take(2, 4.9) is None
-    assert control.passes(4.9) is None
-    assert control.passes(5.0) is not None
+    assert control.pass_if_due(4.9) is None
+    assert control.pass_if_due(5.0) is not None
 
 
 def test_leases_cannot_be_guessed() -> None:

@@ -199,9 +199,11 @@ def test_capital_letters_are_as_high_as_asked() -> None:
 
 
 def test_what_cannot_be_is_one_line() -> None:
-    with pytest.raises(JobError, match=r"shape 1: a polygon has 3 points or more, this one 2"):
+    with pytest.raises(
+        JobError, match=r"shape 1: a polygon needs 3 points or more, this one has 2"
+    ):
         dxf([Shape(kind="polygon", points=[(0, 0), (1, 1)])])
-    with pytest.raises(JobError, match="is no drawing that is known"):
+    with pytest.raises(JobError, match="is not a known kind of drawing"):
         shapes_of("a.step", b"")
     with pytest.raises(JobError, match="the drawing has 0 lines"):
         shapes_of("a.dxf", dxf([Shape(kind="line", points=[(1, 1), (1, 1)])]))

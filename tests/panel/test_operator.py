@@ -33,7 +33,7 @@ from threadline.live.wire import Connection, Message
 from threadline.panel import calculating, kept_runs
 from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
-from threadline.panel.panel import _told_end
+from threadline.panel.panel import end_words
 
 SPEED = 2.0
 
@@ -241,7 +241,7 @@ def test_a_program_that_was_changed_since_is_not_run(project: Path) -> None:
         proof = anna.until("state")["proven"]["proof"]
         assert "not the program that was proven last" in anna.act("start", proof="0" * 64)
         (project / "there.prg").write_text(PROGRAM.replace("X 60", "X 61"), "utf-8")
-        assert "it is no proof of what is to be run: job" in anna.act("start", proof=proof)
+        assert "the proof does not match the run: job" in anna.act("start", proof=proof)
         assert anna.until("state")["state"] == "idle"
 
 
@@ -336,7 +336,7 @@ def test_a_stop_by_two_ways_is_told_once(project: Path) -> None:
     ("idle", "", "the machine was stopped, and is idle"),
 ])  # fmt: skip
 def test_a_panel_that_ends_tells_how_the_machine_is(state: str, why: str, told: str) -> None:
-    assert _told_end({"state": state, "why": why}) == told
+    assert end_words({"state": state, "why": why}) == told
 
 
 def test_uploads_undo_what_was_proven(project: Path) -> None:

@@ -36,12 +36,12 @@ def test_grbl_is_homed_jogged_and_in_alarm(browser: Browser, tmp_path: Path) -> 
             page.goto(address)
             expect(page.locator("#machine")).to_have_text(f"stepper-winder, {link}", timeout=60_000)
             expect(page.locator("#link-notes")).to_contain_text(
-                "disable is not had on this link: grbl switches its drives by itself"
+                "disable is not available on this link: grbl switches its drives by itself"
             )
             ready(page)
             disable = page.get_by_role("button", name="Disable")
             expect(disable).to_be_disabled()
-            assert "not had on this link" in str(disable.get_attribute("title"))
+            assert "not available on this link" in str(disable.get_attribute("title"))
             held_and_let_go(page, "Jog X plus", 1.0)
             model.state = "Alarm"
             state(page, "fault")
@@ -59,10 +59,10 @@ def test_the_page_asks_for_the_token(browser: Browser, plant: Plant) -> None:
     page.set_default_timeout(60_000)
     page.goto(f"http://127.0.0.1:{plant.port}/")
     shown = page.locator("#state")
-    expect(shown).to_have_text("not let in: the token is not the right one")
+    expect(shown).to_have_text("refused by the panel: the token is not the right one")
     page.get_by_label("Token").fill("none of its words")
     press(page, "Enter the panel")
-    expect(shown).to_have_text("not let in: the token is not the right one")
+    expect(shown).to_have_text("refused by the panel: the token is not the right one")
     page.get_by_label("Token").fill(TOKEN)
     page.keyboard.press("Enter")
     expect(page.locator("#machine")).to_have_text("lathe-winder, simulated")

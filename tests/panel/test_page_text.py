@@ -15,7 +15,7 @@ from threadline.panel.control import FIELDS, Client, in_page_words
 from threadline.panel.protocol import Answer, Figures, Said
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, prove
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.verdict import load_spec
 
 ROOT = Path(__file__).parents[2]
@@ -36,7 +36,7 @@ def test_a_warning_of_a_proof_names_the_field_of_the_page() -> None:
     program = ROOT / "examples" / "cone-dome-cylinder.prg"
     spec = load_spec(None, machine)
     proof = prove(program, machine, spec, Options(interpolation="linear"), trials=NOMINAL)
-    assert any("Choose another feed with --feed" in one for one in doubts(proof))
+    assert any("Choose another feed with --feed" in one for one in warnings_of(proof))
     found = Figures(**{**figures(proof), "feed": None, "proof": "0" * 64})
     warnings = told(found)[0]["warnings"]
     assert isinstance(warnings, list)
@@ -46,10 +46,10 @@ def test_a_warning_of_a_proof_names_the_field_of_the_page() -> None:
 
 def test_refusals_name_fields_or_the_command_line() -> None:
     said, refused = told(
-        Said(text="--smoothing '9 ms' is of feed-forward. Give --feed-forward too.", wrong=True),
+        Said(text="--smoothing '9 ms' needs feed-forward. Give --feed-forward too.", wrong=True),
         Answer(number=1, ok=False, text="Leave --dialect out; a--b and --- are no options."),
     )
-    assert said["text"] == "'Smoothing' '9 ms' is of feed-forward. Give 'Loads follow' too."
+    assert said["text"] == "'Smoothing' '9 ms' needs feed-forward. Give 'Loads follow' too."
     assert refused["text"] == (
         "Leave --dialect of the command line out; a--b and --- are no options."
     )

@@ -29,7 +29,7 @@ def test_to_move_to_zero_is_not_to_home(browser: Browser, plant: Plant) -> None:
     expect(page.get_by_role("button", name="Home", exact=False)).to_have_count(1)  # Home all
     for zero in zeros:
         expect(zero).to_be_disabled()
-        expect(zero).to_have_attribute("title", "home first: it is not known where the axes are")
+        expect(zero).to_have_attribute("title", "home first: the positions of the axes are unknown")
     press_until(page, "Home all", "homing|idle")
     state(page, "idle")
     for zero in zeros:
@@ -63,10 +63,10 @@ def test_what_is_of_no_use_is_grey_and_says_why(browser: Browser, plant: Plant) 
     page = opened(browser, plant, "schiffli-frame")
     ready(page)
     zero = page.get_by_role("button", name="Zero all", exact=True)
-    expect(zero).to_have_attribute("title", "this machine is not moved by hand")
+    expect(zero).to_have_attribute("title", "this machine cannot be moved by hand")
     part(page, "Teach")
     why = "schiffli-frame takes embroidery designs, no part programs"
-    expect(page.locator("#untaught")).to_have_text(f"Nothing is taught here: {why}.")
+    expect(page.locator("#untaught")).to_have_text(f"Teach-in is not possible: {why}.")
     for name in ("Record point (p)", "Save program"):
         one = page.get_by_role("button", name=name, exact=True)
         expect(one).to_be_disabled()

@@ -46,8 +46,8 @@ def page(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPat
     [
         (["--link", "mill"], "unknown link 'mill'"),
         (["--link", "hal:mill"], "there is no link hal:mill"),
-        (["--link", "grbl:127.0.0.1:23", "--speed", "2"], "are of the simulated machine"),
-        (["--host", "0.0.0.0"], "who may reach this computer could move the machine"),
+        (["--link", "grbl:127.0.0.1:23", "--speed", "2"], "need the simulated machine"),
+        (["--host", "0.0.0.0"], "anyone who can reach this computer could move the machine"),
         (["--token", "short"], "--token has 5 characters, the least is 16"),
         (["nowhere"], "'nowhere' is no folder"),
         (["--host", "203.0.113.7", "--token", "x" * 16], "cannot listen at 203.0.113.7:"),

@@ -66,7 +66,7 @@ class Plant:
                 if end not in kept:
                     end.close()
 
-        def be_machine() -> None:
+        def machine_main() -> None:
             only(far)
             Watched.box = {"a": [], "x": [], "load": [], "heard": [0.0], "held": [0.0]}
             connection = Connection(far)
@@ -76,7 +76,7 @@ class Plant:
             machine_thread(far, speed, made, watched)
             box.write_text(json.dumps(Watched.box), "utf-8")
 
-        def be_owner() -> None:
+        def owner_main() -> None:
             only(theirs, link)
             own_here(theirs, link, folder, speed, made)
 
@@ -86,7 +86,7 @@ class Plant:
             config = uvicorn.Config(app, log_level="critical", ws="websockets-sansio")
             uvicorn.Server(config).run(sockets=[listening])
 
-        self.machine, self.owner = child(be_machine), child(be_owner)
+        self.machine, self.owner = child(machine_main), child(owner_main)
         self.server = child(be_server)
         for end in ends:
             end.close()

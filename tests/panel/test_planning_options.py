@@ -80,14 +80,14 @@ def test_the_panel_proves_what_the_command_line_proves(
     assert found["proof"] == json.loads(by_line.read_text("utf-8"))["sha256"]
     assert found["passed"] == (ended.value.code == 0)
     if machine == "stitcher":
-        assert found["passed"]  # as the example and docs/results-stitcher.md have it
+        assert found["passed"]  # as the example and docs/validation-stitcher.md have it
 
 
 def test_the_page_tells_the_defaults_of_the_command_line() -> None:
     page = (ROOT / "web" / "index.html").read_text("utf-8")
     told = dict(re.findall(r'id="([a-z-]+)" placeholder="([^"]*)"', page))
     assert told["tolerance"] == DEFAULT_TOLERANCE
-    assert told["contour"] == f"{DEFAULT_CONTOUR_M * 1e3:g} mm, of optimal"
+    assert told["contour"] == f"{DEFAULT_CONTOUR_M * 1e3:g} mm, with optimal"
     fields = set(re.findall(r'data-option="([a-z-]+)"', page))
     names = re.findall(r' id="([^"]+)"', page)
     assert len(names) == len(set(names))

@@ -54,7 +54,7 @@ def test_the_rest_of_a_run_after_homing_and_a_confirmation(tmp_path: Path) -> No
         assert "Calculate it again" in anna.act("continue", run=run, proof="0" * 64)
         assert "there is no run 'another'" in anna.act("continue", run="another", proof=proof)
         wrong = anna.act("continue", run=run, proof=proof, at="line 9999")
-        assert "the run has executed none such" in wrong
+        assert "the run has not executed it" in wrong
         assert anna.state["rest"] is None
 
         ready_to_go_on(anna, run, proof)

@@ -16,7 +16,7 @@ import pytest
 from tests.live.bench import winder
 from tests.panel import bench
 from tests.panel.bench import Known, Operator, operator, proven, served
-from threadline.cli.panel_ import _to_standard_error
+from threadline.cli.panel_ import to_standard_error
 from threadline.errors import CommandError
 from threadline.live.guards import clock_s
 from threadline.panel import kept_runs
@@ -110,7 +110,7 @@ def test_a_start_that_is_being_checked_is_given_up(
         check.set()
         while (answer := anna.until("answer"))["number"] != number:
             pass
-        assert answer["text"] == f"it was not begun: {what!r} was asked for meanwhile"
+        assert answer["text"] == f"it was not begun: the command {what!r} came meanwhile"
         anna.allows("calculate")
         assert anna.state["progress"] is None  # no run was opened
 
@@ -295,7 +295,7 @@ def test_errors_of_asyncio_are_written(
     """Nothing else writes them: libraries are silenced."""
     monkeypatch.setattr(logging, "lastResort", None)
     log = logging.getLogger("asyncio")
-    monkeypatch.setattr(log, "handlers", [_to_standard_error()])
+    monkeypatch.setattr(log, "handlers", [to_standard_error()])
 
     async def work() -> None:
         asyncio.get_running_loop().call_exception_handler({"message": "no files left"})

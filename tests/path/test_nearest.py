@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from threadline.motion.path import path_deviation
-from threadline.motion.path.deviation import SAMPLES, _nearest_on_piece
+from threadline.motion.path.deviation import SAMPLES, nearest_on_piece
 
 from .test_deviation import path_of, programmed
 
@@ -40,7 +40,7 @@ def test_random_pieces_against_dense_search(at_rest: int) -> None:
         c = rng.normal(scale=0.01, size=(order, axes))
         c[1 : 1 + at_rest] = 0.0
         target = c[0].copy() if case % 4 == 0 else rng.normal(scale=0.01, size=axes)
-        u, squared = _nearest_on_piece(c, target, np.inf, np.empty(SAMPLES + 1))
+        u, squared = nearest_on_piece(c, target, np.inf, np.empty(SAMPLES + 1))
         assert np.sqrt(squared) <= dense(c, target) + 1e-9, (case, c, target)
         # Nor is it beyond the ends of the piece, where the polynomial may come nearer.
         assert 0.0 <= u <= 1.0 and np.sqrt(squared) >= dense(c, target) - 1e-9, (case, u)

@@ -178,7 +178,7 @@ def test_shared_drive_is_refused():
     machine = load_machine("lathe-winder")
     controllers = dict(machine.controllers)
     controllers["y"] = dataclasses.replace(controllers["y"], drive="x")
-    with pytest.raises(MachineError, match=r"share the drive 'x'.*own drive"):
+    with pytest.raises(MachineError, match=r"share the drive 'x'.*separate drive"):
         connected_groups(dataclasses.replace(machine, controllers=controllers))
 
 

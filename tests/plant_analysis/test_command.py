@@ -120,7 +120,7 @@ def test_measured_data_is_laid_over(capsys, measured_csv, tmp_path):
         (["letter-placer", "--lead", "13 Hz, 60 deg"], "--lead needs a loop, and axis X"),
         (["stitcher", "--data", "sweep.csv"], "Name it with --axis"),
         (["stitcher", "--lead", "13 Hz"], "is not a crossover and a margin"),
-        (["stitcher", "--lead", "13 mm, 60 deg"], "not a unit of the kind of 'Hz'"),
+        (["stitcher", "--lead", "13 mm, 60 deg"], "does not measure the same quantity as 'Hz'"),
         (["lathe-winder", "--lead", "3 Hz, 60 deg"], "controllers.a of axis A is no lead filter"),
     ],
 )
@@ -136,7 +136,10 @@ def test_wrong_input_is_one_line(capsys, arguments, message):
         ("frequency_hz,phase_deg\n1,2\n", "1: column 'magnitude_db' is missing"),
         ("frequency_hz,magnitude_db,phase_deg\n1,2\n", "2: '1,2' does not hold three numbers"),
         ("frequency_hz,magnitude_db,phase_deg\n1,2,nan\n", "2: '1,2,nan' must hold finite"),
-        ("frequency_hz,magnitude_db,phase_deg\n2,0,0\n2,0,0\n", "3: frequency 2 Hz does not rise"),
+        (
+            "frequency_hz,magnitude_db,phase_deg\n2,0,0\n2,0,0\n",
+            "3: frequency 2 Hz does not increase",
+        ),
         ("frequency_hz,magnitude_db,phase_deg\n", "the file holds no points"),
     ],
 )
@@ -154,7 +157,7 @@ def test_wrong_data_names_the_line(text, message, tmp_path):
         (
             "0",
             "mine.toml: axes.X: controllers.x",
-            "gives 0 V whatever the error, so there is no loop to analyse. Correct its gains.",
+            "gives 0 V for any error, so there is no loop to analyse. Correct its gains.",
         ),
         ("1e300", "mine.toml:4: controllers.x.gain", "are 0 or from 1e-15 to 1e+15."),
         ("1e-300", "mine.toml:4: controllers.x.gain", "are 0 or from 1e-15 to 1e+15."),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tools import claims
 
 from threadline.dynamics.analysis import actuator_of, analyse, analyse_axis, loop_figures
 from threadline.dynamics.linear_model import free_modes, locked_modes
@@ -123,35 +124,9 @@ def test_critical_gain_with_feedback_from_the_head():
 
 
 def corner(kp_v_rad: float) -> tuple[float, float]:
-    """Return miss of a right-angle corner and worst overshoot in mm, linear rigid model.
-
-    X 2.5 in, Y 2.5 in at 7.5 in/s and 546 in/s^2, interpolated: Y starts as X decelerates.
-    """
-    v, a, distance, step = 7.5 * INCH, 546 * INCH, 2.5 * INCH, 1e-3
-    ramp = round(v / a / step) * step
-    v = a * ramp
-    cruise = (distance - v * ramp) / v
-    t = np.arange(0, 1.1, step)
-
-    def position(time):
-        time = np.clip(time, 0, 2 * ramp + cruise)
-        up, down = 0.5 * a * time**2, distance - 0.5 * a * (2 * ramp + cruise - time) ** 2
-        flat = 0.5 * a * ramp**2 + v * (time - ramp)
-        return np.where(time < ramp, up, np.where(time < ramp + cruise, flat, down))
-
-    machine = load_machine("stitcher-rigid+proportional")
-    kp = np.array([kp_v_rad / (ref.VOLTS * ref.COUNTS)])
-    values = Values.of(machine, {f"controllers.{c}.kp": kp for c in "xy"})
-    tracks = []
-    for axis, reference in (("X", position(t)), ("Y", position(t - ramp - cruise))):
-        loop = axis_loops(machine, values)[axis]
-        closed = loop.closed()
-        ticks = np.floor(np.arange(0, 1.05, loop.period_s) / step + 1e-9).astype(int)
-        counts = reference[ticks, None] * loop.counts_per_unit
-        tracks.append(closed.respond(counts)[:, closed.outputs.index(f"{axis}.load")])
-    x, y = (1e3 * track for track in tracks)
-    end = 1e3 * distance
-    return float(np.hypot(x - end, y).min()), float(max(x.max(), y.max()) - end)
+    """Return miss of a right-angle corner and worst overshoot in mm, linear rigid model."""
+    found = claims.stitcher_proportional(str(kp_v_rad))
+    return 1e3 * found["missed_m"], 1e3 * max(found["overshot_m"])
 
 
 def test_proportional_control_study():

@@ -94,13 +94,14 @@ def test_the_ceiling_of_a_drive_is_named_beside_the_limit_of_its_axis(tmp_path) 
     motor_rad_s = 10.0 * 0.45 / (8.6 * 60.0 / (2.0 * np.pi * 1000.0))
     turn = motor_rad_s / (2.0 * np.pi) * 4000.0  # counts per second
     expected = {
-        "A": f"2842 deg/s by the machine file, and drives.a reaches {turn / 35.18159:.4g} deg/s",
-        "X": f"1 m/s by the machine file, and drives.x reaches {turn / 55.358e3:.4g} m/s",
-        "Y": f"1 m/s by the machine file, and drives.y reaches {turn / 62.294e3:.4g} m/s",
+        "A": "2842 deg/s in the machine file, "
+        f"but drives.a reaches at most {turn / 35.18159:.4g} deg/s",
+        "X": f"1 m/s in the machine file, but drives.x reaches at most {turn / 55.358e3:.4g} m/s",
+        "Y": f"1 m/s in the machine file, but drives.y reaches at most {turn / 62.294e3:.4g} m/s",
     }
     assert len(found) == 3
     for text, (axis, said) in zip(found, expected.items(), strict=True):
-        assert text.startswith(f"axes.{axis}: velocity is {said} at most, with the full output of")
+        assert text.startswith(f"axes.{axis}: velocity is {said}, with the full output of")
         assert "10 V" in text
 
     slower = tmp_path / "slower.toml"
@@ -115,7 +116,9 @@ def test_the_acceleration_of_a_drive_is_what_its_current_leaves() -> None:
     torque = 0.5 * 27.0
     reached = torque * RATIO / (4.75e-4 + 111 * RATIO**2)
     (said,) = [t for t in suspicions(load_machine("stitcher")) if "acceleration is" in t]
-    assert f"27.74 m/s^2 by the machine file, and drives.x reaches {reached:.4g} m/s^2" in said
+    assert (
+        f"27.74 m/s^2 in the machine file, but drives.x reaches at most {reached:.4g} m/s^2" in said
+    )
     assert "current_limit of 27 A" in said
 
 
@@ -163,16 +166,16 @@ def test_wrong_files_are_refused(change, message, tmp_path):
         # A slipped decimal point, four edges a line forgotten, and a pulley of 21 teeth for 20.
         (
             '[axes.X]\ncounts = "26.34289 count/mm +- 2 %, assumed"',
-            "gives 263429: the load would go 0.1 times as far",
+            "gives 263429: the load would move 0.1 times as far",
         ),
         (
             '[sensors.y]\nreads = { y_motor = "2000 count/rev exact, assumed" }',
-            "gives 65857.2: the load would go 4 times as far",
+            "gives 65857.2: the load would move 4 times as far",
         ),
         (
             '[links.x_belt]\nstretch = { x_motor = "5.075 mm/rad exact, assumed" }\n'
             '[axes.X]\ncounts = "263.4289 count/mm exact, assumed"',
-            "gives 250885: the load would go 1.05 times as far",
+            "gives 250885: the load would move 1.05 times as far",
         ),
     ],
 )

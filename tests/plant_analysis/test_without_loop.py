@@ -81,9 +81,9 @@ def test_every_thing_that_moves_can_be_analysed() -> None:
 def test_what_a_drive_is_asked_for_has_the_unit_of_its_body() -> None:
     """A linear servo gives a force: at 40 m/s^2 and 1.5 m/s, 7 kg and 30 N s/m ask for 325 N."""
     servo = analyse_moving(load_machine("table-embroiderer"), "X")
-    assert servo.verdict().endswith("rings at 70.01 Hz; at the axis' limits it is asked for "
+    assert servo.verdict().endswith("rings at 70.01 Hz; at the axis' limits it needs "
                                     "325 of 900 N")  # fmt: skip
     assert servo.as_json()["torque_unit"] == "N"
     stepper = analyse_moving(load_machine("stepper-winder"), "X")
     assert stepper.verdict().endswith(" N m")
-    assert "nothing rings behind it" in replace(stepper, locked=()).verdict()
+    assert "its load does not ring" in replace(stepper, locked=()).verdict()

@@ -12,7 +12,7 @@ from matplotlib import image as plt_image
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from threadline.cli.fastest_asked import show_mismatch
+from threadline.cli.fastest_told import show_mismatch
 from threadline.dynamics.analysis import analyse_axis
 from threadline.files import Recording
 from threadline.jobs import read_job
@@ -20,9 +20,9 @@ from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, prove_plan
-from threadline.report.analysis import _figures
+from threadline.report.analysis import axis_figures
 from threadline.report.document import Document, Table, changes, run_facts
-from threadline.report.figures import _bars, error_figure
+from threadline.report.figures import criteria_figure, error_figure
 from threadline.report.proof import write_comparison
 from threadline.report.publish import write_document
 from threadline.report.searches import draw_mismatch
@@ -33,7 +33,7 @@ from threadline.search.forbidden import Interval
 from threadline.search.mismatch import CYCLE, NEEDLE
 from threadline.verdict import Status, Verdict, load_spec
 from threadline.verdict.rendering import closing_of_all
-from threadline.verdict.types import Change, Happening
+from threadline.verdict.types import Change, Disturbance
 
 
 def test_figures_on_one_page_keep_their_own_identifiers_and_text_is_text(tmp_path) -> None:
@@ -257,8 +257,8 @@ def test_a_bar_that_passed_is_within_its_limit(tmp_path) -> None:
         replace(row, measured=1.0004 * row.limit, status=status)
         for status in (Status.PASSED, Status.FAILED)
     ]
-    panel = Figure().add_subplot()
-    _bars(replace(proof, verdict=replace(proof.verdict, results=tuple(over))), panel)
+    verdict = replace(proof.verdict, results=tuple(over))
+    (panel,) = criteria_figure(replace(proof, verdict=verdict)).axes
     assert [text.get_text() for text in panel.texts] == ["100 %", "101 %"]
 
 
@@ -302,7 +302,7 @@ def test_a_case_of_limits_alone_is_told_without_runs() -> None:
 def test_every_line_of_the_bode_plot_is_named_and_the_locus_is_free() -> None:
     analysis = analyse_axis(load_machine("stitcher"), "X")
     with figure_style():
-        figures = {name: figure for name, (figure, _) in _figures(analysis, None).items()}
+        figures = {name: figure for name, (figure, _) in axis_figures(analysis, None).items()}
     size, turn = figures["bode"].axes
     named = [t.get_text() for panel in (size, turn) for t in panel.get_legend().get_texts()]
     assert "phase crossover: gain margin" in named
@@ -323,11 +323,11 @@ def test_a_run_with_an_override_tells_its_reason() -> None:
 
 def test_a_report_names_what_changed_the_motion() -> None:
     """With time and line; where nothing did there is no table."""
-    cut = Happening(
+    cut = Disturbance(
         change=Change.LIMIT_SWITCH, text="the limit switch x_high of X cut the supply of drives.x",
         time_s=15.34, job_line=2, axis="X",
     )  # fmt: skip
-    (table,) = changes(Verdict(results=(), simulated=True, happenings=(cut,)))
+    (table,) = changes(Verdict(results=(), simulated=True, disturbances=(cut,)))
     assert table.title == "What changed the motion"
     assert [list(row) for row in table.rows] == [[cut.text, "15.340 s", "2", "-"]]
     assert changes(Verdict(results=(), simulated=True)) == []

@@ -14,8 +14,9 @@ from threadline.jobs import Job, read_job
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import REPEATED, Trials, plan_job, prove_plan
-from threadline.search import FastestJob, Rung, allowance, fastest_job
+from threadline.search import FastestJob, Rung, allowance, fastest_job, paced
 from threadline.search.allowance import ALLOWED, options_at
+from threadline.search.paced import Question
 from threadline.verdict import Result, Spec, Status, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -26,7 +27,15 @@ OPTIMAL = options_of("optimal", None, "0.1 mm")
 def found() -> FastestJob:
     machine = load_machine("lathe-winder")
     job = read_job(EXAMPLES / "x-180.prg", machine)
-    return fastest_job(job, machine, load_spec(None, machine), OPTIMAL, trials=REPEATED)
+    return fastest_job(
+        Question(
+            job=job,
+            machine=machine,
+            spec=load_spec(None, machine),
+            options=OPTIMAL,
+            trials=REPEATED,
+        )
+    )
 
 
 def test_few_proofs_find_where_more_would_fail(found: FastestJob) -> None:
@@ -47,10 +56,12 @@ def test_few_proofs_find_where_more_would_fail(found: FastestJob) -> None:
 def test_the_answer_is_a_plan_that_can_be_made_again(found: FastestJob, examples: Path) -> None:
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
-    plan = plan_job(job, machine, options_at(machine, OPTIMAL, found.best))
+    spec = load_spec(None, machine)
+    asked = Question(job=job, machine=machine, spec=spec, options=OPTIMAL)
+    plan = plan_job(job, machine, options_at(asked, found.best))
 
     assert plan.duration_s == found.best.duration_s
-    assert prove_plan(plan, load_spec(None, machine), trials=REPEATED).verdict.passed
+    assert prove_plan(plan, spec, trials=REPEATED).verdict.passed
 
 
 def test_bounds_are_below_and_in_order(found: FastestJob) -> None:
@@ -96,10 +107,12 @@ def test_a_plan_whose_neighbour_fails_is_not_the_answer(
         return SimpleNamespace(duration_s=1e-3 / tried[-1])
 
     monkeypatch.setattr(allowance, "plan_job", planned)
-    monkeypatch.setattr(allowance, "try_plan", chancy)
+    monkeypatch.setattr(paced, "try_plan", chancy)
     monkeypatch.setattr(allowance, "_bounds", lambda *_: ())
     monkeypatch.setattr(allowance, "_next_contour", next_of([0.41e-3, 0.42e-3, 0.39e-3]))
-    result = allowance.fastest_allowed(job, machine, load_spec(None, machine), OPTIMAL)
+    result = allowance.fastest_allowed(
+        Question(job=job, machine=machine, spec=load_spec(None, machine), options=OPTIMAL)
+    )
 
     assert [r.contour_m for r in result.rungs if r.alone] == [0.41e-3]
     assert result.best.contour_m == 0.39e-3
@@ -117,7 +130,9 @@ def test_an_allowance_that_is_given_is_the_only_one_that_is_proved(examples: Pat
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
     given = replace(OPTIMAL, contour_m=2e-4)
-    result = fastest_job(job, machine, load_spec(None, machine), given)
+    result = fastest_job(
+        Question(job=job, machine=machine, spec=load_spec(None, machine), options=given)
+    )
 
     assert [rung.contour_m for rung in result.rungs] == [2e-4]
     assert result.best.found.limited_by == ALLOWED
@@ -128,7 +143,15 @@ def test_loads_that_follow_use_a_share_of_the_limits(examples: Path) -> None:
     machine = load_machine("lathe-winder")
     job = read_job(examples / "cone-dome-cylinder.prg", machine)
     options = options_of("optimal", None, "0.1 mm", feed_forward=True)
-    result = fastest_job(job, machine, load_spec(None, machine), options, trials=REPEATED)
+    result = fastest_job(
+        Question(
+            job=job,
+            machine=machine,
+            spec=load_spec(None, machine),
+            options=options,
+            trials=REPEATED,
+        )
+    )
 
     assert result.best.duration_s is not None
     assert result.best.duration_s < 8.5

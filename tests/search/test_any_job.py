@@ -20,9 +20,11 @@ from threadline.machine import load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, prove_plan
-from threadline.search import Fastest, Interval, fastest_feed, feed_over_tolerances, mismatch, shaft
+from threadline.search import Fastest, Interval, by_pace, fastest_feed, shaft
 from threadline.search import least_limits as gentle
+from threadline.search.fastest import Grid
 from threadline.search.least_limits import ignores_limits
+from threadline.search.paced import Question
 from threadline.verdict import Verdict, load_spec
 
 MACHINE = load_machine("lathe-winder")
@@ -37,7 +39,10 @@ def test_the_edge_with_feed_forward_is_where_the_verdict_turns(examples: Path) -
     """Within 6 %: narrow intervals follow each other just above the edge that is found."""
     job = read_job(examples / "x-180.prg", MACHINE)
     spec = load_spec(None, MACHINE)
-    found = fastest_feed(job, MACHINE, spec, AHEAD, low=0.02, high=0.3, points=4, near=0)
+    found = fastest_feed(
+        Question(job=job, machine=MACHINE, spec=spec, options=AHEAD, low=0.02, high=0.3),
+        Grid(near=0, points=4),
+    )
     assert found.best is not None
     for feed, passes in ((found.best, True), (found.best * 1.06, False)):
         verdict = prove_plan(plan_job(job, MACHINE, at(AHEAD, feed)), spec).verdict
@@ -51,7 +56,10 @@ def test_a_smoothed_motion_beyond_a_limit_is_out_of_spec_and_no_error(examples: 
     with pytest.raises(LimitError):
         plan_job(job, MACHINE, at(sharp, 0.5))
     spec = load_spec(None, MACHINE)
-    found = fastest_feed(job, MACHINE, spec, sharp, low=0.4, high=0.5, points=2, near=0)
+    found = fastest_feed(
+        Question(job=job, machine=MACHINE, spec=spec, options=sharp, low=0.4, high=0.5),
+        Grid(near=0, points=2),
+    )
     assert found.best is None
     assert found.limited_by in {"acceleration", "jerk"}
     # Without feed-forward a plan that cannot be made is an error still.
@@ -61,7 +69,10 @@ def test_a_smoothed_motion_beyond_a_limit_is_out_of_spec_and_no_error(examples: 
     small = replace(MACHINE, axes={**MACHINE.axes, "X": replace(axis, travel=near)})
     for options in (Options(interpolation="b-spline"), sharp):
         with pytest.raises(LimitError, match="travel"):
-            fastest_feed(job, small, spec, options, low=0.01, high=0.02, points=2, near=0)
+            fastest_feed(
+                Question(job=job, machine=small, spec=spec, options=options, low=0.01, high=0.02),
+                Grid(near=0, points=2),
+            )
 
 
 def test_another_machine_does_the_job_that_was_planned(examples: Path) -> None:
@@ -72,7 +83,16 @@ def test_another_machine_does_the_job_that_was_planned(examples: Path) -> None:
     options = Options(interpolation="linear")
     seen = [
         fastest_feed(
-            job, MACHINE, spec, options, low=0.01, high=0.1, points=6, near=0, actual=actual
+            Question(
+                job=job,
+                machine=MACHINE,
+                spec=spec,
+                options=options,
+                low=0.01,
+                high=0.1,
+                actual=actual,
+            ),
+            Grid(near=0, points=6),
         ).best
         for actual in (None, other)
     ]
@@ -91,8 +111,8 @@ def test_a_share_of_the_limits_means_nothing_to_programmed_times(examples: Path)
 
 
 def canned(calls: list[Any]) -> Any:
-    def search(_job: Any, machine: Any, _spec: Any, options: Options, **more: Any) -> Fastest:
-        calls.append((machine, options, more))
+    def search(asked: Question, *_: Any) -> Fastest:
+        calls.append(asked)
         slower = 1.0 - 0.1 * len(calls)
         return Fastest(
             intervals=(Interval(low=0.01, high=0.05 * slower),),
@@ -107,18 +127,21 @@ def canned(calls: list[Any]) -> Any:
 def test_tolerances_of_any_job(examples: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Plans are for the file's machine; nine others do the job."""
     calls: list[Any] = []
-    monkeypatch.setattr(mismatch, "fastest_feed", canned(calls))
+    monkeypatch.setattr(by_pace, "fastest_feed", canned(calls))
     job = read_job(examples / "x-180.prg", MACHINE)
-    cells = feed_over_tolerances(job, MACHINE, load_spec(None, MACHINE), AHEAD, high=0.2)
+    spec = load_spec(None, MACHINE)
+    asked = Question(job=job, machine=MACHINE, spec=spec, options=AHEAD, high=0.2, mismatch=True)
+    monkeypatch.setattr(gentle, "fastest_feed", canned([]))
+    cells = by_pace.answered(asked).mismatch
     ends = [(mass, stiffness) for mass in (-1, 0, 1) for stiffness in (-1, 0, 1)]
     assert [(c.mass, c.stiffness) for c in cells] == ends
-    assert all(machine is MACHINE and options is AHEAD for machine, options, _ in calls)
-    ran = [more["actual"] for _, _, more in calls]
+    assert all(one.machine is MACHINE and one.options == AHEAD for one in calls)
+    ran = [one.actual for one in calls]
     assert ran[4] == MACHINE
     # X of the winder is rigid: its load is the body that its drive turns, 3.606e-4 kg m^2 +- 5 %.
     assert ran[0].bodies["x"].inertia.si == pytest.approx(0.95 * 3.606e-4)
     assert ran[8].bodies["x"].inertia.si == pytest.approx(1.05 * 3.606e-4)
-    assert {(more["low"], more["high"]) for _, _, more in calls} == {(0.05, 0.2)}
+    assert {(one.low, one.high) for one in calls} == {(0.05, 0.2)}
 
 
 def test_the_command_takes_them_for_a_design(
@@ -127,7 +150,7 @@ def test_the_command_takes_them_for_a_design(
     """Nine frames sew with the tables of the file's; speeds are printed in stitches a minute."""
     calls: list[Any] = []
     monkeypatch.setattr(shaft, "constant_speeds", canned([]))
-    monkeypatch.setattr(mismatch, "constant_speeds", canned(calls))
+    monkeypatch.setattr(by_pace, "constant_speeds", canned(calls))
     frame = load_machine("schiffli-frame")
     words = ["fastest", str(examples / "rosette.dst"), "-m", "schiffli-frame", "--mismatch"]
     monkeypatch.setattr(shaft, "plan_job", lambda *_: SimpleNamespace(duration_s=1.0))
@@ -136,16 +159,16 @@ def test_the_command_takes_them_for_a_design(
     with redirect_stdout(out), redirect_stderr(io.StringIO()), pytest.raises(SystemExit) as left:
         main([*words, "--low", "0.01 stitch/s"])
     assert left.value.code == 0
-    ran = [more["actual"] for _, _, more in calls]
+    ran = [one.actual for one in calls]
     ends = [(mass, stiffness) for mass in (-1, 0, 1) for stiffness in (-1, 0, 1)]
     assert ran == [off_tolerance(frame, mass=m, stiffness=k) for m, k in ends]
-    assert all(planned == frame for planned, _, _ in calls)
+    assert all(one.machine == frame for one in calls)
     # 0.05 stitch/s less a tenth at the first machine: 2.70 stitch/min.
     assert "fastest stitch/min" in out.getvalue()
     assert "2.70" in out.getvalue()
     # A tenth above the constant speed that was found for the file's machine itself.
-    assert [more["high"] for _, _, more in calls] == pytest.approx([1.1 * 0.045] * 9)
-    assert {more["low"] for _, _, more in calls} == {0.01}
+    assert [one.high for one in calls] == pytest.approx([1.1 * 0.045] * 9)
+    assert {one.low for one in calls} == {0.01}
 
 
 def test_the_command_takes_them_for_any_job(
@@ -154,7 +177,7 @@ def test_the_command_takes_them_for_any_job(
     searched: list[Any] = []
     off: list[Any] = []
     monkeypatch.setattr(gentle, "fastest_feed", canned(searched))
-    monkeypatch.setattr(mismatch, "fastest_feed", canned(off))
+    monkeypatch.setattr(by_pace, "fastest_feed", canned(off))
     words = ["fastest", str(examples / "x-180.prg"), "-m", "lathe-winder", "--feed-forward"]
     words += ["--smoothing", "100 ms", "--mismatch", "--report", str(tmp_path / "r"), "--json"]
     out = io.StringIO()
@@ -167,4 +190,4 @@ def test_the_command_takes_them_for_any_job(
     assert "--feed-forward --smoothing '100 ms'" in content["command"]
     assert (tmp_path / "r" / "tolerances.svg").is_file()
     assert "mm/s" in (tmp_path / "r" / "tolerances.svg").read_text()
-    assert all(options.feed_forward_s == pytest.approx(0.1) for _, options, _ in searched + off)
+    assert all(one.options.feed_forward_s == pytest.approx(0.1) for one in searched + off)

@@ -11,20 +11,20 @@ import numpy as np
 import pytest
 from tests.search.test_switched_commands import SCAN_S
 
-from threadline.cli import fastest_cycle as of_command
 from threadline.cli.main import main
 from threadline.commands.schedule import Scheduled
 from threadline.errors import PlanError
-from threadline.jobs import Job, read_job
+from threadline.jobs import read_job
 from threadline.jobs.operations import Move
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, plan_job, prove, prove_plan
-from threadline.search import mismatch
+from threadline.search import by_pace
 from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.move_list import move_list, overlapped
-from threadline.verdict import Spec, load_spec
+from threadline.search.paced import Question
+from threadline.verdict import load_spec
 
 CYCLE = Path(__file__).parents[2] / "examples" / "letter-cycle.toml"
 PLACER = "letter-placer+whole-scans+own-damping"
@@ -111,7 +111,9 @@ def test_what_it_wrote_proves_the_same(
 def typed() -> FastestCycle:
     """Return what is found for the machine as its file says."""
     machine = load_machine("letter-placer")
-    return fastest_cycle(read_job(CYCLE, machine), machine, load_spec(None, machine))
+    return fastest_cycle(
+        Question(job=read_job(CYCLE, machine), machine=machine, spec=load_spec(None, machine))
+    )
 
 
 def test_off_its_file_the_cycle_is_found_with_commands_for_the_file(typed: FastestCycle) -> None:
@@ -130,7 +132,7 @@ def test_off_its_file_the_cycle_is_found_with_commands_for_the_file(typed: Faste
         return prove_plan(plan, spec, actual=stiff).verdict.passed
 
     assert not passes(typed)
-    assert passes(fastest_cycle(job, machine, spec, actual=stiff))
+    assert passes(fastest_cycle(Question(job=job, machine=machine, spec=spec, actual=stiff)))
 
 
 def test_the_command_searches_over_tolerances(
@@ -146,17 +148,14 @@ def test_the_command_searches_over_tolerances(
     machine = load_machine("letter-placer")
     ran: list[Machine] = []
 
-    def known(_job: Job, planned: Machine, _spec: Spec, **asked: Any) -> FastestCycle:
-        assert (planned, asked["actual"], asked["trials"]) == (machine, None, NOMINAL)
-        return typed
-
-    def canned(_job: Job, planned: Machine, _spec: Spec, *, actual: Machine) -> FastestCycle:
-        assert planned == machine
-        ran.append(actual)
+    def canned(asked: Question) -> FastestCycle:
+        assert (asked.machine, asked.trials) == (machine, NOMINAL)
+        if asked.actual is None:
+            return typed
+        ran.append(asked.actual)
         return typed if len(ran) != 5 else replace(typed, job=None)
 
-    monkeypatch.setattr(of_command, "fastest_cycle", known)
-    monkeypatch.setattr(mismatch, "fastest_cycle", canned)
+    monkeypatch.setattr(by_pace, "fastest_cycle", canned)
     words = ["fastest", CYCLE, "-m", "letter-placer", "--nominal", "--mismatch", "--json"]
     code, out, err = run(capsys, *words, "--report", tmp_path / "r")
     cells = json.loads(out)["mismatch"]

@@ -14,6 +14,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, write
 from threadline.search.cycle import FastestCycle, fastest_cycle
 from threadline.search.move_list import move_list
+from threadline.search.paced import Question
 from threadline.verdict import Status, load_spec
 
 TOGETHER = """
@@ -47,7 +48,7 @@ def together(tmp_path_factory: pytest.TempPathFactory) -> tuple[Job, FastestCycl
     file = tmp_path_factory.mktemp("together") / "both.toml"
     file.write_text(TOGETHER, encoding="utf-8")
     job = read_job(file, machine)
-    return job, fastest_cycle(job, machine, load_spec(None, machine))
+    return job, fastest_cycle(Question(job=job, machine=machine, spec=load_spec(None, machine)))
 
 
 def test_cylinders_that_set_out_together_have_a_command_each(
@@ -80,7 +81,7 @@ def test_together_is_as_short_as_the_longer_of_both(together: tuple[Job, Fastest
     machine = unlocked()
     job, found = together
     apart = read_job_text(TOGETHER.replace('X = "200 mm", Z', "Z"), machine, job)
-    alone = fastest_cycle(apart, machine, load_spec(None, machine))
+    alone = fastest_cycle(Question(job=apart, machine=machine, spec=load_spec(None, machine)))
     assert alone.job is not None
     saved = 0.5 + machine.cylinders["Z"].rest_s(forward=True)
     assert found.cycle_s is not None
@@ -143,7 +144,9 @@ def test_a_cycle_is_found_where_a_cylinder_goes_back_at_once(tmp_path: Path) -> 
     machine = load_machine("letter-placer")
     file = tmp_path / "back.toml"
     file.write_text(AT_ONCE_BACK, encoding="utf-8")
-    found = fastest_cycle(read_job(file, machine), machine, load_spec(None, machine))
+    found = fastest_cycle(
+        Question(job=read_job(file, machine), machine=machine, spec=load_spec(None, machine))
+    )
     assert found.job is not None
     told = [r for r in found.proof.verdict.results if r.name == "residual_vibration"]
     assert {r.step for r in told} == {"start", "out", "back"}

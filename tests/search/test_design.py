@@ -21,7 +21,7 @@ from threadline.machine.quantity import Provenance, Quantity
 from threadline.machine.tables import Design, DesignParameter, DesignSettings
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, check_loops, plan_job, prove_plan
-from threadline.search.design import DesignResult, design, with_delay
+from threadline.search.design import DesignResult, Wanted, design, with_delay
 from threadline.search.design_evaluate import Effort, Evaluator, design_gains
 from threadline.search.design_judge import OtherRuns, design_judge
 from threadline.search.design_search import with_settings
@@ -102,9 +102,13 @@ def result(
     stitcher: Machine, spec: Spec, corner: Path, told: list[tuple[str, float]]
 ) -> DesignResult:
     return design(
-        corner, two_parameters(stitcher), spec, Options(), effort=ENOUGH,
+        corner,
+        two_parameters(stitcher),
+        spec,
+        Options(),
+        Wanted(effort=ENOUGH),
         progress=lambda what, share: told.append((what, share)),
-    )  # fmt: skip
+    )
 
 
 def test_filters_of_many_candidates_are_those_of_each(stitcher: Machine) -> None:
@@ -265,9 +269,12 @@ def test_corners_cost_more(
 ) -> None:
     """What must hold at +-10 % mass and +-20 % stiffness as well cannot be cheaper."""
     robust = design(
-        corner, two_parameters(stitcher, (1.0, 30.0)), spec, Options(), corners=True,
-        effort=NO_REGION,
-    )  # fmt: skip
+        corner,
+        two_parameters(stitcher, (1.0, 30.0)),
+        spec,
+        Options(),
+        Wanted(corners=True, effort=NO_REGION),
+    )
     assert robust.found is not None
     assert result.found is not None
     verdict, corners = robust.found.verdict, robust.found.corners
@@ -296,7 +303,7 @@ def test_no_design_says_what_binds(stitcher: Machine, spec: Spec, corner: Path) 
     assert machine.design is not None
     load = DesignParameter(of=machine.design.parameters["load"].of, factor=(0.999, 1.0))
     only = replace(machine, design=replace(machine.design, parameters={"load": load}))
-    result = design(corner, only, spec, Options(), effort=SMALL)
+    result = design(corner, only, spec, Options(), Wanted(effort=SMALL))
     assert result.found is None
     assert result.region is None
     assert result.nearest.ratio > 1.0
@@ -312,7 +319,7 @@ def test_where_settings_are_enough_the_margin_decides(
     """
     slow = tmp_path / "slow.seam.toml"
     slow.write_text(CORNER.replace("75 stitch/s", "30 stitch/s"))
-    result = design(slow, two_parameters(stitcher), spec, Options(), effort=NO_REGION)
+    result = design(slow, two_parameters(stitcher), spec, Options(), Wanted(effort=NO_REGION))
     assert result.found is not None
     assert result.found.candidate.cost == 0.0
     assert result.found.candidate.ratio <= 1.1 * result.as_built.ratio

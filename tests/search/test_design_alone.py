@@ -13,7 +13,7 @@ from threadline.machine.numbers import number_at
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials, prove
-from threadline.search.design import design
+from threadline.search.design import Wanted, design
 from threadline.search.design_evaluate import Effort, share_used
 from threadline.search.design_files import write_design
 from threadline.verdict import Result, Status, Verdict, load_spec
@@ -44,7 +44,7 @@ def test_what_is_found_is_in_spec_by_prove(name: str, tmp_path: Path) -> None:
         (tmp_path / "close.toml").write_text(CLOSE)
         spec = load_spec(tmp_path / "close.toml", machine)
     trials = Trials(repeats=2)
-    result = design(EXAMPLES / file, machine, spec, options, trials=trials, effort=FEW)
+    result = design(EXAMPLES / file, machine, spec, options, Wanted(trials=trials, effort=FEW))
     assert not prove(EXAMPLES / file, machine, spec, options, None, NOMINAL).verdict.passed
     assert result.as_built.ratio > 1.0 and result.found is not None
     assert result.found.candidate.cost > 0.0 and result.found.candidate.ratio <= 1.0

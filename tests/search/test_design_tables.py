@@ -95,7 +95,7 @@ CROSSOVER = 'crossover = ["6 Hz exact, assumed", "{} exact, assumed"]\n'
         ),
         (
             '[design.known.mine]\ntitle = "a"\nfactors = { belt = 2, frome = 2 }',
-            "5: design.known.mine.factors: 'frome' is no parameter; there are: belt, frame",
+            "5: design.known.mine.factors: 'frome' is not a parameter; there are: belt, frame",
         ),
         (
             "".join(
@@ -107,7 +107,7 @@ CROSSOVER = 'crossover = ["6 Hz exact, assumed", "{} exact, assumed"]\n'
         (
             '[design.parameters.current]\ntolerance = "1 %"\n'
             '[design.parameters.friction]\ntolerance = "1 %"',
-            "6: design.parameters.friction.tolerance: 5 parameters have a tolerance, at most 4",
+            "6: design.parameters.friction.tolerance: 5 parameters have a tolerance, limit 4",
         ),
     ],
 )

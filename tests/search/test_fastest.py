@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from threadline.cli.found import alone_words, forbidden_words
 from threadline.machine import load_machine
 from threadline.search import feed_range_m_s, find_fastest
+from threadline.search.fastest import Grid
 from threadline.search.forbidden import joined
 from threadline.verdict import Result, Status, Verdict
 
@@ -46,7 +47,7 @@ def test_narrow_intervals_beyond_an_edge_are_found() -> None:
     def judged(feed: float) -> Verdict:
         return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
 
-    found = find_fastest(judged, 0.1, 10.0, near=16)
+    found = find_fastest(judged, 0.1, 10.0, Grid(near=16))
 
     assert [(i.low, i.high) for i in reversed(found.intervals)] == [
         (pytest.approx(low, rel=2.1e-3), pytest.approx(high, rel=2.1e-3)) for low, high in wanted
@@ -62,7 +63,7 @@ def test_a_feed_that_passes_alone_is_not_the_fastest() -> None:
     def judged(feed: float) -> Verdict:
         return verdict(0.99 if feed <= 1.0 or 1.0495 <= feed <= 1.0505 else 1.01)
 
-    found = find_fastest(judged, 0.1, 10.0, points=48, near=400)
+    found = find_fastest(judged, 0.1, 10.0, Grid(points=48, near=400))
     assert [i.alone for i in found.intervals] == [True, False]
     assert found.alone == (pytest.approx(1.05, rel=1e-3),)
     assert found.best == pytest.approx(1.0, rel=2.1e-3) and found.best <= 1.0
@@ -74,7 +75,7 @@ def test_a_feed_that_passes_alone_is_not_the_fastest() -> None:
     def nowhere_else(feed: float) -> Verdict:
         return judged(feed) if feed > 1.02 else verdict(3.0)
 
-    only = find_fastest(nowhere_else, 1.049, 1.06, points=12, near=16)
+    only = find_fastest(nowhere_else, 1.049, 1.06, Grid(points=12, near=16))
     assert only.fastest is not None and only.fastest.alone
     assert only.best == only.alone[0]
     assert alone_words(only, "m/s").endswith("m/s; no range is in spec")
@@ -82,14 +83,14 @@ def test_a_feed_that_passes_alone_is_not_the_fastest() -> None:
 
 def test_an_end_of_the_search_is_not_alone() -> None:
     """What passes up to the end of a search has no neighbour there that fails."""
-    found = find_fastest(lambda f: verdict(0.9 if f >= 1.0595 else 1.1), 1.0, 1.06, near=16)
+    found = find_fastest(lambda f: verdict(0.9 if f >= 1.0595 else 1.1), 1.0, 1.06, Grid(near=16))
     assert [(i.high, i.alone) for i in found.intervals] == [(1.06, False)]
     assert not found.alone and alone_words(found, "m/s") == ""
 
 
 def test_nothing_passes_and_what_fails_is_said_where_it_came_closest() -> None:
     """The least excess is at 2.0, inside the range: neither the slowest nor the fastest feed."""
-    found = find_fastest(lambda f: verdict(1.5 + abs(f - 2.0)), 0.1, 10.0, points=41)
+    found = find_fastest(lambda f: verdict(1.5 + abs(f - 2.0)), 0.1, 10.0, Grid(points=41))
     assert found.best is None
     assert found.intervals == ()
     assert found.limited_by == "contour_error"
@@ -107,7 +108,7 @@ def spread_at(feed: float) -> Verdict:
 
 def test_what_fails_in_one_run_is_no_closer_than_what_fails_over_twenty() -> None:
     """One run says nothing of the spread: its small excess is not where the search was closest."""
-    found = find_fastest(spread_at, 0.1, 10.0, points=21)
+    found = find_fastest(spread_at, 0.1, 10.0, Grid(points=21))
     assert found.limited_by == "repeatability" and found.verdict.runs == 20
     assert found.verdict.results[1].measured == pytest.approx(1.3)
     slow, fast = found.forbidden
@@ -125,7 +126,7 @@ def test_what_fails_in_one_run_is_no_closer_than_what_fails_over_twenty() -> Non
 
 
 def test_where_one_criterion_forbids_every_feed_it_fails_at_all() -> None:
-    found = find_fastest(lambda _: verdict(2.0), 0.1, 10.0, points=3)
+    found = find_fastest(lambda _: verdict(2.0), 0.1, 10.0, Grid(points=3))
     assert list(forbidden_words(found.forbidden, found.limited_by, str)) == [
         "contour_error fails at all"
     ]
@@ -203,7 +204,7 @@ def test_the_scan_is_even_on_a_logarithmic_scale_and_judges_no_feed_twice() -> N
 @pytest.mark.parametrize(("low", "high", "points"), [(1.0, 1.0, 8), (0.0, 1.0, 8), (1.0, 2.0, 1)])
 def test_an_empty_range_is_refused(low: float, high: float, points: int) -> None:
     with pytest.raises(ValueError, match="nothing to scan"):
-        find_fastest(lambda _: verdict(0.5), low, high, points=points)
+        find_fastest(lambda _: verdict(0.5), low, high, Grid(points=points))
 
 
 def test_feeds_can_be_typed_back() -> None:
@@ -218,7 +219,7 @@ def test_feeds_can_be_typed_back() -> None:
     assert found.best in tried
     assert all(len(f"{feed:g}") <= 8 and float(f"{feed:.6g}") == feed for feed in tried)
     assert found.best == pytest.approx(0.0312345678, rel=2.1e-3)
-    close = find_fastest(judged, 1.0, 1.0 + 1e-12, points=5)
+    close = find_fastest(judged, 1.0, 1.0 + 1e-12, Grid(points=5))
     assert close.tried == 5  # so near to each other that every digit is needed
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from math import degrees, log2
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from threadline.search.allowance import Rung
 from threadline.search.fastest import Fastest
 from threadline.search.feed import feed_range_m_s
 from threadline.search.forbidden import Interval
+from threadline.search.paced import Question
 from threadline.verdict import Verdict, load_spec
 
 
@@ -30,7 +32,9 @@ def test_part_of_the_limits_beats_all_of_them(examples: Path) -> None:
     machine = load_machine("lathe-winder")
     job = read_job(examples / "x-180.prg", machine)
     spec = load_spec(None, machine)
-    result = fastest_job(job, machine, spec, Options(), low=0.05, high=0.5)
+    result = fastest_job(
+        Question(job=job, machine=machine, spec=spec, options=Options(), low=0.05, high=0.5)
+    )
     all_limits = next(rung for rung in result.rungs if rung.share == 1.0)
 
     assert result.best.share < 1.0
@@ -88,7 +92,9 @@ def test_historical_interpolations_are_searched_by_feed_alone(examples: Path) ->
     job = read_job(examples / "x-180.prg", machine)
     spec = load_spec(None, machine)
     options = Options(interpolation="linear")
-    result = fastest_job(job, machine, spec, options, low=0.03, high=0.05)
+    result = fastest_job(
+        Question(job=job, machine=machine, spec=spec, options=options, low=0.03, high=0.05)
+    )
 
     assert [rung.share for rung in result.rungs] == [1.0]
     # The 1994 controller: 100 mm/s linear over an unprinted path; 0.5 mm of turning point at
@@ -112,10 +118,8 @@ def test_the_ladder_is_left_to_either_side(
     """Best is a quarter of a rung below the ladder's best, or above it; more than all is none."""
     tried: list[float] = []
 
-    def found(*arguments: object, **_: object) -> Fastest:
-        options = arguments[3]
-        assert isinstance(options, Options)
-        tried.append(options.limit_share)
+    def found(asked: Question, *_: object) -> Fastest:
+        tried.append(asked.options.limit_share)
         return Fastest(
             intervals=(Interval(low=1.0, high=1.0),),
             limited_by="range",
@@ -123,15 +127,17 @@ def test_the_ladder_is_left_to_either_side(
             tried=1,
         )
 
-    def duration(_job: object, _machine: object, options: Options, *_: object) -> float:
-        return 1.0 + abs(log2(options.limit_share) - wanted)
+    def planned(_asked: Question, share: float, _feed: float) -> SimpleNamespace:
+        return SimpleNamespace(duration_s=1.0 + abs(log2(share) - wanted))
 
     monkeypatch.setattr(gentle, "fastest_feed", found)
-    monkeypatch.setattr(gentle, "_duration_s", duration)
+    monkeypatch.setattr(gentle, "planned_at", planned)
     monkeypatch.setattr(gentle, "ignores_limits", lambda *_: False)
     machine = load_machine("lathe-winder")
     job = read_job(Path(__file__).parents[2] / "examples" / "x-180.prg", machine)
-    result = fastest_job(job, machine, load_spec(None, machine), Options())
+    result = fastest_job(
+        Question(job=job, machine=machine, spec=load_spec(None, machine), options=Options())
+    )
     assert max(tried) == 1.0
     assert rung in tried
     assert result.best.share == round(2.0**wanted, 6)

@@ -26,11 +26,12 @@ from threadline.machine.quantity import parse_machine_quantity
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search import fastest_job
-from threadline.search import feed as search_feed
+from threadline.search import paced as search_paced
 from threadline.search.allowance import FastestJob, Rung
 from threadline.search.distinct import distinct_parts, moves_in
-from threadline.search.fastest import Fastest, Interval, find_fastest
+from threadline.search.fastest import Fastest, Grid, Interval, find_fastest
 from threadline.search.feed import fastest_feed
+from threadline.search.paced import Question
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, Until
 from threadline.verdict import Verdict, load_spec
 
@@ -152,7 +153,9 @@ def test_the_worst_of_the_stretches_is_that_of_the_whole_job(
     # The verdict on a feed is of all stretches, row by row.
     at = worst(parts, Feed(FeedMode.FASTEST_AXIS, 0.1))
     told = fastest_feed(
-        job, machine, spec, options, low=0.09, high=0.1, points=2, near=0, parts=parts
+        Question(job=job, machine=machine, spec=spec, options=options, low=0.09, high=0.1),
+        Grid(near=0, points=2),
+        parts=parts,
     )
     assert told.best == 0.1
     rows = {(r.name, r.axis): r.measured for r in told.verdict.results if r.measured is not None}
@@ -176,12 +179,14 @@ def test_of_stretches_that_fail_the_shortest_alone_is_judged(
         asked.append(moves_in(plan.job))
         return SimpleNamespace(verdict=verdict(2.0))
 
-    monkeypatch.setattr(search_feed, "try_plan", failing)
+    monkeypatch.setattr(search_paced, "try_plan", failing)
     file = tmp_path / "spec.toml"
     file.write_text('name = "any"\n[[criteria]]\nname = "contour_error"\n')
     spec, options = load_spec(file, machine), Options(interpolation="linear")
     told = fastest_feed(
-        parts[0], machine, spec, options, low=0.05, high=0.1, points=3, near=0, parts=parts
+        Question(job=parts[0], machine=machine, spec=spec, options=options, low=0.05, high=0.1),
+        Grid(near=0, points=3),
+        parts=parts,
     )
     assert told.best is None and asked == [moves_in(parts[1])] * 3 and asked[0] < 20
 
@@ -201,7 +206,16 @@ def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> Non
         'name = "any"\n[[criteria]]\nname = "contour_error"\nlimit = "1 mm"\nrequired = true\n'
     )
     spec = load_spec(spec_file, machine)
-    found = fastest_job(job, machine, spec, Options(interpolation="linear"), low=0.02, high=0.04)
+    found = fastest_job(
+        Question(
+            job=job,
+            machine=machine,
+            spec=spec,
+            options=Options(interpolation="linear"),
+            low=0.02,
+            high=0.04,
+        )
+    )
     assert found.whole and found.moves == 400 and found.judged_moves < 130
     assert found.best.duration_s is not None and found.best.found.verdict.passed
     parts = distinct_parts(job, machine)
@@ -216,7 +230,7 @@ def test_time_that_is_over_gives_the_best_so_far() -> None:
             until.ended = OUT_OF_TIME
         return verdict_at(feed)
 
-    found = find_fastest(judged, 0.1, 10.0, points=9, near=4, until=until)
+    found = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4), until=until)
     # From above: the highest feed of the scan that passes is known long before the slow ones.
     assert not found.complete and found.best == pytest.approx(0.1 * 10.0**0.75, rel=2e-3)
     assert found.intervals[0].high == found.best and found.intervals[0].low > 0.1
@@ -235,12 +249,12 @@ def test_an_interrupt_gives_the_best_so_far_and_another_signal_does_not() -> Non
 
         until = Until()
         if answers:
-            found = find_fastest(judged, 0.1, 10.0, points=9, until=until)
+            found = find_fastest(judged, 0.1, 10.0, Grid(points=9), until=until)
             assert not found.complete and found.best is not None and found.best > 0.5
             assert until.ended == INTERRUPTED
         else:
             with pytest.raises(OtherError):
-                find_fastest(judged, 0.1, 10.0, points=9, until=until)
+                find_fastest(judged, 0.1, 10.0, Grid(points=9), until=until)
     with pytest.raises(KeyboardInterrupt):
         find_fastest(
             lambda feed: (_ for _ in ()).throw(KeyboardInterrupt()), 0.1, 1.0, until=Until()

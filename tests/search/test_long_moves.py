@@ -17,6 +17,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search import fastest_job
 from threadline.search.distinct import LongMoves
+from threadline.search.paced import Question
 from threadline.verdict import load_spec
 
 FEED = Feed(FeedMode.FASTEST_AXIS, 0.15)
@@ -119,7 +120,16 @@ def test_a_limit_that_is_broken_late_in_a_long_move_is_told(
     """X is at its end after 42 of the 52 s of a hoop layer, far behind what is watched of it."""
     job = job_of(tmp_path, machine, "G21 G90 G94 F9000\nG1 X100\nG1 X600 A9000\nG1 X0\nM30\n")
     with pytest.raises(LimitError, match="its travel ends at 500 mm"):
-        fastest_job(job, machine, load_spec(None, machine), Options(), low=0.14, high=0.15)
+        fastest_job(
+            Question(
+                job=job,
+                machine=machine,
+                spec=load_spec(None, machine),
+                options=Options(),
+                low=0.14,
+                high=0.15,
+            )
+        )
     inside = job_of(tmp_path, machine, "G21 G90 G94 F9000\nG1 X100\nG1 X500 A9000\nG1 X0\nM30\n")
     watched, _ = LongMoves.of(inside, machine).without_middles(FEED, 1.0)
     assert np.abs(targets_of(watched)[:, job.axes.index("X")]).max() < 0.4
@@ -131,6 +141,15 @@ def test_the_answer_is_of_the_whole_job(tmp_path: Path, machine: Machine) -> Non
     file = tmp_path / "spec.toml"
     file.write_text('name = "any"\n[[criteria]]\nname = "velocity"\nlimit = "machine"\n')
     spec = load_spec(file, machine)
-    found = fastest_job(job, machine, spec, Options(interpolation="linear"), low=0.14, high=0.15)
+    found = fastest_job(
+        Question(
+            job=job,
+            machine=machine,
+            spec=spec,
+            options=Options(interpolation="linear"),
+            low=0.14,
+            high=0.15,
+        )
+    )
     assert found.cut and found.whole and found.parts == 0
     assert found.best.duration_s is not None and found.best.duration_s > 100.0

@@ -64,9 +64,9 @@ def test_the_worst_machine_is_no_better_than_any_drawn_and_can_be_proved(
     assert ended.value.code == 1
     content = json.loads(capsys.readouterr().out)
     assert content["variants"] == 300
-    assert (content["level"], content["runs"]) == ("over tolerances", 1)
+    assert (content["level"], content["runs"]) == ("drawn machines", 1)
     undrawn = content["not_drawn"]
-    assert undrawn["axes.X.acceleration"] == "only plans go by it"
+    assert undrawn["axes.X.acceleration"] == "it affects only plans"
     assert {number.name for number in uncertain(plan.machine)}.isdisjoint(undrawn)
     assert content["interval"][0] < content["yield"] < content["interval"][1]
     contour = next(c for c in content["criteria"] if c["name"] == "contour_error")

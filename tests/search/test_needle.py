@@ -11,10 +11,10 @@ from threadline.errors import LimitError, OptionError
 from threadline.jobs import read_job
 from threadline.machine import load_machine
 from threadline.proof.options import Options
-from threadline.proof.pipeline import plan_job, prove_plan
+from threadline.proof.pipeline import open_job, plan_job, prove_plan
 from threadline.search import fastest_needle, needle_range_hz
-from threadline.search.fastest import find_fastest
-from threadline.search.feed import beyond
+from threadline.search.fastest import Grid, find_fastest
+from threadline.search.paced import Question, beyond
 from threadline.verdict import load_spec
 
 SEAM = """
@@ -44,7 +44,17 @@ def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
     slow = replace(machine.axes["Y"], velocity=replace(machine.axes["Y"].velocity, si=0.05))
     slower = replace(machine, axes={**machine.axes, "Y": slow})
     assert needle_range_hz(read_job(file, machine), slower)[1] == pytest.approx(0.05 / 2.54e-3)
-    found = fastest_needle(file, machine, spec, Options(), low=10.0, high=high, points=6)
+    found = fastest_needle(
+        Question(
+            job=open_job(file, machine, Options()),
+            machine=machine,
+            spec=spec,
+            options=Options(),
+            low=10.0,
+            high=high,
+        ),
+        Grid(near=16, points=6),
+    )
     assert found.best is not None
 
     assert found.limited_by == "stitch_length_error"
@@ -53,14 +63,23 @@ def test_the_edge_is_where_the_verdict_turns(tmp_path: Path) -> None:
         job = read_job(file, machine, needle_speed=f"{speed!r} stitch/s")
         assert prove_plan(plan_job(job, machine, Options()), spec).verdict.passed is passes
     with pytest.raises(OptionError, match=r"from 50 stitch/s to 40 stitch/s.*--low below"):
-        fastest_needle(file, machine, spec, Options(), low=50.0, high=40.0)
+        fastest_needle(
+            Question(
+                job=open_job(file, machine, Options()),
+                machine=machine,
+                spec=spec,
+                options=Options(),
+                low=50.0,
+                high=40.0,
+            )
+        )
 
 
 def test_a_speed_that_is_refused_is_told_in_the_units_of_its_limit():
     """A deceleration of 4.26 m/s^2 where 4 are allowed: no percentages, no sign."""
     machine = load_machine("stitcher")
     error = LimitError("-", axis="X", quantity="acceleration", value_si=-4.26, limit_si=4.0)
-    found = find_fastest(lambda _: beyond(error, machine), 1.0, 2.0, points=3)
+    found = find_fastest(lambda _: beyond(error, machine), 1.0, 2.0, Grid(points=3))
     assert found.best is None and found.limited_by == "acceleration"
     (result,) = found.verdict.results
     assert (result.measured, result.limit, result.unit) == (4.26, 4.0, "m/s^2")

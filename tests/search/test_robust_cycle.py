@@ -13,7 +13,8 @@ import pytest
 from tests.blank_pictures import blank_pictures
 
 import threadline.machine
-from threadline.cli.fastest_cycle import show_robust
+from threadline.cli.fastest_cycle import robust_lines
+from threadline.cli.fastest_told import show
 from threadline.cli.main import main
 from threadline.dynamics.pneumatic import flow_mode, frame_mode
 from threadline.jobs import read_job
@@ -22,6 +23,7 @@ from threadline.machine.vary import mode_off
 from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, prove
 from threadline.search.cycle_robust import MEASURE, RobustCycle, robust_cycle
+from threadline.search.paced import Question
 from threadline.verdict import load_spec
 
 LIBRARY = Path(threadline.machine.__file__).parent / "library"
@@ -226,7 +228,7 @@ def test_a_move_that_another_outlasts_rings_as_little_as_it_can(tmp_path: Path) 
         for c in spec.criteria
     ]
     spec = replace(spec, criteria=tuple(asked))
-    found = robust_cycle(read_job(job, machine), machine, spec, 0.2)
+    found = robust_cycle(Question(job=read_job(job, machine), machine=machine, spec=spec), 0.2)
     assert found.job is not None
     slow, quick = found.moves
     assert (slow.axis, quick.axis) == ("X", "Z")
@@ -245,6 +247,6 @@ def test_the_line_of_a_band_says_that_each_machine_ran_once(
         job=None,
         tried=3,
     )
-    show_robust(cast("RobustCycle", none_found), ("moves", ["step"], []))
+    show(robust_lines(cast("RobustCycle", none_found)))
     said = " ".join(capsys.readouterr().out.split())
     assert "at most 0.0975 mm ring on 17 machines, one run each, with modes of X 2.33" in said

@@ -16,8 +16,9 @@ from threadline.machine import Machine
 from threadline.proof.options import Options
 from threadline.search import fastest_job
 from threadline.search import least_limits as gentle
-from threadline.search.fastest import RANGE, Fastest, Interval, find_fastest
+from threadline.search.fastest import RANGE, Fastest, Grid, Interval, find_fastest
 from threadline.search.least_limits import Shares
+from threadline.search.paced import Question
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until
 from threadline.verdict import Verdict, load_spec
 
@@ -38,7 +39,7 @@ def shares_of(
     """Shares of a search that finds these durations, and the shares that it searches."""
     searched: list[float] = []
 
-    def search(share: float, points: int, near: int, telling: Progress | None) -> Fastest:
+    def search(share: float, grid: Grid, telling: Progress | None) -> Fastest:
         searched.append(share)
         for part in (0.25, 0.5, 1.0):
             if telling is not None:
@@ -62,15 +63,15 @@ def test_a_share_that_cannot_be_the_answer_is_left_out() -> None:
     The lower feeds of a share take longer than its highest.
     """
     shares, searched = shares_of({1.0: 1000.0, 0.5: 900.0}, {0.5: 850.0, 0.25: 900.0})
-    assert shares.tried(1.0, 20) is not None and shares.tried(0.5, 20) is not None
-    assert shares.tried(0.25, 20) is None and shares.tried(0.25, 20) is None
+    assert shares.tried(1.0, Grid()) is not None and shares.tried(0.5, Grid()) is not None
+    assert shares.tried(0.25, Grid()) is None and shares.tried(0.25, Grid()) is None
     assert searched == [1.0, 0.5] and shares.left_out == {0.25} and set(shares.rungs) == {1.0, 0.5}
-    assert shares.tried(0.5, 20, 16) is not None and searched == [1.0, 0.5, 0.5]
+    assert shares.tried(0.5, Grid(near=16)) is not None and searched == [1.0, 0.5, 0.5]
 
 
 def test_of_a_short_job_no_share_is_left_out() -> None:
     shares, searched = shares_of({1.0: 200.0, 0.5: 300.0}, {0.5: 300.0})
-    assert shares.tried(1.0, 20) is not None and shares.tried(0.5, 20) is not None
+    assert shares.tried(1.0, Grid()) is not None and shares.tried(0.5, Grid()) is not None
     assert searched == [1.0, 0.5] and not shares.left_out
 
 
@@ -82,7 +83,7 @@ def test_where_the_highest_feed_is_no_plan_the_share_is_searched() -> None:
         raise LimitError("broken", quantity="jerk", axis="X", value_si=2.0, limit_si=1.0)
 
     shares.at_top_s = refused
-    assert shares.tried(1.0, 20) is not None and shares.tried(0.5, 20) is not None
+    assert shares.tried(1.0, Grid()) is not None and shares.tried(0.5, Grid()) is not None
     assert searched == [1.0, 0.5]
 
 
@@ -90,11 +91,11 @@ def test_how_far_it_is_only_grows_and_stays_below_all() -> None:
     told: list[float] = []
     shares, _ = shares_of({1.0: 1e3, 0.5: 9e2}, {0.5: 1.0, 0.25: 9e2, 0.125: 9e2}, told)
     for share in (1.0, 0.5, 0.25, 0.125):
-        shares.tried(share, 20)
+        shares.tried(share, Grid())
     assert told == sorted(told) and told[0] == 0.0 and told[-1] == 0.75
     assert {0.0625, 0.125, 0.25, 0.3125, 0.5} <= set(told)
     for _ in range(4):
-        shares.tried(1.0, 20, 16)
+        shares.tried(1.0, Grid(near=16))
     assert told == sorted(told) and told[-1] == 1.0
 
 
@@ -111,7 +112,7 @@ def test_an_interrupt_while_the_best_is_planned_leaves_it() -> None:
 
     shares.duration_s = interrupted
     with pytest.raises(HaltError):
-        shares.tried(1.0, 20)
+        shares.tried(1.0, Grid())
     assert shares.rungs[1.0].duration_s == 1000.0 and until.ended == INTERRUPTED
 
 
@@ -124,15 +125,15 @@ def test_a_finer_search_that_is_ended_keeps_what_was_known() -> None:
         return verdict(0.5 if feed < 1.0 else 2.0)
 
     seen: dict[float, Verdict] = {}
-    coarse = find_fastest(judged, 0.1, 10.0, points=9, seen=seen)
+    coarse = find_fastest(judged, 0.1, 10.0, Grid(points=9), seen=seen)
     before = len(asked)
     until = Until()
     until.ended = OUT_OF_TIME
-    ended = find_fastest(judged, 0.1, 10.0, points=9, near=4, until=until, seen=seen)
+    ended = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4), until=until, seen=seen)
     assert len(asked) == before and not ended.complete and ended.best == coarse.best
-    fine = find_fastest(judged, 0.1, 10.0, points=9, near=4, seen=seen)
+    fine = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4), seen=seen)
     assert len(set(asked)) == len(asked) == fine.tried
-    alone = find_fastest(judged, 0.1, 10.0, points=9, near=4)
+    alone = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=4))
     assert fine.best is not None and alone.best is not None
     assert fine.best == pytest.approx(alone.best, rel=4e-3)
 
@@ -142,11 +143,10 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> Machine:
     return made_machine(tmp_path_factory.mktemp("shares"), "X", "A")
 
 
-def at_the_highest(*_: object, seen: object = None, **more: object) -> Fastest:
+def at_the_highest(asked: Question, *_: object) -> Fastest:
     """The answer of a search for a feed: all of them pass."""
-    high = more["high"]
-    assert isinstance(high, float)
-    best = Interval(low=0.019, high=high)
+    assert asked.high is not None
+    best = Interval(low=0.019, high=asked.high)
     return Fastest(intervals=(best,), limited_by="range", verdict=verdict(0.5), tried=20)
 
 
@@ -167,7 +167,15 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
     monkeypatch.setattr(gentle, "fastest_feed", at_the_highest)
     monkeypatch.setattr(gentle, "_of_whole", interrupted)
     result = fastest_job(
-        job, machine, load_spec(file, machine), Options(), low=0.019, high=0.02, until=Until()
+        Question(
+            job=job,
+            machine=machine,
+            spec=load_spec(file, machine),
+            options=Options(),
+            low=0.019,
+            high=0.02,
+            until=Until(),
+        )
     )
     assert result.best.share == 1.0 and result.best.duration_s > 300.0
     assert set(result.left_out) > {0.5, 0.25, 0.125} and [r.share for r in result.rungs] == [1.0]
@@ -175,7 +183,16 @@ def test_a_long_job_is_not_searched_with_limits_that_cannot_be_the_answer(
     # The accelerations are told still: their share was searched.
     assert len(list(settings_words(job, machine, result))) == 2
     with pytest.raises(KeyboardInterrupt):
-        fastest_job(job, machine, load_spec(file, machine), Options(), low=0.019, high=0.02)
+        fastest_job(
+            Question(
+                job=job,
+                machine=machine,
+                spec=load_spec(file, machine),
+                options=Options(),
+                low=0.019,
+                high=0.02,
+            )
+        )
 
 
 def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
@@ -185,8 +202,8 @@ def test_of_a_long_job_the_fastest_interval_alone_is_looked_into() -> None:
     def judged(feed: float) -> Verdict:
         return verdict(0.99 if any(low <= feed <= high for low, high in wanted) else 1.01)
 
-    few = find_fastest(judged, 0.1, 10.0, points=20, near=16, every=False)
-    all_of_them = find_fastest(judged, 0.1, 10.0, points=20, near=16)
+    few = find_fastest(judged, 0.1, 10.0, Grid(points=20, near=16, every=False))
+    all_of_them = find_fastest(judged, 0.1, 10.0, Grid(points=20, near=16))
     assert few.best == all_of_them.best == pytest.approx(2.06, rel=2.1e-3)
     assert not few.every and all_of_them.every and few.tried < 0.8 * all_of_them.tried
     assert [i for i in few.intervals if i.low > 0.9] == [
@@ -205,10 +222,10 @@ def test_of_a_long_job_no_feed_is_tried_far_below_those_that_pass() -> None:
         return verdict(0.5 if feed > least else 1.5)
 
     least = 0.0
-    found = find_fastest(judged, 0.1, 10.0, points=20, every=False)
+    found = find_fastest(judged, 0.1, 10.0, Grid(points=20, every=False))
     assert found.best == 10.0 and len(tried) == 4 and found.low == min(tried) > 4.0
     least = 20.0
-    assert find_fastest(judged, 0.1, 10.0, points=20, every=False).best is None
+    assert find_fastest(judged, 0.1, 10.0, Grid(points=20, every=False)).best is None
     assert len(tried) == 24
 
 
@@ -226,7 +243,7 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
         return verdict(0.99 if passes else 1.01)
 
     alone = float(f"{10.0**0.5:.4g}")
-    found = find_fastest(judged, 0.1, 10.0, points=9, near=16, every=False)
+    found = find_fastest(judged, 0.1, 10.0, Grid(points=9, near=16, every=False))
     assert found.alone == (alone,) and found.best == pytest.approx(1.0, rel=2.1e-3)
     # Four feeds in a row pass down to 10^-0.75.
     lows = [i.low for i in found.intervals if not i.alone]
@@ -235,7 +252,7 @@ def test_below_feeds_that_pass_alone_the_next_interval_is_looked_into() -> None:
     def nothing_holds(feed: float) -> Verdict:
         return verdict(0.99 if abs(feed - alone) < 1e-4 else 1.01)
 
-    found = find_fastest(nothing_holds, 0.1, 10.0, points=9, near=16, every=False)
+    found = find_fastest(nothing_holds, 0.1, 10.0, Grid(points=9, near=16, every=False))
     assert found.alone == (alone,) and found.best == alone
 
 
@@ -245,7 +262,7 @@ def test_what_limits_is_what_fails_above_the_best() -> None:
     def judged(feed: float) -> Verdict:
         return verdict(0.99 if feed <= 1.0 or abs(feed - 1.0011) < 1e-5 else 1.01)
 
-    found = find_fastest(judged, 0.1, 10.0, points=9, seen={1.0011: judged(1.0011)})
+    found = find_fastest(judged, 0.1, 10.0, Grid(points=9), seen={1.0011: judged(1.0011)})
     assert found.best is not None and 0.99 < found.best <= 1.0
     assert found.limited_by == "contour_error"
-    assert find_fastest(judged, 0.1, 0.9, points=9).limited_by == RANGE
+    assert find_fastest(judged, 0.1, 0.9, Grid(points=9)).limited_by == RANGE

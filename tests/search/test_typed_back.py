@@ -13,16 +13,27 @@ import pytest
 from threadline.cli.found import typed
 from threadline.cli.main import main
 from threadline.jobs import read_job
+from threadline.jobs.operations import FeedMode
 from threadline.machine import Machine, load_machine
 from threadline.machine.vary import off_tolerance
 from threadline.motion.laws import law, write_law
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options, options_of
-from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, plan_job, prove_plan
+from threadline.proof.pipeline import (
+    NOMINAL,
+    REPEATED,
+    TOLERANCES,
+    Trials,
+    open_job,
+    plan_job,
+    prove_plan,
+)
 from threadline.search import fastest_needle, mismatch, shaft
 from threadline.search import least_limits as gentle
-from threadline.search.fastest import find_fastest
+from threadline.search.by_pace import speeds
+from threadline.search.fastest import COARSE, Grid, find_fastest
 from threadline.search.feed import fastest_feed
+from threadline.search.paced import Question
 from threadline.verdict import Result, Status, Verdict, load_spec
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -78,7 +89,16 @@ def test_needle_speeds_of_the_stitcher_pass_as_they_are_printed(
     spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", stitcher)
     points, near = (5, 2) if trials == NOMINAL else (3, 1)
     found = fastest_needle(
-        seam, stitcher, spec, Options(), low=low, high=high, points=points, near=near, trials=trials
+        Question(
+            job=open_job(seam, stitcher, Options()),
+            machine=stitcher,
+            spec=spec,
+            options=Options(),
+            low=low,
+            high=high,
+            trials=trials,
+        ),
+        Grid(near=near, points=points),
     )
     assert len(found.intervals) > 1
     for interval in found.intervals:
@@ -111,7 +131,10 @@ def test_feeds_of_the_winder_pass_as_they_are_printed(
     options = replace(options_of(interpolation, None, "0.1 mm"), limit_share=share)
     job = read_job(_turn(tmp_path), machine) if share == 1.0 else read_job(X180, machine)
     found = fastest_feed(
-        job, machine, spec, options, low=low, high=high, points=6, near=2, trials=trials
+        Question(
+            job=job, machine=machine, spec=spec, options=options, low=low, high=high, trials=trials
+        ),
+        Grid(near=2, points=6),
     )
     assert found.intervals
     for interval in found.intervals:
@@ -131,7 +154,10 @@ def test_speeds_of_a_shaft_pass_as_they_are_printed(tmp_path: Path, trials: Tria
     design.write_bytes(ways.astype(np.int8).tobytes())
     job = read_job(design, machine)
     found = shaft.constant_speeds(
-        job, machine, spec, Options(), low=0.7, high=1.2, points=4, near=1, trials=trials
+        Question(
+            job=job, machine=machine, spec=spec, options=Options(), low=0.7, high=1.2, trials=trials
+        ),
+        Grid(points=4, near=1, edge=5e-3),
     )
     assert found.intervals
     for interval in found.intervals:
@@ -150,7 +176,11 @@ def test_feeds_over_the_tolerances_pass_on_the_machines_that_they_are_of(
     spec = load_spec(None, machine)
     options = options_of("linear", None, "0.1 mm")
     job = read_job(EXAMPLES / "x-180.prg", machine)
-    cells = mismatch.feed_over_tolerances(job, machine, spec, options, low=0.020, high=0.045)
+    asked = Question(
+        job=job, machine=machine, spec=spec, options=options, low=0.020, high=0.045,
+        by=FeedMode.FASTEST_AXIS,
+    )  # fmt: skip
+    cells = mismatch.off_tolerances(asked, lambda one: speeds(fastest_feed(one, COARSE)))
     assert len(cells) == 4 and all(cell.intervals for cell in cells)
     for cell in cells:
         actual = off_tolerance(machine, mass=cell.mass, stiffness=cell.stiffness)
@@ -173,7 +203,17 @@ def test_what_fails_at_all_speeds_is_named_as_prove_names_it(tmp_path: Path) -> 
     )
     machine = load_machine("stitcher")
     spec = load_spec(EXAMPLES / "stitcher-place.spec.toml", machine)
-    found = fastest_needle(seam, machine, spec, Options(), low=32.0, high=40.0, points=3, near=1)
+    found = fastest_needle(
+        Question(
+            job=open_job(seam, machine, Options()),
+            machine=machine,
+            spec=spec,
+            options=Options(),
+            low=32.0,
+            high=40.0,
+        ),
+        Grid(near=1, points=3),
+    )
     assert found.best is None and not found.intervals
     for speed in (32.0, 40.0):
         job = read_job(seam, machine, needle_speed=f"{speed} stitch/s")
@@ -197,7 +237,7 @@ def test_an_interval_is_cut_about_each_feed_that_fails() -> None:
         )
         return Verdict(results=(result,), simulated=True)
 
-    found = find_fastest(judged, 1.0, 8.0, points=7, near=2)
+    found = find_fastest(judged, 1.0, 8.0, Grid(points=7, near=2))
     assert 3.99 < found.intervals[0].high < 4.0
     for interval in found.intervals:
         assert interval.low <= interval.high
@@ -225,7 +265,7 @@ def test_what_jumps_from_feed_to_feed_ends_an_interval_early(phase: float) -> No
         result = Result(name="a", axis="", measured=measured, limit=1.0, unit="m", status=status)
         return Verdict(results=(result,), simulated=True)
 
-    found = find_fastest(judged, 1.0, 8.0, points=7, near=2)
+    found = find_fastest(judged, 1.0, 8.0, Grid(points=7, near=2))
     best = found.fastest
     assert best is not None and not best.alone and 3.92 <= best.high < 3.99
     random = np.random.default_rng(3)
@@ -240,8 +280,8 @@ def test_a_law_is_typed_back(
 ) -> None:
     """The search names the law that it ran with, a table of one's own here, and so its proof."""
     monkeypatch.setattr(gentle, "_LADDER", (1.0,))
-    monkeypatch.setattr(gentle, "_SCAN_POINTS", 2)
-    monkeypatch.setattr(gentle, "NEAR_POINTS", 1)
+    monkeypatch.setattr(gentle, "_SCAN", Grid(points=2))
+    monkeypatch.setattr(gentle, "_CLOSELY", Grid(points=2, near=1))
     file = tmp_path / "my.law.csv"
     write_law(law("cycloidal"), file)
     job = tmp_path / "short.prg"

@@ -22,7 +22,7 @@ from threadline.proof import pipeline
 from threadline.proof.asked import trials_of
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job, prove_plan, yielding
-from threadline.search.design import Found, design
+from threadline.search.design import Found, Wanted, design
 from threadline.search.design_evaluate import Evaluator, Tried
 from threadline.search.influence import cheapest_set
 from threadline.search.machine_yield import MachineYield
@@ -145,7 +145,7 @@ def test_the_set_is_told_where_the_yield_is_too_low(
         main([*words, "--at-least", "85 %"])
     content = json.loads(capsys.readouterr().out)
     assert ended.value.code == 1 and content["interval"][0] < 0.85
-    assert content["level"] == "yield over tolerances"
+    assert content["level"] == "drawn machines"
     assert content["cheapest"]["reached"]
     assert set(content["cheapest"]["factors"].values()) <= {0.5, 0.25, 0.125, 0.0625}
     with pytest.raises(SystemExit) as ended:
@@ -185,11 +185,11 @@ def test_a_design_is_refused_whose_machines_are_out(tmp_path: Path) -> None:
     # Each dead time is a kernel of its own: those of a thousand machines are minutes.
     kept = replace(stitcher.tolerances, exclude=(*stitcher.tolerances.exclude, "drives.*.delay"))
     machine = replace(two_parameters(stitcher, (1.0, 30.0)), tolerances=kept)
-    plain = design(file, machine, spec, Options(), effort=NO_REGION).found
+    plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
     assert plain is not None and plain.verdict.passed
     plan = plan_job(read_job(file, plain.machine), plain.machine, Options())
     assert MachineYield(plan, plain.spec).drawn(600, 7).interval[1] < 0.15
-    wished = design(file, machine, spec, Options(), trials=yielding(0.15), effort=NO_REGION)
+    wished = design(file, machine, spec, Options(), Wanted(trials=yielding(0.15), effort=NO_REGION))
     assert "rejects" in wished.refused
     assert wished.found is not None
     assert wished.found.candidate.cost > plain.candidate.cost
@@ -219,10 +219,12 @@ def test_a_design_is_found_whose_machines_are_in(tmp_path: Path) -> None:
         plan = plan_job(read_job(file, found.machine), found.machine, Options())
         return MachineYield(plan, found.spec).drawn(200, 7).interval
 
-    plain = design(file, machine, spec, Options(), effort=NO_REGION).found
+    plain = design(file, machine, spec, Options(), Wanted(effort=NO_REGION)).found
     assert plain is not None and plain.candidate.cost == 0.0
     assert drawn_by_hand(plain)[1] < 0.7
-    wished = design(file, machine, spec, Options(), trials=yielding(0.8), effort=NO_REGION).found
+    wished = design(
+        file, machine, spec, Options(), Wanted(trials=yielding(0.8), effort=NO_REGION)
+    ).found
     assert wished is not None and wished.verdict.passed
     assert wished.verdict.result("rejects").measured <= 0.2
     assert wished.candidate.cost > 0.1

@@ -23,9 +23,10 @@ from threadline.search import cycle_robust
 from threadline.search import shaft as shaft_search
 from threadline.search.cycle import fastest_cycle
 from threadline.search.cycle_robust import robust_cycle
-from threadline.search.fastest import find_fastest
+from threadline.search.fastest import Grid, find_fastest
 from threadline.search.feed import fastest_needle
 from threadline.search.least_limits import fastest_job
+from threadline.search.paced import Question
 from threadline.search.shaft import fastest_shaft
 from threadline.search.until import INTERRUPTED, OUT_OF_TIME, HaltError, Until, as_far_as
 from threadline.verdict import Verdict, load_spec
@@ -52,14 +53,28 @@ def needle(until: Until) -> tuple[float | None, int]:
     machine = load_machine("stitcher-rigid")
     spec = load_spec(None, machine)
     seam = EXAMPLES / "strap.seam.toml"
-    found = fastest_needle(seam, machine, spec, Options(), low=1.0, high=200.0, until=until)
+    found = fastest_needle(
+        Question(
+            job=open_job(seam, machine, Options()),
+            machine=machine,
+            spec=spec,
+            options=Options(),
+            low=1.0,
+            high=200.0,
+            until=until,
+        )
+    )
     return found.best, found.tried
 
 
 def shaft(until: Until) -> tuple[float | None, int]:
     machine = load_machine("table-embroiderer")
     job = open_job(EXAMPLES / "rosette.dst", machine, Options())
-    found = fastest_shaft(job, machine, load_spec(None, machine), Options(), until=until)
+    found = fastest_shaft(
+        Question(
+            job=job, machine=machine, spec=load_spec(None, machine), options=Options(), until=until
+        )
+    )
     assert found.schedule is None
     return found.constant.best, found.constant.tried
 
@@ -68,7 +83,11 @@ def optimal(until: Until) -> tuple[float | None, int]:
     machine = load_machine("lathe-winder")
     options = Options(interpolation=OPTIMAL)
     job = open_job(EXAMPLES / "x-180.prg", machine, options)
-    found = fastest_job(job, machine, load_spec(None, machine), options, until=until)
+    found = fastest_job(
+        Question(
+            job=job, machine=machine, spec=load_spec(None, machine), options=options, until=until
+        )
+    )
     assert found.ended == until.ended
     return found.best.found.best, len(found.rungs)
 
@@ -141,17 +160,21 @@ def test_a_search_that_judged_nothing_has_no_answer(name: str) -> None:
 
 def test_schedules_of_a_shaft_end_with_the_best_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
     """The speeds are searched to their end, a few here; of the seven schedules one is tried."""
-    few = partial(shaft_search.constant_speeds, points=4, near=1)
+    few = partial(shaft_search.constant_speeds, grid=Grid(points=4, near=1, edge=5e-3))
     monkeypatch.setattr(shaft_search, "constant_speeds", few)
     machine = load_machine("schiffli-frame")
     job = open_job(EXAMPLES / "rosette.dst", machine, Options())
     spec = load_spec(None, machine)
     whole = After(10**6)
     span = {"low": 1.9, "high": 2.0}
-    found = fastest_shaft(job, machine, spec, Options(), until=whole, **span)
+    found = fastest_shaft(
+        Question(job=job, machine=machine, spec=spec, options=Options(), until=whole, **span)
+    )
     used = 10**6 - whole.left
     short = After(used - 6)
-    ended = fastest_shaft(job, machine, spec, Options(), until=short, **span)
+    ended = fastest_shaft(
+        Question(job=job, machine=machine, spec=spec, options=Options(), until=short, **span)
+    )
     assert found.schedule is not None and ended.schedule is not None
     assert ended.constant.intervals == found.constant.intervals
     assert short.ended == OUT_OF_TIME and whole.ended == ""
@@ -164,7 +187,7 @@ def test_cycles_end_with_the_best_so_far(interrupts: bool) -> None:
     job = open_job(EXAMPLES / "letter-cycle.toml", machine, Options())
     spec = load_spec(None, machine)
     until = After(1, interrupts=interrupts)
-    assert fastest_cycle(job, machine, spec, until=until).tried == 2
+    assert fastest_cycle(Question(job=job, machine=machine, spec=spec, until=until)).tried == 2
     assert until.ended == (INTERRUPTED if interrupts else OUT_OF_TIME)
 
 
@@ -188,7 +211,7 @@ def test_a_cycle_for_a_band_ends_with_the_one_that_is_tried(
         spec, criteria=tuple(replace(c, limit=c.limit and 0.1 * c.limit) for c in spec.criteria)
     )
     until = After(0)
-    found = robust_cycle(job, machine, strict, 0.1, until=until)
+    found = robust_cycle(Question(job=job, machine=machine, spec=strict, until=until), 0.1)
     assert (found.job, found.tried, until.ended) == (None, 1, OUT_OF_TIME)
 
 

@@ -110,7 +110,7 @@ def test_bands_that_cannot_be(
 def test_a_band_is_of_si_of_ticks_or_of_a_move(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = run(capsys, "shaper", "--mode", "3Hz:0.01:20%", "--kind", "zv")
     assert code == 2
-    assert "20%, says nothing of the kind zv" in err
+    assert "20%, has no effect on the kind zv" in err
 
 
 def test_ticks_keep_each_band(capsys: pytest.CaptureFixture[str]) -> None:

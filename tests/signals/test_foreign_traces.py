@@ -132,9 +132,12 @@ BAD_TRACES = {
     "unknown column": ("time [s],X [mm],Xx [mm]\n0,1,1\n", "unknown column 'Xx'.*'X'"),
     "unknown kind": ("time [s],X.laod [mm]\n0,1\n", "unknown column 'X.laod'.*'X.load'"),
     "misspelt time": ("tmie [s],X [mm]\n0,1\n", "unknown column 'tmie'.*'time'"),
-    "twice": ("time [s],X [mm],X [mm]\n0,1,1\n1,1,1\n", "column 'X.measured' stands twice"),
+    "twice": ("time [s],X [mm],X [mm]\n0,1,1\n1,1,1\n", "column 'X.measured' occurs twice"),
     "no time": ("X [mm],Y [mm]\n0,1\n1,1\n", "needs a column of time"),
-    "time alone": ("time [s]\n0\n1\n", "needs a column of time and one of positions"),
+    "time alone": (
+        "time [s]\n0\n1\n",
+        "needs a column of time and at least one column of positions",
+    ),
     "one row": ("time [s],X [mm]\n0,1\n", "1 row.*at least 2"),
     "no row": ("time [s],X [mm]\n", "0 row.*at least 2"),
     "same time": ("time [s],X [mm]\n0,1\n1,1\n1,2\n", r"t\.csv:4: time goes from 1 s to 1 s"),
@@ -158,9 +161,12 @@ BAD_TRACES = {
     "unit of operation": ("time [s],operation [mm]\n0,1\n1,1\n", "'operation' has no unit"),
     "half an operation": (
         "time [s],X [mm],operation\n0,1,0\n1,1,0.5\n",
-        r"t\.csv:3: the operation 0\.5 is no whole number.*leave the column out",
+        r"t\.csv:3: the operation 0\.5 is neither a whole number.*leave the column out",
     ),
-    "operation below none": ("time [s],operation,X [mm]\n0,-1,1\n1,-2,1\n", r"csv:3: .*-2 is no"),
+    "operation below none": (
+        "time [s],operation,X [mm]\n0,-1,1\n1,-2,1\n",
+        r"csv:3: .*-2 is neither",
+    ),
     "endless operation": ("time [s],operation,X [mm]\n0,1e300,1\n1,1,1\n", r"csv:2: .*1e\+300"),
     "brackets": ("time [s],X [[mm]\n0,1\n1,1\n", "is not the name of a column"),
 }
@@ -176,15 +182,15 @@ def test_bad_traces_are_refused_in_one_line(tmp_path, name) -> None:
 
 
 BAD_PLT = {
-    "empty": ("", "first line is ''"),
-    "no heading": ("1.0\t2.0\t3.0\n", "must name columns, units and rate"),
-    "no rate": ("X [mm]\tY [mm]\n1\t2\n", "must name columns, units and rate"),
-    "rate alone": ("every 20 ticks of 5 ms\n", "must name columns"),
+    "empty": ("", "first line ''"),
+    "no heading": ("1.0\t2.0\t3.0\n", "does not give columns, units and rate"),
+    "no rate": ("X [mm]\tY [mm]\n1\t2\n", "does not give columns, units and rate"),
+    "rate alone": ("every 20 ticks of 5 ms\n", "does not give columns"),
     "rate of nothing": ("X [mm]\tevery 20 ticks of 0 ms\n1\n", "tick '0 ms' cannot be read"),
     "no unit": ("X\tevery 20 ticks of 5 ms\n1\n", "'X' has no unit"),
     "a voltage": ("X.voltage [V]\tevery 2 ticks of 5 ms\n1\n", "position of an axis"),
     "the time": ("time [s]\tevery 2 ticks of 5 ms\n1\n", "position of an axis"),
-    "twice": ("X [mm]\tX [mm]\tevery 2 ticks of 5 ms\n1\t1\n", "stands twice"),
+    "twice": ("X [mm]\tX [mm]\tevery 2 ticks of 5 ms\n1\t1\n", "occurs twice"),
     "short": ("X [mm]\tY [mm]\tevery 2 ticks of 5 ms\n1\t2\n1\n", r"t\.plt:3: the line has 1 n"),
     "nan": ("X [mm]\tevery 2 ticks of 5 ms\nnan\n", r"t\.plt:2: 'nan'"),
     "no rows": ("X [mm]\tevery 2 ticks of 5 ms\n", "no rows"),

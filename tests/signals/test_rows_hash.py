@@ -148,7 +148,7 @@ def test_a_changed_row_is_refused(tmp_path: Path, ending: str) -> None:
         assert any(table.rows_sha256() in line for line in head)
         body = [line for line in changed if not line.startswith("# ")]
         file.write_text("\n".join([*head[:-1], *body, head[-1]]) + "\n")
-    with pytest.raises(RecordingError, match=rf"table\.{ending}: the rows are not those") as caught:
+    with pytest.raises(RecordingError, match=rf"table\.{ending}: the rows were changed") as caught:
         read_table(file)
     assert table.rows_sha256()[:12] in str(caught.value)
     assert "\n" not in str(caught.value)

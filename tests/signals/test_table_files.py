@@ -135,7 +135,7 @@ BAD_TABLES = {
     "no columns": (HEAD, "ends before its columns"),
     "key twice": (
         HEAD + '# axes: ["Y"]\n' + COLUMNS + ROWS + END,
-        r"t\.csv:8: 'axes' stands twice",
+        r"t\.csv:8: 'axes' occurs twice",
     ),
     "no value": (HEAD + "# nonsense\n" + COLUMNS + ROWS + END, "not a '# key: value' line"),
     "bad value": (HEAD + "# key: {\n" + COLUMNS + ROWS + END, r"t\.csv:8: .* is not JSON"),
@@ -160,9 +160,9 @@ BAD_TABLES = {
         HEAD + COLUMNS + '0,1,0,"[[""stopp"",0,"""",0]]"\n',
         "unknown kind of event 'stopp'. Did you mean 'stop'",
     ),
-    "event value": (HEAD + COLUMNS + '0,1,0,"[[""stop"",0,"""",NaN]]"\n', "an event has the value"),
+    "event value": (HEAD + COLUMNS + '0,1,0,"[[""stop"",0,"""",NaN]]"\n', "an event has value"),
     "event json": (HEAD + COLUMNS + '0,1,0,"[["\n', "is not JSON"),
-    "event tick": (HEAD + COLUMNS + ROWS + "0,,,\n" + END, "tick 0 stands twice"),
+    "event tick": (HEAD + COLUMNS + ROWS + "0,,,\n" + END, "tick 0 occurs twice"),
     "no counts": (HEAD + COLUMNS + ROWS + "2,,,\n" + END, "no counts and no events"),
     "row after events": (
         HEAD + COLUMNS + '5,,,"[[""end"",0,"""",0]]"\n0,1,0,\n' + END,
@@ -170,7 +170,7 @@ BAD_TABLES = {
     ),
     "wrong end": (HEAD + COLUMNS + ROWS + "# end after ticks: 3\n", "has 2 ticks, its end says 3"),
     "no end": (HEAD + COLUMNS + ROWS, "the table is cut off"),
-    "after the end": (HEAD + COLUMNS + ROWS + END + "2,1,0,\n", "goes on after its end"),
+    "after the end": (HEAD + COLUMNS + ROWS + END + "2,1,0,\n", "rows follow the end of the table"),
 }
 
 
@@ -198,7 +198,7 @@ BAD_ARRAYS = {
     "word": ("four,1,0,0,0,\n", "'four' is not a whole number"),
     "wrong end": ("3,1,0,0,0,\n" + END, "has 3 ticks, its end says 2"),
     "no end": ("2,1,0,0,0,\n", "cut off"),
-    "beyond the end": (f"1,1,0,0,0,\n{2**31},1,0,0,0,\n" + END, "until tick 2147483649, and"),
+    "beyond the end": (f"1,1,0,0,0,\n{2**31},1,0,0,0,\n" + END, "to tick 2147483649, but"),
     "long without end": (f"{2**31},1,0,0,0,\n", "cut off"),
 }
 

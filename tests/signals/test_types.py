@@ -231,7 +231,7 @@ def test_streams_are_recipes() -> None:
     class Nested(Steps):
         pass
 
-    remedy = r"Put it into its module, and give what it needs .* as arguments"
+    remedy = r"at the top level of its module and pass the values that it needs"
     for arguments in (
         (lambda: iter([1]),),
         (nested,),
@@ -243,5 +243,5 @@ def test_streams_are_recipes() -> None:
     ):
         with pytest.raises(TypeError, match=remedy):
             Stream(*arguments)  # type: ignore[arg-type]
-    with pytest.raises(TypeError, match="can be read once only"):
+    with pytest.raises(TypeError, match="can be read only once"):
         Stream(iter, (k for k in range(3)))

@@ -271,7 +271,7 @@ def test_nonsense_is_refused(demands: dict[str, float], text: str) -> None:
 
 
 def test_nothing_from_nothing() -> None:
-    with pytest.raises(OptionError, match="nothing follows"):
+    with pytest.raises(OptionError, match="not enough for any result"):
         size(Demands())
     with pytest.raises(OptionError, match="no profile"):
         size(Demands(move_m=1.0, move_s=1.0, profile="square"))
@@ -297,4 +297,4 @@ def test_the_torque_margin_is_that_of_a_frame_by_hand() -> None:
         (margin,) = (line.value for line in found.lines if line.name == "move torque margin")
         assert margin == pytest.approx(712.0 / needed, rel=1e-8)  # the rotor is 2e-9 of it
         assert len(found.warnings) == warned
-    assert "wanted are 10 times: 1186 N m" in found.warnings[0]
+    assert "required are 10 times: 1186 N m" in found.warnings[0]

@@ -5,16 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from time import process_time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from tests.conftest import NO_SAMPLES, SHARED_SAMPLES
 from threadline.commands.stitch_pace import Moves, Pace
-from threadline.commands.stitched import _on_grid, stitch
+from threadline.commands.stitched import stitch
 from threadline.errors import OptionError, PlanError
+from threadline.files import Stream
 from threadline.jobs import read_job
+from threadline.jobs.operations import MoveRun
 from threadline.machine import load_machine
 from threadline.motion.laws import law
 from threadline.motion.shaping import FlexibleMode
@@ -240,15 +241,15 @@ def test_options_that_mean_nothing_are_refused(changed: dict, examples: Path) ->
         open_job(examples / "rosette.dst", MACHINE, options)
 
 
-def test_a_stitch_between_two_units_is_named_by_its_own_line() -> None:
-    """The second of three, at 0.25 mm where the machine moves in tenths."""
-    item = SimpleNamespace(
-        targets=np.array([[1e-3, 0.0], [1e-3, 2.5e-4], [1e-3, 3e-4]]),
-        line=np.array([4, 7, 9]),
-        file="mine.dst",
-    )
-    with pytest.raises(PlanError, match=r"a stitch at 1, 0\.25 mm is between") as caught:
-        _on_grid(item, 1e-4)
-    assert "mine.dst:7" in str(caught.value)
-    whole = SimpleNamespace(targets=item.targets[[0, 2]], line=item.line[[0, 2]], file=item.file)
-    np.testing.assert_array_equal(_on_grid(whole, 1e-4), [[10, 0], [10, 3]])
+def test_a_stitch_between_two_units_is_named_by_its_own_line(examples: Path) -> None:
+    """The second of a run, a quarter of a unit off where the machine moves in whole ones."""
+    job = read_job(examples / "rosette.dst", MACHINE)
+    runs = list(job.runs())
+    at, run = next((k, run) for k, run in enumerate(runs) if isinstance(run, MoveRun))
+    targets, unit_m = run.targets.copy(), 1e-4
+    x_m, y_m = targets[1] = targets[1] + [0.0, 0.25 * unit_m]
+    runs[at] = replace(run, targets=targets, line=np.arange(4, 4 + len(run)))
+    said = rf"a stitch at {x_m * 1e3:g}, {y_m * 1e3:g} mm is between the units of 0\.1 mm"
+    with pytest.raises(PlanError, match=said) as caught:
+        stitch(replace(job, operations=Stream.of(runs)), MACHINE, SINE, 5e-5, None)
+    assert "rosette.dst:5:" in str(caught.value)

@@ -16,8 +16,9 @@ from threadline.machine import load_machine
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, Trials, plan_job, prove_plan
-from threadline.search import shaft
-from threadline.search.fastest import find_fastest
+from threadline.search import paced, shaft
+from threadline.search.fastest import Grid, find_fastest
+from threadline.search.paced import Question
 from threadline.verdict import Verdict, load_spec
 
 MACHINE = load_machine("schiffli-frame")
@@ -46,19 +47,28 @@ def test_speeds_that_are_far_within_are_not_judged_by_all_runs(
     """The same intervals as with every run at every speed, for a third of the runs at most."""
     counted: list[int] = []
     eight = Trials(repeats=8)
-    original = shaft.try_plan
+    original = paced.try_plan
 
     def counting(plan, spec, trials, actual=None):  # type: ignore[no-untyped-def]
         counted.append(trials.repeats)
         return original(plan, spec, trials, actual)
 
-    monkeypatch.setattr(shaft, "try_plan", counting)
+    monkeypatch.setattr(paced, "try_plan", counting)
     found = []
     for share in (0.8, 0.0):
         counted.clear()
         monkeypatch.setattr(shaft, "_FAR", share)
         one = shaft.constant_speeds(
-            job, MACHINE, SPEC, Options(), low=0.8, high=1.2, points=4, near=1, trials=eight
+            Question(
+                job=job,
+                machine=MACHINE,
+                spec=SPEC,
+                options=Options(),
+                low=0.8,
+                high=1.2,
+                trials=eight,
+            ),
+            Grid(points=4, near=1, edge=5e-3),
         )
         found.append((one.intervals, one.limited_by, sum(counted)))
         assert one.best is not None
@@ -82,7 +92,7 @@ def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
     limits = {"stitch_residual": residual_m, "servo_force": force}
     criteria = tuple(replace(c, limit=limits.get(c.name, c.limit)) for c in SPEC.criteria)
     runs: dict[float, int] = {}
-    original = shaft.try_plan
+    original = paced.try_plan
 
     def counting(plan, spec, trials, actual=None):  # type: ignore[no-untyped-def]
         proof = original(plan, spec, trials, actual)
@@ -90,11 +100,19 @@ def test_one_run_is_enough_only_where_it_and_the_forecast_are_far_within(
         runs[plan.duration_s] = max(runs.get(plan.duration_s, 0), trials.repeats)
         return proof
 
-    monkeypatch.setattr(shaft, "try_plan", counting)
+    monkeypatch.setattr(paced, "try_plan", counting)
     shaft.constant_speeds(
-        job, MACHINE, replace(SPEC, criteria=criteria), Options(),
-        low=0.998, high=1.002, points=3, near=0, trials=Trials(repeats=4),
-    )  # fmt: skip
+        Question(
+            job=job,
+            machine=MACHINE,
+            spec=replace(SPEC, criteria=criteria),
+            options=Options(),
+            low=0.998,
+            high=1.002,
+            trials=Trials(repeats=4),
+        ),
+        Grid(points=3, near=0, edge=5e-3),
+    )
     inner = [runs[duration] for duration in sorted(runs)[1:-1]]
     assert inner and all(count == (4 if by_all else 1) for count in inner)
 
@@ -105,7 +123,8 @@ def test_an_end_that_more_runs_refuse_is_searched_again_with_all(
     """Everything is far within, were it asked of one run: what is answered still passes twenty."""
     monkeypatch.setattr(shaft, "_far_within", lambda *_: True)
     found = shaft.constant_speeds(
-        job, MACHINE, SPEC, Options(), points=6, near=0, trials=Trials(repeats=20)
+        Question(job=job, machine=MACHINE, spec=SPEC, options=Options(), trials=Trials(repeats=20)),
+        Grid(points=6, near=0, edge=5e-3),
     )
     for interval in found.intervals:
         for end in (interval.low, interval.high):
@@ -122,9 +141,12 @@ def test_how_far_a_search_is_never_falls_and_never_ends_before_it() -> None:
         return Verdict(results=(), simulated=True, incomplete="" if int(100 * feed) % 2 else "no")
 
     found = find_fastest(
-        judged, 0.1, 1.0, points=24, near=3, edge_relative=5e-3,
+        judged,
+        0.1,
+        1.0,
+        Grid(points=24, near=3, edge=5e-3),
         progress=lambda _, share: told.append(share),
-    )  # fmt: skip
+    )
     assert len(told) == found.tried
     assert all(after >= before for before, after in pairwise(told))
     assert told[-1] < 0.99

@@ -156,7 +156,7 @@ def test_a_block_that_is_missing_between_two_others_is_told(
     content, lengths = whole_file(recording)
     path = tmp_path / "gap.mcap"
     path.write_bytes(content[: lengths[1]] + content[lengths[2] : lengths[-1]])
-    with pytest.raises(RecordingError, match="block 2 is missing between two others"):
+    with pytest.raises(RecordingError, match="block 2 is missing"):
         read_recording(path)
 
 
@@ -250,7 +250,7 @@ def test_a_chunk_that_lies_is_refused_before_it_is_unpacked(
     path = tmp_path / "bomb.mcap"
     path.write_bytes(packed(recording, compression, size, bytes(1 << 24)))
     tracemalloc.start()
-    with pytest.raises(RecordingError, match=r"bomb\.mcap.*(promises|says that it holds)"):
+    with pytest.raises(RecordingError, match=r"bomb\.mcap.*claims"):
         read_recording(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

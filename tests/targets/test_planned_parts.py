@@ -5,9 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from threadline.commands.planned_job import _parts
+from threadline.commands.planned_job import planned_job
+from threadline.jobs.operations import Feed, FeedMode, Move
 
-ONE = np.ones(2)
+from .makers import HERE, job_of, polynomials, winder
+
+AXES = ("X", "Y")
+ROUNDED_M = 1e-9
+"""What the rounding of the ends of chords adds to how far they stray."""
+
+
+def chords(pieces, tolerance_m: float) -> list[int]:
+    """Return into how many moves each piece, a move of the job, is divided as it is written."""
+    moves = [Move(tuple(c.sum(axis=0)), Feed(FeedMode.RAPID, 0.0), HERE) for c in pieces]
+    timed = polynomials([(1.0, c.tolist(), i) for i, c in enumerate(pieces)], axes=AXES)
+    made = list(planned_job(job_of(moves, AXES), timed, winder(), tolerance_m))
+    # Of n chords in 1 s each has 1 / n s: the inverse time of each is n.
+    feeds = [int(move.feed.value) for move in made]
+    found = []
+    while feeds:
+        found.append(feeds[0])
+        assert feeds[: feeds[0]] == [feeds[0]] * feeds[0]
+        del feeds[: feeds[0]]
+    return found
 
 
 def strays(c, parts: int) -> float:
@@ -24,7 +44,7 @@ def strays(c, parts: int) -> float:
 def test_a_parabola_needs_as_many_as_its_sagitta_says(tolerance: float) -> None:
     """y = 0.02 (u^2 - u) over 0.1 m: n chords are off by 0.02 / (4 n^2), exactly."""
     c = np.array([[0.0, 0.0], [0.1, -0.02], [0.0, 0.02]])
-    (parts,) = _parts(c[None], ONE, tolerance)
+    (parts,) = chords([c], tolerance)
     assert parts == int(np.ceil(np.sqrt(0.02 / (4 * tolerance)) - 1e-9))
     assert strays(c, parts) <= tolerance * (1 + 1e-9)
     assert strays(c, parts - 1) > tolerance
@@ -35,12 +55,12 @@ def test_no_piece_strays_farther_than_the_tolerance() -> None:
     for _ in range(50):
         block = rng.normal(scale=0.01, size=(2, int(rng.integers(3, 7)), 2))
         tolerance = float(10.0 ** rng.uniform(-6, -3))
-        for c, parts in zip(block, _parts(block, ONE, tolerance), strict=True):
+        for c, parts in zip(block, chords(block, tolerance), strict=True):
             # The bound is on each axis: two of them are off by its root of two at most.
             assert strays(c, parts) <= np.sqrt(2.0) * tolerance, (c, tolerance)
 
 
 def test_a_straight_piece_is_one_chord() -> None:
     straight = np.array([[0.0, 0.0], [0.1, 0.2], [0.0, 0.0]])
-    assert _parts(np.stack([straight[:2], straight[:2]]), ONE, 1e-9) == [1, 1]
-    assert _parts(straight[None, :1], ONE, 1e-9) == _parts(straight[None], ONE, 1e-9) == [1]
+    assert chords([straight[:2], straight[:2]], 1e-9) == [1, 1]
+    assert chords([straight], 1e-9) == [1]

@@ -90,7 +90,7 @@ def test_commands_of_another_kind_are_refused(tmp_path) -> None:
     )
     plan = plan_of(polynomials(PIECES))
     plan.commands = schedule
-    with pytest.raises(OptionError, match=r"a table of counts is needed, which an on/off machine"):
+    with pytest.raises(OptionError, match=r"this needs a table of counts, which an on/off machine"):
         write(plan, "csv", tmp_path / "x")
     plan.machine = load_machine("letter-placer")
     with pytest.raises(OptionError, match=r"commanded by switches. Use plcopen or scl or st"):

@@ -153,7 +153,7 @@ def test_prove_compile_and_judge_take_a_law(
     ("arguments", "said"),
     [
         (("--law", "nope"), "unknown motion law 'nope'"),
-        (("--law", "cubic", "--interpolation", "linear"), "is an interpolation of its own"),
+        (("--law", "cubic", "--interpolation", "linear"), "both choose the interpolation"),
         (("--interpolation", "law:trapezoid:2"), "ramp must be in"),
         (("--law", ""), "unknown motion law ''"),
     ],

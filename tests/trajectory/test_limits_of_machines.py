@@ -163,8 +163,13 @@ def test_less_of_the_limits_is_less_of_braking_and_along_the_path_too():
     [
         ("lathe-winder", "axes.X", "deceleration = '3 rad/s^2 exact, assumed'", "deceleration"),
         ("lathe-winder", "axes.X", "deceleration = '0 m/s^2 exact, assumed'", "deceleration"),
-        ("lathe-winder", "path", "", "a path without any limit"),
-        ("lathe-winder", "path", "deceleration = '3 m/s^2 exact, assumed'", "with an acceleration"),
+        ("lathe-winder", "path", "", r"a \[path\] without limits"),
+        (
+            "lathe-winder",
+            "path",
+            "deceleration = '3 m/s^2 exact, assumed'",
+            "needs an acceleration",
+        ),
         ("lathe-winder", "path", "speed = '3 m/s exact, assumed'", "unknown key 'path.speed'"),
         ("letter-placer", "path", "velocity = '3 m/s exact, assumed'", "path: .*cylinders"),
         ("schiffli-frame", "path", "velocity = '3 m/s exact, assumed'", "path: step tables"),

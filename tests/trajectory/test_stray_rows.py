@@ -87,7 +87,7 @@ def test_the_motion_is_near_the_least_that_any_plan_can_take(monkeypatch):
     assert bound_s <= plan.duration_s < 1.035 * bound_s
     found = {(r.name, r.axis): r for r in prove_plan(plan, load_spec(None, WINDER)).verdict.results}
     assert found["contour_error", ""].measured < 4.2e-4
-    monkeypatch.setattr(polished, "_POLISHED_ROUNDS", 0)
+    monkeypatch.setattr(polished, "_MOST_ROUNDS_OF_ROWS", 0)
     assert planned(3e-4).duration_s > 1.03 * plan.duration_s
 
 

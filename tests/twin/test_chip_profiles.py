@@ -127,8 +127,8 @@ def test_feed_forward_is_refused(tmp_path):
     """The inverse prescribes every reference; a chip that makes its own cannot have them."""
     machine = machine_of(tmp_path, "integral-velocity", 17)
     motion = smooth_motion(np.array([0.0, 0.1]), np.array([[0.0], [0.0]]), np.full(5, 0.01))
-    with pytest.raises(MachineError, match="makes its positions itself"):
+    with pytest.raises(MachineError, match="generates positions itself"):
         feed_forward(machine, "X", motion, 0.0, 0.1)
     # The way that commands take, run by run.
-    with pytest.raises(MachineError, match="makes its positions itself"):
+    with pytest.raises(MachineError, match="generates positions itself"):
         AxisPreview(machine, "X")

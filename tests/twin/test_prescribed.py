@@ -1,4 +1,4 @@
-"""Drives that are told positions: loads behind them, torque asked for, torque there is."""
+"""Drives that take positions: loads behind them, torque asked for, torque there is."""
 
 from __future__ import annotations
 
@@ -143,6 +143,38 @@ def test_the_largest_share_between_samples_is_kept(machine: Machine) -> None:
     )
 
 
+@pytest.mark.parametrize("per_ms", [10, 1000])
+def test_a_rotor_takes_its_time_for_a_step_that_comes_within_a_microsecond(
+    tmp_path: Path, per_ms: int
+) -> None:
+    """A count in a tick of 1 us is 12.5 m/s of the belt: taken for a speed, its run fell slack.
+
+    The load is where it is with pulses that come evenly over 1 ms, but for a delay of less than
+    that; so is the torque.
+    """
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        'base = "stepper-winder"\nname = "mine"\n'
+        f'[clocks]\npulse = "{1 / per_ms} ms exact, assumed"\n'
+    )
+    usual, fine = load_machine("stepper-winder"), load_machine(str(file))
+    counts = stroke()
+    ways = np.interp(
+        np.arange(240 * per_ms + 1) / per_ms,
+        np.arange(241),
+        np.concatenate([[0], np.cumsum(counts)]),
+    )
+    rows = np.diff(np.floor(ways + 0.5)).astype(np.int64)
+    coarse = simulate(table(usual, counts), usual, settle_s=0.05)
+    found = simulate(table(fine, rows), fine, settle_s=0.05)
+    there, here = coarse.samples("X.load")[1], found.samples("X.load")[1][::per_ms]
+    size = min(len(there), len(here))
+    assert size > 280
+    assert np.abs(here[:size] - there[:size]).max() < 0.25 * 1e-3
+    asked = [one.samples("X.torque_share")[1].max() for one in (coarse, found)]
+    assert asked[1] == pytest.approx(asked[0], rel=0.3)
+
+
 @pytest.mark.parametrize("volts", [12.0, 36.0, 80.0])
 def test_pull_out_torque_is_the_most_that_voltage_and_current_allow(volts: float) -> None:
     """Every current on a grid of 2e5, those that need more voltage than there is left out."""
@@ -250,7 +282,7 @@ def test_parts_that_are_not_linear_are_refused_by_name(machine: Machine) -> None
     assert friction is not None
     rubbing = replace(machine.bodies["x_eye"], friction=replace(friction, si=2.0, unit="N"))
     bad = replace(machine, bodies={**machine.bodies, "x_eye": rubbing})
-    with pytest.raises(MachineError, match=r"bodies\.x_eye\.friction is not linear, in a piece"):
+    with pytest.raises(MachineError, match=r"bodies\.x_eye\.friction is not linear, and"):
         simulate(table(machine, stroke()), bad)
     loose = replace(machine.links["x_belt"], preload=replace(friction, si=1.0, unit="N"))
     bad = replace(machine, links={**machine.links, "x_belt": loose})

@@ -201,7 +201,7 @@ def test_a_fault_drops_the_rows_that_wait(sticking):
 
 def test_rows_that_are_left_out_are_refused(sticking):
     session = Session(sticking)
-    with pytest.raises(OptionError, match="rows from 3 on, the next is 0"):
+    with pytest.raises(OptionError, match="the rows begin at 3, expected 0"):
         session.advance(block_of(ROWS, 3))
     with pytest.raises(OptionError, match="2 axes"):
         session.advance(TickBlock(first_tick=0, counts=np.zeros((4, 2), int), operation=[0] * 4))

@@ -200,7 +200,7 @@ def test_eccentric_gear_is_checked(table, tmp_path):
         '[links.x_belt.eccentric]\nangle = { x_motor = "0.5 exact, assumed" }\n'
         'width = "0.2 mm exact, assumed"\nphase = "0 rad exact, assumed"\n'
     )
-    with pytest.raises(MachineError, match="at least as wide"):
+    with pytest.raises(MachineError, match="at least its width"):
         overlaid(tmp_path, f'[links.x_belt]\nplay = "0.1 mm exact, assumed"\n{eccentric}')
     machine = overlaid(tmp_path, f'[links.x_belt]\nplay = "0.2 mm exact, assumed"\n{eccentric}')
     x = dataclasses.replace(machine.axes["X"], travel=None, endless=True)

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import pytest
-from tools import winder_claims
-
-from threadline.machine.load import load_machine
+from tools import claims
 
 
-def test_figure_7_5():
-    """Settling 460-610, 160-187, 92-150 ms, overshoot 0, 0.2, 14 %: recomputed from eq 7-12."""
-    rows = {row[0]: row for row in winder_claims.figure_7_5()}
-    for gain, settling, overshoot in (("0.2", (461, 610), 0.0), ("0.45", (161, 187), 0.2),
-                                      ("2.0", (92, 150), 14.0)):  # fmt: skip
-        low, high = (float(x) for x in rows[gain][3].split(" ... "))
-        assert (low, high) == pytest.approx(settling, abs=8)
-        assert float(rows[gain][4]) == pytest.approx(overshoot, abs=0.15)
-    # With Kp 2 and Kd 4 it is 212, 122, 61 ms in continuous time; within two ticks on the twin.
-    for gain, settling in (("0.2", 212), ("0.45", 122), ("2.0", 61)):
-        assert float(rows[gain][5]) == pytest.approx(settling, abs=10)
-    assert rows["0.45"][2] == "-25.3-12.4j, -25.3+12.4j"
+@pytest.mark.parametrize(
+    ("gain", "settling_ms", "overshoot", "twin_ms"),
+    [("0.2", (461, 610), 0.0, 212), ("0.45", (161, 187), 0.002, 122), ("2.0", (92, 150), 0.14, 61)],
+)
+def test_figure_7_5(gain, settling_ms, overshoot, twin_ms):
+    """Settling 460-610, 160-187, 92-150 ms, overshoot 0, 0.2, 14 %: recomputed from eq 7-12.
+
+    With Kp 2 and Kd 4 it is 212, 122, 61 ms in continuous time; within two ticks on the twin.
+    """
+    found = claims.winder_step(gain)
+    assert [1e3 * s for s in found["settling_s"]] == pytest.approx(settling_ms, abs=8)
+    assert found["overshoot"] == pytest.approx(overshoot, abs=0.0015)
+    assert 1e3 * found["twin_settling_s"] == pytest.approx(twin_ms, abs=10)
 
 
 @pytest.mark.parametrize(
@@ -28,13 +27,13 @@ def test_figure_7_5():
 )
 def test_linear_at_289_mm_s(machine, least, most):
     """By voltage it stops 3.7 mm short, by current it runs 7 to 23 mm past the turning point."""
-    miss, _, _ = winder_claims.turning_point(80, load_machine("lathe-winder" + machine))
-    assert least <= miss <= most
+    found = claims.winder_reversal("lathe-winder" + machine, "80")
+    assert least <= 1e3 * found["past_m"] <= most
 
 
 def test_only_current_nearly_destabilises():
     """Figure 10-3 rings on: by current for many swings, by voltage for a few."""
-    _, calm, few = winder_claims.turning_point(80, load_machine("lathe-winder"))
-    _, wild, many = winder_claims.turning_point(80, load_machine("lathe-winder+current"))
-    assert wild > 10 * calm
-    assert many > 3 * few
+    calm = claims.winder_reversal("lathe-winder", "80")
+    wild = claims.winder_reversal("lathe-winder+current", "80")
+    assert wild["ringing_m"] > 10 * calm["ringing_m"]
+    assert wild["swings"] > 3 * calm["swings"]

@@ -11,7 +11,7 @@ import pytest
 
 from threadline.verdict import boxes, turning
 from threadline.verdict.boxes import NO_BOXES, Boxes
-from threadline.verdict.nearest import chord_ways, nearest_chords
+from threadline.verdict.nearest import chord_vectors, nearest_chords
 from threadline.verdict.places import ProgressPart, move_on
 
 AXES, SAMPLES = 3, 400
@@ -54,7 +54,7 @@ CLOUDS = pytest.mark.parametrize(
 @CLOUDS
 def test_the_nearest_chords_are_those_of_a_search_through_all_of_them(runs, spread) -> None:
     vertices, _, points = cloud(runs, spread, seed=1)
-    way, length = chord_ways(vertices)
+    way, length = chord_vectors(vertices)
     begin = np.clip(np.arange(SAMPLES) * 11 // SAMPLES, 1, 11)
     end = np.minimum(begin + np.arange(SAMPLES) % 3, 11)
     squared, chord = np.empty((SAMPLES, runs)), np.full((SAMPLES, runs), -7)
@@ -99,12 +99,13 @@ def test_vertices_that_can_be_the_worst_are_as_near_as_the_nearest_segment(runs,
 def test_the_progress_is_that_of_every_place_of_every_run(runs, spread, at_once) -> None:
     vertices, command, points = cloud(runs, spread, seed=3)
     off, _ = nearest_chords(points, np.full(SAMPLES, 1), np.full(SAMPLES, 11), vertices)
-    way, length = chord_ways(command)
+    way, length = chord_vectors(command)
     found = []
     for known in (True, False):
         part = ProgressPart(
-            command=command, way=way, inverse=1.0 / length, heading=way, first=0,
-            number=0, lag=LAG, places=np.array([0, -1]), value=np.full((LAG + 2, runs), np.inf),
+            command=command, way=way, inverse=1.0 / length,
+            length=np.sqrt((way**2).sum(axis=1)), heading=way, first=0, number=0, lag=LAG,
+            places=np.array([0, -1]), value=np.full((LAG + 2, runs), np.inf),
             worst=np.full(runs, -np.inf), at=np.zeros(runs, dtype=np.int64), side=np.zeros(runs),
             ceiling=np.full(1, (way**2).sum(axis=1).max() if known else np.inf),
             dropped=np.full(runs, np.inf),

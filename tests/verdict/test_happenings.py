@@ -27,7 +27,7 @@ from threadline.verdict import (
     load_spec,
     verdict_json,
 )
-from threadline.verdict.coverage import seen_in
+from threadline.verdict.coverage import effects_in
 
 AXES = ("X", "Y")
 POINTS = [[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.0]]
@@ -89,7 +89,7 @@ def test_a_fault_hides_no_failure() -> None:
 
 
 def told(verdict: Verdict) -> list[tuple[str, float, int | None]]:
-    return [(h.change.value, round(h.time_s or 0.0, 9), h.job_line) for h in verdict.happenings]
+    return [(h.change.value, round(h.time_s or 0.0, 9), h.job_line) for h in verdict.disturbances]
 
 
 def test_holds_lateness_and_ends_are_told_with_time_and_line() -> None:
@@ -155,7 +155,7 @@ def test_a_motor_without_supply_is_named_in_a_proof(tmp_path: Path) -> None:
 
     proof = prove(job, chosen, load_spec(None, chosen), Options(interpolation="linear"))
 
-    cuts = [h for h in proof.verdict.happenings if h.change.value == "limit-switch"]
+    cuts = [h for h in proof.verdict.disturbances if h.change.value == "limit-switch"]
     assert [h.axis for h in cuts] == ["X"]
     assert cuts[0].time_s is not None and 1.3 < cuts[0].time_s < 1.6  # 200 mm at 150 mm/s
     assert cuts[0].job_line in (2, 3)
@@ -202,6 +202,6 @@ def test_saturation_and_lost_steps_are_told_by_what_was_measured(
         name=name, axis="X", measured=measured, limit=None, unit="", status=Status.REPORTED,
         time_s=1.5, job_line=7,
     )  # fmt: skip
-    found = seen_in([result], load_machine("lathe-winder"))
+    found = effects_in([result], load_machine("lathe-winder"))
     assert [one.change.value for one in found] == ([] if change is None else [change])
     assert all((one.time_s, one.job_line, one.axis) == (1.5, 7, "X") for one in found)

@@ -90,7 +90,7 @@ def test_every_run_has_the_figures_that_it_has_alone(made) -> None:
     names = {row.name for row in found.rows}
     assert "repeatability" not in names
     for run in (0, 7, 18):
-        verdict = judge([recordings[run]], plan, spec)
+        verdict = Judge(plan, spec).verdict([recordings[run]])
         assert bool(found.passed[run]) == verdict.passed
         for result in verdict.results:
             if result.name == "repeatability":
@@ -110,7 +110,7 @@ def test_every_run_has_the_figures_that_it_has_alone(made) -> None:
     # Side by side in one recording, they are what they are one after the other: places too.
     together = Judge(plan, spec).verdict([simulate_runs(tick_table(plan.commands),
         Values.of(plan.machine, numbers), encoder_phase=phases)])  # fmt: skip
-    apart = judge(recordings, plan, spec)
+    apart = Judge(plan, spec).verdict(recordings)
     assert together.runs == apart.runs == 19
     assert together.passed == apart.passed
     for mine, theirs in zip(together.results, apart.results, strict=True):

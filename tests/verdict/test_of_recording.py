@@ -40,8 +40,8 @@ def positions() -> FloatArray:
     return follow(POINTS, PER_MOVE)[0]
 
 
-def judged(load: FloatArray, kind: ChannelKind = ChannelKind.LOAD):
-    run = record(AXES, {kind: load}, follow(POINTS, PER_MOVE)[1], simulated=False)
+def judged(load: FloatArray, kind: ChannelKind = ChannelKind.LOAD, *, simulated: bool = False):
+    run = record(AXES, {kind: load}, follow(POINTS, PER_MOVE)[1], simulated=simulated)
     return judge([run], plan_of(), SPEC)
 
 
@@ -60,12 +60,13 @@ def test_a_recording_that_keeps_its_limits_is_measured_itself() -> None:
     assert verdict.result("acceleration", "X").of == "plan"
 
 
+@pytest.mark.parametrize("simulated", [False, True])
 @pytest.mark.parametrize("kind", [ChannelKind.LOAD, ChannelKind.MEASURED, ChannelKind.TOOL])
-def test_what_a_recording_breaks_is_failed(kind: ChannelKind) -> None:
+def test_what_a_recording_breaks_is_failed(kind: ChannelKind, simulated: bool) -> None:
     """An axis 40 mm beyond its travel for some ticks, and there with a jump of 540 mm."""
     load = positions()
     load[50:60, 0] = -0.54
-    verdict = judged(load, kind)
+    verdict = judged(load, kind, simulated=simulated)
 
     travel = verdict.result("travel", "X")
     assert travel.status is Status.FAILED

@@ -14,7 +14,7 @@ from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
 from threadline.verdict.needle import planned_stitches
-from threadline.verdict.window import Passing
+from threadline.verdict.window import TrajectoryFollower
 
 SEAM = """
 [stitching]
@@ -46,10 +46,10 @@ def chords(places, times_s, rests_s=()) -> TrajectoryBlock:
 
 def every_time(blocks, points, start=(0.0, 0.0)) -> FloatArray:
     """Return when all points are passed, however few are known at a time."""
-    passing = Passing(blocks, [0, 1], np.ones(2), np.array(start))
+    follower = TrajectoryFollower(blocks, [0, 1], np.ones(2), np.array(start))
     found = np.empty(0)
     while len(found) < len(points):
-        found = np.concatenate([found, passing.times(np.array(points)[len(found) :])])
+        found = np.concatenate([found, follower.times(np.array(points)[len(found) :])])
     return found
 
 

@@ -78,11 +78,11 @@ def test_running_ahead_is_not_free() -> None:
     assert verdict.result("contour_error").measured < 1e-12
 
 
-@pytest.mark.parametrize(("back_m", "expected"), [(1e-3, 0.0), (4e-3, 2e-3), (12e-3, 6e-3)])
+@pytest.mark.parametrize(("back_m", "expected"), [(1e-3, 5e-4), (4e-3, 2e-3), (12e-3, 6e-3)])
 def test_a_step_back_within_the_lag_costs_half_of_itself(back_m: float, expected: float) -> None:
     """The load trails by 10 samples, and once it goes back: between two places, as near to both.
 
-    Less than the way of a sample, 2 mm, may be within one place.
+    So does a step that is shorter than the way of a sample, 2 mm.
     """
     command, operation = follow(LINE, PER_MOVE, standstill=40)
     actual = late(command, 10)
@@ -110,10 +110,10 @@ def test_ringing_along_the_path_at_its_end_counts() -> None:
     command, operation = follow(LINE, PER_MOVE, standstill=60)
     actual = command.copy()
     actual[110, 0] -= 2e-3  # 10 samples after the end: the command was there a sample before it
-    actual[140, 0] -= 1e-3
+    actual[140, 0] -= 1.5e-3
     result = progress(LINE, actual, operation, command=command)
     # The tool had arrived before: each is a step back, half of it at least, and the second whole.
-    assert result.measured == pytest.approx(1e-3, abs=1e-9)
+    assert result.measured == pytest.approx(1.5e-3, abs=1e-9)
     assert result.note == "behind"
 
 
@@ -145,10 +145,9 @@ def test_a_stroke_there_and_back_is_followed_on_the_right_way() -> None:
     actual = late(command, 6)
     assert progress(points, actual, operation, command=command).measured < 1e-9
     actual[150, 0] -= 7e-3
-    # 6 samples late are 12 mm: 7 mm ahead are within them, and then it steps back by 5 mm, from
-    # between the places 6 and 8 mm on to the one at 2 mm. From 4 to 6 mm is nearest to both.
+    # 6 samples late are 12 mm: 7 mm ahead are within them, and then it steps back by 5 mm.
     result = progress(points, actual, operation, command=command)
-    assert result.measured == pytest.approx(2e-3, abs=1e-9)
+    assert result.measured == pytest.approx(2.5e-3, abs=1e-9)
 
 
 def test_rotary_axes_act_at_the_tool_radius() -> None:
@@ -175,30 +174,32 @@ def test_without_a_command_the_plan_at_the_same_instant_counts(lacking: int | No
     assert untold.note == "ahead; command from the plan by time"
 
 
+PARTS = 32  # of the way of a sample: the reference may go back within one of them
+
+
 def reference(points, actual, command, operation, lag):
     """Return the least bottleneck of all monotone matchings, worked out on the full matrix."""
     vertices, command = np.asarray(points, dtype=float), np.asarray(command)
     count = len(actual)
+    instants = np.arange(PARTS * (count - 1) + 1) / PARTS
+    fine = np.column_stack([np.interp(instants, np.arange(count), axis) for axis in command.T])
 
     def to(p, a, b):
         way = b - a
-        square = way @ way
-        u = min(max((p - a) @ way / square, 0.0), 1.0) if square > 0.0 else 0.0
-        return float(((p - a - u * way) ** 2).sum())
+        square = (way**2).sum(axis=1)
+        u = np.clip(((p - a) * way).sum(axis=1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+        return ((p - a - u[:, None] * way) ** 2).sum(axis=1)
 
-    cost = np.full((count, count), np.inf)
+    best = np.zeros(len(fine))
     for i in range(count):
-        early, ahead = operation[max(i - lag, 0)], operation[min(i + lag, count - 1)]
-        off = min(
-            to(actual[i], vertices[int(c)], vertices[int(c) + 1])
-            for c in np.arange(early, ahead + 1)
-        )
-        for k in range(max(i - lag, 0), i + 1):
-            first = k if k == max(i - lag, 0) else k - 1
-            cost[i, k] = np.sqrt(max(to(actual[i], command[first], command[k]) - off, 0.0))
-    best = cost[0]
-    for i in range(1, count):
-        best = np.maximum(cost[i], np.minimum.accumulate(best))
+        early, late = int(operation[max(i - lag, 0)]), int(operation[min(i + lag, count - 1)])
+        off = to(actual[i], vertices[early : late + 1], vertices[early + 1 : late + 2]).min()
+        first, last = max(i - lag, 0) * PARTS, i * PARTS
+        start = np.maximum(np.arange(first, last + 1) - 1, first)
+        cost = np.full(len(fine), np.inf)
+        away = to(actual[i], fine[start], fine[first : last + 1])
+        cost[first : last + 1] = np.sqrt(np.maximum(away - off, 0.0))
+        best = np.maximum(cost, np.minimum.accumulate(best))
     return best.min()
 
 
@@ -210,7 +211,10 @@ def reference(points, actual, command, operation, lag):
     per_block=st.integers(1, 40),
 )
 def test_random_ways_against_every_matching(seed, moves, per_move, lag, per_block) -> None:
-    """Samples of a random way about a random path, in blocks of any size."""
+    """Samples of a random way about a random path, in blocks of any size.
+
+    Where the command turns within a sample the figure may be off by a part of the way of one.
+    """
     rng = np.random.default_rng(seed)
     points = rng.uniform(-0.01, 0.01, size=(moves + 1, 2))
     command, operation = follow(points, per_move, standstill=int(rng.integers(0, 9)))
@@ -218,7 +222,46 @@ def test_random_ways_against_every_matching(seed, moves, per_move, lag, per_bloc
     actual = command + rng.normal(scale=1e-3, size=command.shape)
     found = progress(points, actual, operation, lag=lag, per_block=per_block, per_move=per_move)
     expected = reference(points, actual, command, operation, lag)
-    assert found.measured == pytest.approx(expected, abs=1e-8), (points, actual)
+    longest = np.linalg.norm(np.diff(command, axis=0), axis=1).max()
+    assert found.measured == pytest.approx(expected, abs=0.3 * longest), (points, actual)
+
+
+def along_a_line(actual, command, lag):
+    """Return the progress error of (n,) ways along one line: what goes forward alone, in order.
+
+    With an error of ``e`` the place is the farthest of all ``x - e`` so far, and of where the lag
+    ends: that may be neither past ``x + e`` nor past the command.
+    """
+    farthest = np.maximum.accumulate(actual)
+    end = command[np.maximum(np.arange(len(command)) - lag, 0)]
+    return max((farthest - actual).max() / 2.0, (farthest - command).max(), (end - actual).max())
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    per_move=st.integers(4, 40),
+    lag=st.integers(1, 9),
+    size_m=st.floats(1e-5, 2e-2),
+)
+def test_along_a_line_the_rate_of_samples_does_not_matter(seed, per_move, lag, size_m) -> None:
+    """A random way along the path, against its closed form, and with a sample between every two."""
+    rng = np.random.default_rng(seed)
+    command, operation = follow(LINE, per_move, standstill=lag + 2)
+    actual = command.copy()
+    actual[:, 0] = np.clip(command[:, 0] + rng.uniform(-size_m, size_m, len(command)), 0.0, 0.2)
+    expected = along_a_line(actual[:, 0], command[:, 0], lag)
+    found = progress(LINE, actual, operation, command=command, lag=lag, per_move=per_move)
+    assert found.measured == pytest.approx(expected, abs=1e-9), (command, actual)
+
+    def twice(values):
+        count = np.arange(2 * len(values) - 1) / 2.0
+        return np.column_stack([np.interp(count, np.arange(len(values)), v) for v in values.T])
+
+    finer = progress(
+        LINE, twice(actual), np.repeat(operation, 2)[:-1], command=twice(command), lag=2 * lag,
+        per_move=2 * per_move,
+    )  # fmt: skip
+    assert finer.measured == pytest.approx(expected, abs=1e-9), (command, actual)
 
 
 @pytest.mark.parametrize("name", library_names())

@@ -313,7 +313,7 @@ def test_how_many_recordings_is_a_whole_number(tmp_path: Path) -> None:
         "recordings": 5.0
     }
     for written in ("1", "2.5", '"20 %"', "true", "-3", "0.05"):
-        with pytest.raises(SpecError, match=r"mine\.spec\.toml:5.*whole number of 2 at least"):
+        with pytest.raises(SpecError, match=r"mine\.spec\.toml:5.*whole number of at least 2"):
             read(tmp_path, text.format(written))
 
 

@@ -1,4 +1,4 @@
-/** Planned, commanded and measured positions of an axis, and their difference on an axis of its own. */
+/** Curves of an axis: planned, commanded and measured position, and below them measured minus commanded. */
 
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
@@ -10,17 +10,17 @@ const SHOWN_S = 60;
 const MOST = 3000;
 export const INK = "#444", FAINT = "#9aa0a6", BLUE = "#0072b2", ORANGE = "#b35900";
 
-/** The scale of a difference: never closer than a hundredth of a unit, where marks would all be 0 or rounding. */
+/** Scale of the difference: at least a hundredth of a unit high, since smaller marks would show only rounding. */
 export const CLOSEST: uPlot.Scale.Range = (_, low, high) => uPlot.rangeNum(Math.min(low ?? 0, -0.005), Math.max(high ?? 0, 0.005), 0.1, true);
 
 export class Curves {
   private times: number[] = [];
   private commanded: (number | null)[] = [];
   private measured: (number | null)[] = [];
-  private then: (number | null)[] = []; // what was planned for what the run did at each of the times
+  private then: (number | null)[] = []; // planned position at the run's place in the plan, at each of the times
   private dirty = true;
-  private ran = false; // as it was drawn last
-  private behind = 0; // s by which the run is later than its plan: it was held, or began elsewhere
+  private ran = false; // whether a run was going on when the curves were last drawn
+  private behind = 0; // delay of the run behind its plan, s: after holds, or a start in the middle
   private planned: [number[], number[]] = [[], []];
   private readonly position: uPlot;
   private readonly deviation: uPlot;
@@ -32,14 +32,14 @@ export class Curves {
     const x = { time: false };
     const size = () => ({ width: Math.max(Math.min(above.clientWidth, window.innerWidth - 60), 280), height: 170 });
     this.position = new uPlot({ ...size(), legend: { live: false }, scales: { x }, axes, series: [{}, { label: "planned", stroke: FAINT, dash: [10, 5] }, { label: "commanded", stroke: BLUE, dash: [3, 2] }, { label: "measured", stroke: ORANGE }] }, [[], [], [], []], above);
-    const close = axes.map((axis, k) => (k ? { ...axis, space: 14 } : axis)); // a low picture has marks, too
+    const close = axes.map((axis, k) => (k ? { ...axis, space: 14 } : axis)); // closer marks, for a low picture
     this.deviation = new uPlot({ ...size(), height: 150, legend: { live: false }, scales: { x, y: { range: CLOSEST } }, axes: close, series: [{}, { label: "difference", stroke: ORANGE }] }, [[], []], below);
     this.seenAbove = onScreen(above);
     this.seenBelow = onScreen(below);
     new ResizeObserver(() => { const { width } = size(); this.position.setSize({ width, height: 170 }); this.deviation.setSize({ width, height: 150 }); }).observe(above);
   }
 
-  /** Show what is planned, and nothing else until the machine moves. */
+  /** Show the plan only, until the machine moves. */
   plan(figures: Figures | null, axis: string, scale: number): void {
     this.clear();
     this.planned = figures?.planned[axis] ? [figures.times_s, figures.planned[axis].map((at) => at * scale)] : [[], []];
@@ -55,7 +55,7 @@ export class Curves {
     this.dirty = true;
     this.times.push(state.time_s);
     this.commanded.push(at.commanded === null ? null : at.commanded * scale);
-    const actual = at.measured ?? at.load; // what has no encoder is shown by its load
+    const actual = at.measured ?? at.load; // an axis without encoder shows the position of its load
     this.measured.push(actual === null ? null : actual * scale);
     const run = state.progress;
     const runs = run && run.ended === null;
@@ -64,7 +64,7 @@ export class Curves {
     if (this.times.length > MOST) for (const kept of [this.times, this.commanded, this.measured, this.then]) kept.shift();
   }
 
-  /** Where the plan is at a time of its own; null before and behind it. */
+  /** Planned position at a time of the plan; null before its start and after its end. */
   private plannedAt(time: number): number | null {
     const [times, places] = this.planned;
     const k = times.findIndex((t) => t >= time);
@@ -85,7 +85,7 @@ export class Curves {
     const own = <T>(values: T[]): (T | undefined)[] => values.slice(first);
     const times = this.times.slice(first), commanded = own(this.commanded), measured = own(this.measured);
     const planned: (number | null | undefined)[] = [];
-    // What is planned is shown when the run came to it, and will come to it.
+    // The plan is shifted to the times at which the run reached, or will reach, each place.
     if (running || last < 0) {
       planned.push(...this.then.slice(first));
       this.planned[0].forEach((time, k) => {
@@ -101,7 +101,7 @@ export class Curves {
     this.deviation.setData([times, difference] as uPlot.AlignedData);
   }
 
-  /** Number of the first that was kept of a time or later. */
+  /** Index of the first kept sample at or after a time. */
   private from(time: number): number {
     const found = this.times.findIndex((t) => t >= time);
     return found < 0 ? this.times.length : found;

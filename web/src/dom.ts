@@ -8,10 +8,10 @@ export function made<K extends keyof HTMLElementTagNameMap>(name: K, text = ""):
   return found;
 }
 
-/** Set a property where it is another: one that is set anew, though the same, is laid out and drawn anew. */
+/** Set a property only if it changes: the browser draws again even when the new value equals the old one. */
 export function put<T, K extends keyof T>(at: T, name: K, value: T[K]): void { if (at[name] !== value) at[name] = value; }
 
-/** Say something in a place, where it says something else. */
+/** Set the text of an element, if it changes. */
 export function tell(id: string, text: string): void { put(by(id), "textContent", text); }
 
 /** A button that is enabled while the panel allows a command. */
@@ -24,13 +24,13 @@ export function button(text: string, what: string, press: () => void): HTMLButto
 
 export function value(id: string): string { return by<HTMLInputElement>(id).value.trim(); }
 
-/** Whether a text is being written, to which blanks belong. */
+/** Whether the focus is in a text field, where a space is a character. */
 export function writing(): boolean {
   const at = document.activeElement;
   return at instanceof HTMLTextAreaElement || (at instanceof HTMLInputElement && !["button", "checkbox", "file", "range"].includes(at.type));
 }
 
-/** Whether a key that is pressed now belongs to the field or list that has the focus. */
+/** Whether the focus is in a field or list that takes keys. */
 export function typing(): boolean {
   const at = document.activeElement;
   return writing() || at instanceof HTMLSelectElement || (at instanceof HTMLInputElement && at.type === "range");
@@ -38,9 +38,9 @@ export function typing(): boolean {
 
 let refuse = () => {};
 
-/** Ask something in the page: a window of the browser's own would take the keys that stop. */
+/** Ask a question in the page: a dialog of the browser would take the keys that stop the machine. */
 export function asked(text: string, yes: string): Promise<boolean> {
-  refuse(); // what was asked before and not answered
+  refuse(); // the earlier question, if it was not answered
   return new Promise((answer) => {
     const say = (agreed: boolean) => { put(by("ask-row"), "hidden", true); refuse = () => {}; answer(agreed); };
     refuse = () => say(false);

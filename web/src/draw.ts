@@ -1,4 +1,4 @@
-/** Drawing: a stitch path or the profile of a mandrel, by pointer or by typed coordinates. */
+/** Drawing with the pointer or typed coordinates: a stitch path, or the profile of a mandrel. */
 
 import { by, made, typing, value } from "./dom";
 import { FILLS, foreignShapes, ownShapes, patterns, radiusText, seamText, svgText } from "./drawing_files";
@@ -22,8 +22,8 @@ export class Draw {
   private chosen = new Set<number>(); // groups
   private pending: Point[] = [];
   private tool: Tool = "select";
-  private before: string[] = []; // what undo goes back to
-  private after: string[] = []; // what redo goes on to
+  private before: string[] = []; // states for undo
+  private after: string[] = []; // states for redo
   private dragged: Point | null = null;
   private pulled = false;
   private pointer: Point | null = null;
@@ -74,7 +74,7 @@ export class Draw {
     for (const one of document.querySelectorAll<HTMLButtonElement>("[data-tool]")) one.setAttribute("aria-pressed", String(one.dataset.tool === tool));
   }
 
-  /** The last number of a group. */
+  /** Highest group number. */
   private last(): number { return Math.max(0, ...this.shapes.map((one) => one.group)); }
 
   private chosenShapes(): Shape[] { return this.shapes.filter((one) => this.chosen.has(one.group)); }
@@ -86,7 +86,7 @@ export class Draw {
     return this.snapped([x, y], NEAR_PX / box.a);
   }
 
-  /** The nearest point of a shape, else of the grid. */
+  /** A point of a shape nearby; else the nearest point of the grid. */
   private snapped([x, y]: Point, near: number): Point {
     const grid = Number(value("snap"));
     if (grid === 0) return [x, y];
@@ -131,7 +131,7 @@ export class Draw {
     if (this.tool === "select") { say("choose what to draw first", true); return; }
     field.value = "";
     this.add([x, y]);
-    this.grow(); // what is put by the pointer is seen already
+    this.grow(); // a point set by the pointer is already in view
     this.draw();
   }
 
@@ -179,15 +179,15 @@ export class Draw {
     this.shapes = JSON.parse(found) as Shape[];
   }
 
-  /** Change what is chosen about its middle, by the number of a field. */
+  /** Rotate or scale the chosen shapes about their middle, by the number in a field. */
   private aboutMiddle(field: string, into: (shape: Shape, about: Point, by_: number) => Shape): void {
     const by_ = Number(value(field).replace(",", "."));
-    if (!Number.isFinite(by_) || by_ === 0) { say("rotate and scale by a number other than 0", true); return; }
+    if (!Number.isFinite(by_) || by_ === 0) { say("the angle or the factor must be a number other than 0", true); return; }
     const about = middle(this.chosenShapes());
     this.change((one) => [into(one, about, by_)]);
   }
 
-  /** Put others in the place of each chosen shape. */
+  /** Replace each chosen shape by other shapes. */
   private change(into: (shape: Shape) => Shape[]): void {
     if (this.chosenShapes().length === 0) { say("nothing is chosen in the drawing"); return; }
     this.keep();
@@ -218,7 +218,7 @@ export class Draw {
     else if (event.key === "a" && event.ctrlKey) { event.preventDefault(); this.chosen = new Set(this.shapes.map((one) => one.group)); this.draw(); }
   }
 
-  /** Choose the next of what can be chosen, without a pointer. */
+  /** Choose the next or previous group, without a pointer. */
   private chooseNext(by_: number): void {
     const groups = [...new Set(this.shapes.map((one) => one.group))], now = groups.findIndex((group) => this.chosen.has(group));
     if (groups.length === 0) return;
@@ -267,7 +267,7 @@ export class Draw {
   private async saveSvg(shapes: Shape[]): Promise<boolean> { return this.program.load(`${value("drawing-name")}.svg`, new Blob([svgText(shapes)])); }
 
   private async saveSeam(): Promise<void> {
-    const sewn = this.shapes.filter((one) => one.kind !== "leader"); // they tell, and are not sewn
+    const sewn = this.shapes.filter((one) => one.kind !== "leader"); // leaders are notes: they are not sewn
     if (sewn.length === 0 || !(await this.saveSvg(sewn))) return;
     const name = value("drawing-name"), [low] = bounds(sewn);
     await this.program.load(`${name}.seam.toml`, new Blob([seamText(`${name}.svg`, Number(value("stitch")), Number(value("needle")), low)]));
@@ -286,9 +286,9 @@ export class Draw {
   private asMandrel(): void {
     const [line] = this.chosenShapes(), turns = this.session.axes.find((axis) => axis.unit === "rad"), along = this.session.axes.find((axis) => axis.unit === "m");
     const text = line && turns && along ? radiusText(line, turns.name, along.name) : "";
-    if (text === "") { say("a profile is one chosen line of points with growing x and y above 0, on a machine that turns a mandrel", true); return; }
+    if (text === "") { say("a profile is one chosen line with increasing x and positive y, on a machine that turns a mandrel", true); return; }
     by<HTMLInputElement>("radius").value = text;
-    say(`the mandrel of the next calculation: ${text}`);
+    say(`mandrel for the next calculation: ${text}`);
   }
 
   // --- the picture ----------------------------------------------------------------------------
@@ -298,13 +298,13 @@ export class Draw {
     this.draw();
   }
 
-  /** Have two corners and what lies between them in the view, with a margin. */
+  /** Set the view to the rectangle between two corners, with a margin. */
   private see(low: Point, high: Point): void {
     const wide = Math.max(high[0] - low[0], (high[1] - low[1]) * 1.57, 20) * 1.2, x = (low[0] + high[0]) / 2, y = (low[1] + high[1]) / 2;
     this.svg.setAttribute("viewBox", `${x - wide / 2} ${-y - wide * 0.318} ${wide} ${wide * 0.636}`);
   }
 
-  /** Let the view grow where something was put beyond it; what was seen stays in it. */
+  /** Enlarge the view if shapes lie beyond it. */
   private grow(): void {
     const next: Shape[] = this.pending.length ? [{ kind: "line", points: this.pending, style: "solid", fill: "none", label: "", group: 0 }] : [], all = [...this.shapes, ...next];
     if (all.length === 0) return;

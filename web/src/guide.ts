@@ -1,4 +1,4 @@
-/** The guide to the machine: axes, signals, connectors, calibration step by step; on paper, too. */
+/** Guide to the machine, also for print: axes, signals, connectors, calibration step by step. */
 
 import { by, made } from "./dom";
 import type { Session } from "./session";
@@ -11,7 +11,7 @@ export class Guide {
 
   constructor(private readonly session: Session) {
     by("print-guide").onclick = () => window.print();
-    by<HTMLButtonElement>("print-guide").disabled = true; // nothing but an empty sheet yet
+    by<HTMLButtonElement>("print-guide").disabled = true; // an empty sheet until the guide is loaded
     by("guide-pdf").onclick = () => void this.save();
   }
 
@@ -20,7 +20,7 @@ export class Guide {
     by("guide-said").textContent = "being written";
     const answer = await this.session.ask("/api/guide");
     by("guide-said").textContent = "";
-    if (!answer.ok) { say((await answer.text()).trim(), true); by("guide-said").textContent = "there is no guide: see Operate, What happened"; return; }
+    if (!answer.ok) { say((await answer.text()).trim(), true); by("guide-said").textContent = "the guide could not be made: see Operate, What happened"; return; }
     const { machine, tables } = (await answer.json()) as { machine: string; tables: Table[] };
     by("guide-tables").replaceChildren(made("h2", `Guide to ${machine}`), ...tables.flatMap((one) => this.table(one)));
     by<HTMLButtonElement>("print-guide").disabled = false;

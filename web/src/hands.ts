@@ -1,4 +1,4 @@
-/** The machine by hand: positions, jogs while a button or a key is held, steps. */
+/** Manual operation: positions; jogs, while a button or key is held; steps. */
 
 import { button, by, made, put, tell, typing, value, writing } from "./dom";
 import type { Axis, State } from "./messages";
@@ -8,17 +8,17 @@ import { unitOf } from "./session";
 const SHARES = [5, 10, 25, 50, 75, 100];
 const SHOWN: Record<string, string> = { ArrowLeft: "←", ArrowRight: "→", ArrowDown: "↓", ArrowUp: "↑", PageDown: "PgDn", PageUp: "PgUp" };
 const IGNORED = new Set(["Shift", "Control", "Alt", "AltGraph", "Meta", "Tab", "CapsLock", "NumLock"]);
-/** What Enter presses; anywhere else it is a key like the others. */
+/** Elements that Enter presses; elsewhere Enter is a key like the others. */
 const PRESSED = "button, summary, input[type=checkbox], input[type=file]";
 
 type Way = { axis: string; sign: number };
 
 export class Hands {
   private readonly keys = new Map<string, Way>();
-  private told = ""; // the signals that are shown
+  private told = ""; // the shown signals, as JSON
   private held = ""; // the key that moves an axis
-  private moved = false; // whether anything did when the state was shown last
-  private pressed: HTMLButtonElement | null = null; // the button that moves an axis, or did last
+  private moved = false; // whether anything moved when the state was last shown
+  private pressed: HTMLButtonElement | null = null; // the button that moves an axis, or last moved one
 
   constructor(private readonly session: Session) {
     by<HTMLInputElement>("share").oninput = () => this.tellShare();
@@ -75,7 +75,7 @@ export class Hands {
     else this.session.hold({ what: "step", axis: way.axis, by: way.sign * Number(step) / unitOf(this.session, way.axis)[0] });
   }
 
-  /** Whether a button stays enabled in motion: one that is disabled loses the focus, which ends the motion, and the next Enter would go nowhere. */
+  /** Whether a button stays enabled in motion: a disabled button loses the focus, which would end the motion and lose the next Enter. */
   keeps(button: HTMLButtonElement): boolean { return button === this.pressed && (this.session.moves || button === document.activeElement); }
 
   private end(): void {
@@ -83,10 +83,10 @@ export class Hands {
     if (value("step") === "") this.session.letGo(); else this.session.runOut();
   }
 
-  /** Whether the machine moves, or will without a further word: a start is being checked. */
+  /** Whether the machine moves, or will move without another command because a start is being checked. */
   private moving(): boolean { return this.session.moves || this.session.machineMoves() || this.session.starts(); }
 
-  /** A key while something moves ends that, whatever has the focus: neither fields nor lists get it. */
+  /** A key pressed during a motion ends the motion, whatever has the focus: fields and lists do not get it. */
   private keyed(event: KeyboardEvent): void {
     const { session } = this;
     const take = () => { event.preventDefault(); event.stopPropagation(); };
@@ -97,10 +97,10 @@ export class Hands {
       session.link.stop();
       return;
     }
-    if (event.key === "Enter" && event.target instanceof HTMLInputElement && event.target.type === "checkbox" && !event.target.disabled) { event.target.click(); return; } // the space bar stops
+    if (event.key === "Enter" && event.target instanceof HTMLInputElement && event.target.type === "checkbox" && !event.target.disabled) { event.target.click(); return; } // in place of the space bar, which stops
     if (event.ctrlKey || event.altKey || event.metaKey || IGNORED.has(event.key)) return;
     if (event.key === "Enter" && event.target instanceof Element && event.target.matches(PRESSED)) return;
-    if (session.moves) { // any key ends a motion by hand
+    if (session.moves) { // any key ends a jog or step
       take();
       if (event.repeat) return;
       this.held = "";
@@ -112,7 +112,7 @@ export class Hands {
       if (!event.repeat) this.inRun(event.key);
       return;
     }
-    if (event.key === "Enter" || typing() || (by("operate").hidden && by("teach-in").hidden)) return; // keys are the field's, the drawing's, or the list's
+    if (event.key === "Enter" || typing() || (by("operate").hidden && by("teach-in").hidden)) return; // the key belongs to the field, list or drawing
     const way = by<HTMLInputElement>("by-keys").checked && session.mine() ? this.keys.get(event.key) : undefined;
     if (way) event.preventDefault(); // the page does not scroll
     if (event.repeat) return;
@@ -126,7 +126,7 @@ export class Hands {
     }
   }
 
-  /** While something moves a list does not drop down, for it would take the keys: a press chooses its next entry. */
+  /** During a motion a list does not open, since it would take the keys: a press chooses its next entry. */
   private chosen(event: MouseEvent): void {
     const list = event.target instanceof Element ? event.target.closest("select") : null;
     if (!list || !this.moving()) return;
@@ -136,7 +136,7 @@ export class Hands {
     for (const kind of ["input", "change"]) list.dispatchEvent(new Event(kind, { bubbles: true }));
   }
 
-  /** In a run h holds and r goes on; any other key stops. */
+  /** In a run h holds, r resumes, any other key stops. */
   private inRun(key: string): void {
     const what = { h: "hold", r: "resume" }[key];
     if (what === undefined) this.session.link.stop();
@@ -145,7 +145,7 @@ export class Hands {
 
   private tellShare(): void { by("share-shown").textContent = `${value("share")} %`; }
 
-  /** Keys move nothing until the operator says so again. */
+  /** Disarm jogging by keys, until the operator arms it again. */
   disarm(): void {
     this.held = "";
     by<HTMLInputElement>("by-keys").checked = false;
@@ -158,14 +158,14 @@ export class Hands {
     const moving = this.moving();
     if (moving && !this.moved && document.activeElement instanceof HTMLSelectElement) document.activeElement.blur(); // an open list would take the keys
     this.moved = moving;
-    for (const file of document.querySelectorAll<HTMLInputElement>("input[type=file]")) put(file, "disabled", moving || (file.id === "file" && !this.session.mine())); // so would a window that asks for a file
+    for (const file of document.querySelectorAll<HTMLInputElement>("input[type=file]")) put(file, "disabled", moving || (file.id === "file" && !this.session.mine())); // a file dialog would, too
     for (const [name, at] of Object.entries(state.axes)) {
-      if (!document.getElementById(`at-${name}`)) by("axes").append(this.bare(name)); // it moves, and is no axis
+      if (!document.getElementById(`at-${name}`)) by("axes").append(this.bare(name)); // a moving body that is not an axis
       const [scale, unit] = unitOf(this.session, name), where = at.measured ?? at.load ?? at.commanded;
       tell(`at-${name}`, where === null ? (this.session.axes.some((axis) => axis.name === name) ? "not homed" : "–") : `${(where * scale + 0).toFixed(2).replace(/^-0\.00$/, "0.00")} ${unit}`);
     }
     const signals = Object.entries(state.signals), told = JSON.stringify(signals);
-    if (told === this.told) return; // what stays the same is not laid out again, twenty times a second
+    if (told === this.told) return; // states come 20 times a second: lay out only changes
     this.told = told;
     by("signals").replaceChildren(...signals.map(([name, on]) => { const found = made("span", `${name} ${on}`); found.className = on ? "on" : ""; return found; }));
   }

@@ -1,23 +1,23 @@
-/** The connection to the panel: it connects again by itself, and never sends what is old. */
+/** Connection to the panel: reconnects by itself, and never sends old messages. */
 
 import type { FromPanel, State } from "./messages";
 
 const PROTOCOL = 1;
 const ALIVE_MS = 1000;
 const AGAIN_MS = 500;
-const REFUSED = 4401; // code of the panel's close
+const REFUSED = 4401; // code with which the panel closes the connection
 
 export class Link {
   lease = "";
   state: State | null = null;
-  /** When the latest state came, by the page's clock, ms. */
+  /** Time of arrival of the latest state, by the page's clock, ms. */
   heardMs = 0;
   private socket: WebSocket | null = null;
   private number = 0;
   private client = 0;
   private stops = 0;
 
-  /** Why the panel does not let this page in; empty where it does. */
+  /** Why the panel refuses this page; empty if it does not. */
   refused = "";
 
   constructor(private readonly name: string, public token: string, private readonly heard: (message: FromPanel) => void, private readonly lost: () => void) {
@@ -45,13 +45,13 @@ export class Link {
     };
   }
 
-  /** Knock again, with a token. */
+  /** Connect again, with a token. */
   knock(token: string): void {
     [this.token, this.refused] = [token, ""];
     this.connect();
   }
 
-  /** Send a message, or nothing: what is not sent now is not sent later. */
+  /** Send a message if the connection is open; else drop it. */
   say(message: object): void {
     if (this.socket?.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
@@ -59,13 +59,13 @@ export class Link {
   stop(): void {
     this.stops += 1;
     this.say({ type: "stop", number: this.stops });
-    // By another way, too: one of them gets through, and by its number it is told once.
+    // Also as a request, in case one of them is blocked; the panel counts a number once.
     void fetch("/api/stop", { method: "POST", headers: { Authorization: `Bearer ${this.token}`, "X-Stop": `${this.client}/${this.stops}` }, keepalive: true }).catch(() => undefined);
   }
 
   control(word: "take" | "give" | "keep" | "release"): void { this.say({ type: "control", word }); }
 
-  /** Give a command; return the number that its answer will have, 0 where none was sent. */
+  /** Send a command; return the number that its answer will carry, 0 if it was not sent. */
   act(command: { what: string; [key: string]: unknown }): number {
     if (!this.state || !this.lease) return 0;
     this.number += 1;

@@ -1,4 +1,4 @@
-/** The operator's page: what the machine is, and the commands that are possible now. */
+/** The operator's page: the state of the machine, and the commands that are possible now. */
 
 import "./style.css";
 import { Curves } from "./curves";
@@ -17,13 +17,13 @@ import { View3d } from "./view3d";
 const STALE_S = 0.5;
 const USUAL_S = 0.2;
 const TELLS_MS = 250;
-/** What is of part programs, and what is had once it is known where the axes are. */
+/** Commands for part programs, and commands that need a homed machine. */
 const OF_PROGRAMS = new Set(["teach", "zero-here"]);
-const HOME_FIRST = "home first: it is not known where the axes are";
+const HOME_FIRST = "home first: the positions of the axes are unknown";
 const BY_PLACE = new Set(["jog", "step", "zero", "zero-axis"]);
-let bare: Mandrel | null = null; // of the machine, before anything is planned
-let toldEnd = "", toldFault = ""; // what was told last of the end of a run, and of a fault
-let toldMs = -Infinity, toldUsual = false; // when the age of the data was told last, and whether it was usual
+let bare: Mandrel | null = null; // the bare machine, before anything is planned
+let toldEnd = "", toldFault = ""; // the last message about the end of a run, and about a fault
+let toldMs = -Infinity, toldUsual = false; // when the age of the data was last shown, and whether it was usual
 
 const curves = new Curves(by("position"), by("deviation"));
 const session = new Session(heard, () => show(null));
@@ -41,7 +41,7 @@ function heard(message: FromPanel): void {
   if (message.type === "welcome") {
     session.me = message.client;
     [session.axes, session.lacks, session.untaught, session.byHand, session.options] = [message.axes, message.lacks, message.untaught, message.by_hand, message.options];
-    session.figuresAt = 0; // states of this panel are numbered anew, and it sends the figures that it has
+    session.figuresAt = 0; // a new panel counts its states from 0, and sends its figures
     by("machine").textContent = `${message.machine}, ${message.simulated ? "simulated" : message.link}`;
     hands.build();
     teach.build();
@@ -66,13 +66,13 @@ function heard(message: FromPanel): void {
   } else if (message.type === "said") say(message.text, message.wrong);
 }
 
-/** Say what is at the far end of the link, and what is not had there. */
+/** Show what the link leads to, and which commands it lacks. */
 function tellLink(welcome: Welcome): void {
-  const lacking = Object.entries(welcome.lacks).map(([what, why]) => `${what} is not had on this link: ${why}.`);
+  const lacking = Object.entries(welcome.lacks).map(([what, why]) => `${what} is not available on this link: ${why}.`);
   by("link-notes").replaceChildren(...[welcome.label, ...lacking, ...welcome.notes].filter(Boolean).map((text) => made("li", text)));
 }
 
-/** Offer axes, and what else moves, for the curves. */
+/** Offer the axes and other moving bodies for the curves. */
 function offer(names: string[]): void {
   const chosen = by<HTMLSelectElement>("axis"), there = new Set([...chosen.options].map((one) => one.value));
   const fresh = names.filter((name) => !there.has(name));
@@ -84,17 +84,17 @@ function offer(names: string[]): void {
 
 function replan(): void { for (const one of document.querySelectorAll(".axis-unit")) one.textContent = `in ${unitOf(session, shown())[1]}`; curves.plan(session.figures, shown(), unitOf(session, shown())[0]); }
 
-/** The view in three dimensions, where the browser can draw it. */
+/** The view in three dimensions, if the browser can draw it. */
 function shownIn3d(): View3d | null {
   try {
     return new View3d(by("space"), () => session.machineMoves());
   } catch {
-    by("seen").textContent = "this browser has no WebGL: there is no view in three dimensions";
+    by("seen").textContent = "this browser has no WebGL: it cannot show the view in three dimensions";
     return null;
   }
 }
 
-/** Show one part of the page; STOP, state and control stay where they are. */
+/** Show one part of the page; STOP, state and control are always shown. */
 function open(part: string): void {
   for (const tab of document.querySelectorAll<HTMLButtonElement>("nav button")) tab.setAttribute("aria-selected", String(tab.dataset.part === part));
   for (const one of document.querySelectorAll<HTMLElement>("main")) one.hidden = one.id !== part;
@@ -115,7 +115,7 @@ by("token").onkeydown = (event) => { if (event.key === "Enter") session.knock(va
 by("keep").onclick = () => session.link.control("keep");
 by("axis").onchange = () => replan();
 
-/** Say how old the data are: a few times a second, for each text is a picture of the page; at once where they get, or were, older than usual. */
+/** Show the age of the data: a few times a second, since each new text draws the page again; at once when it becomes unusual or usual again. */
 function tellAge(age: number, stale: boolean): void {
   const now = performance.now(), usual = age <= USUAL_S;
   if (usual && toldUsual && now - toldMs < TELLS_MS) return;
@@ -123,7 +123,7 @@ function tellAge(age: number, stale: boolean): void {
   tell("age", stale ? `no data for ${age.toFixed(1)} s` : `data ${Math.round(age * 1000)} ms old`);
 }
 
-/** Keep in the list of what happened how a run has ended, and why the machine is in fault. */
+/** Add to the list of events how a run ended, and why the machine is in fault. */
 function tellEnds(state: State): void {
   const run = state.progress, wrong = ["fault", "gone"].includes(state.state);
   const fault = wrong ? `${state.state}: ${state.why}` : "", end = run?.ended && run.verdict ? toldRun(run) : "";
@@ -140,13 +140,13 @@ function show(state: State | null): void {
   tellAge(age, stale);
   const knocks = state === null && session.link.refused !== "";
   put(by("token-row"), "hidden", !knocks);
-  tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : knocks ? `not let in: ${session.link.refused}` : "no connection");
+  tell("state", state ? `${state.state}${state.why ? `: ${state.why}` : ""}` : knocks ? `refused by the panel: ${session.link.refused}` : "no connection");
   put(by("state"), "className", !state || ["fault", "gone"].includes(state.state) ? "wrong" : "");
   const unreasoned = state !== null && program.wantsReason(state), can = (what: string) => (OF_PROGRAMS.has(what) ? teach.can(state) : session.can(what) && (what !== "continue" || rest.whole(traces.chosen) === ""));
   const changed = state !== null && program.changed(state);
   const homeless = state !== null && session.mine() && ["disabled", "enabled"].includes(state.state);
   for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "disabled", !hands.keeps(one) && (stale || !can(one.dataset.what!) || (one.dataset.what === "start" && unreasoned) || (changed && ["start", "approach"].includes(one.dataset.what!))));
-  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (BY_PLACE.has(one.dataset.what!) ? (session.byHand ? homeless && HOME_FIRST : "this machine is not moved by hand") : "") || (one.disabled && state !== null ? session.waits(one.dataset.what!) : "") || "");
+  for (const one of document.querySelectorAll<HTMLButtonElement>("button[data-what]")) put(one, "title", session.lacking(one.dataset.what!) || (OF_PROGRAMS.has(one.dataset.what!) && session.untaught) || (one.dataset.what === "continue" && rest.whole(traces.chosen)) || (BY_PLACE.has(one.dataset.what!) ? (session.byHand ? homeless && HOME_FIRST : "this machine cannot be moved by hand") : "") || (one.disabled && state !== null ? session.waits(one.dataset.what!) : "") || "");
   put(by<HTMLButtonElement>("take"), "disabled", state === null);
   if (!state) { hands.disarm(); return; }
   const held = state.control, mine = session.mine(), asked = mine && held.asks !== null;
@@ -159,11 +159,11 @@ function show(state: State | null): void {
   traces.show(state);
   rest.show(state, traces.chosen);
   view?.live(state);
-  // A state that was on its way when they came does not know of them yet.
+  // A state sent before the figures does not know of them yet.
   if (!state.proven && session.figures && state.calculating === null && state.seq > session.figuresAt + 1) { session.figures = null; program.forget(); replan(); view?.show(null, bare); }
 }
 
-/** All is drawn by one clock: what changes together is one picture of the browser then, and not three. */
+/** Everything is drawn by one clock, so that the browser draws all changes in one frame. */
 const TICK_MS = 50, CURVE_TICKS = 2, VIEW_TICKS = view?.slow ? 4 : 2;
 let ticks = 0;
 setInterval(() => {

@@ -1,4 +1,4 @@
-/** The program: load, calculate by the operator's priority, look at the figures, run. */
+/** The part program: load it, calculate it by the operator's priority, show its figures, run it. */
 
 import { asked, button, by, made, put, tell, value } from "./dom";
 import type { Criterion, Figures, Proven, State } from "./messages";
@@ -6,18 +6,18 @@ import type { Session } from "./session";
 import { say, toldRun, unitOf } from "./session";
 
 type Field = HTMLInputElement | HTMLSelectElement;
-/** The fields of the options, as the table of options has put them onto the page; an option has the name of its field. */
+/** Fields of the options, generated from the table of options; an option has the name of its field. */
 const optionFields = (): Field[] => [...document.querySelectorAll<Field>("[data-option] input, [data-option] select")].filter((one) => one.id !== "priority");
 const filled = (one: Field): string | boolean | null => one instanceof HTMLInputElement && one.type === "checkbox" ? one.checked : one.value || null;
 const shown = (one: HTMLElement): boolean => !one.closest<HTMLElement>("[data-option]")!.hidden;
-/** Factors and units in which a verdict is shown, as the reports have them; a number without a unit is a share. */
+/** Factors and units for a verdict, as in the reports; a number without unit is a share. */
 const UNITS: Record<string, [number, string]> = { m: [1000, "mm"], "m/s": [1000, "mm/s"], s: [1000, "ms"], "": [100, "%"] };
-const EXISTS = 412; // status of an upload over a file that is there
+const EXISTS = 412; // status of an upload that would overwrite a file
 const PLACED = ["path_deviation", "contour_error", "placement_error", "stitch_residual", "residual_vibration"];
 
 export class Program {
-  private asked = ""; // the fields of the calculation that was asked for here
-  private calculated = ""; // those of the figures that are shown; empty where another page asked for them
+  private asked = ""; // the fields of the calculation that this page asked for
+  private calculated = ""; // the fields of the shown figures; empty if another page asked for them
 
   constructor(private readonly session: Session) {
     by("calculate").dataset.what = "calculate";
@@ -40,7 +40,7 @@ export class Program {
 
   private fields(): string { return JSON.stringify([value("priority"), ...optionFields().map(filled)]); }
 
-  /** Whether program or fields are others than those of what was calculated, so that something else would run than is chosen. */
+  /** Whether program or fields differ from those of the calculation: a start would run the calculated ones. */
   changed(state: State): boolean {
     return !!state.proven && (state.proven.program !== value("program") || (this.calculated !== "" && this.calculated !== this.fields()));
   }
@@ -53,7 +53,7 @@ export class Program {
     this.session.link.act({ what: "calculate", program: value("program"), priority, ...options });
   }
 
-  /** The machine was moved by hand to where the program's zero is to be. */
+  /** Take the position to which the machine was moved by hand as the program's zero. */
   private zeroHere(): void {
     const state = this.session.state;
     const parts = this.session.axes.flatMap(({ name, unit }) => {
@@ -68,10 +68,10 @@ export class Program {
     if (proven) this.session.link.act({ what: "start", proof: proven.proof, override: this.reason(proven) });
   }
 
-  /** Why what is out of specification is run all the same; null for what is not. */
+  /** The operator's reason to run out of specification; null for a plan in specification. */
   reason(proven: Proven): string | null { return proven.passed ? null : value("override"); }
 
-  /** Put a program into the project folder; it has to be calculated like any other. */
+  /** Upload a program to the project folder. */
   async load(name: string, content: Blob): Promise<boolean> {
     const put_ = (headers: Record<string, string>) => this.session.ask(`/api/programs/${encodeURIComponent(name)}`, { method: "PUT", body: content, headers });
     let answer = await put_({});
@@ -81,7 +81,7 @@ export class Program {
     by<HTMLInputElement>("file").value = "";
     await this.list();
     const chosen = by<HTMLSelectElement>("program");
-    if (answer.ok && [...chosen.options].some((one) => one.value === name)) chosen.value = name; // a drawing is none
+    if (answer.ok && [...chosen.options].some((one) => one.value === name)) chosen.value = name; // a drawing is no program
     return answer.ok;
   }
 
@@ -96,7 +96,7 @@ export class Program {
 
   tell(found: Figures): void {
     [this.calculated, this.asked] = [this.asked, ""];
-    if (this.calculated === "") by<HTMLSelectElement>("program").value = found.program; // it was chosen on another page, or before this one was loaded anew
+    if (this.calculated === "") by<HTMLSelectElement>("program").value = found.program; // chosen on another page, or before this page was reloaded
     const measured = (one: Criterion) => { const [by_, unit] = UNITS[one.unit] ?? [1, one.unit]; return `${(one.measured! * by_).toFixed(3)} ${unit}${one.limit === null ? "" : ` of ${(one.limit * by_).toFixed(3)} ${unit}`}`; };
     const shown = found.criteria.filter((one) => one.measured !== null && (one.status === "failed" || PLACED.includes(one.name)));
     const names = [...new Set(shown.map((one) => `${one.name.replaceAll("_", " ")}${one.axis ? ` ${one.axis}` : ""}`))];
@@ -126,6 +126,6 @@ export class Program {
     put(by("progress-text"), "className", run?.ended && state.calculating === null && run.verdict && !run.verdict.startsWith("IN SPEC") ? "wrong" : "");
   }
 
-  /** Whether a start needs a reason that was not given. */
+  /** Whether a start lacks its reason to run out of specification. */
   wantsReason(state: State): boolean { return !!state.proven && !state.proven.passed && value("override") === ""; }
 }

@@ -1,4 +1,4 @@
-/** The rest of a run that was broken off: chosen among those that were kept, gone to, confirmed. */
+/** The rest of an interrupted run: choose a stored run, approach its place, confirm. */
 
 import { button, by, made, value } from "./dom";
 import type { State } from "./messages";
@@ -6,8 +6,8 @@ import type { Program } from "./program";
 import type { Session } from "./session";
 import type { Kept } from "./traces";
 
-const HINT = "A run that was broken off: load its program, calculate it with the options that it had, and home the machine. Then choose the run.";
-/** How runs have ended of which there is no rest, see ``store/unfinished.py``. */
+const HINT = "To continue an interrupted run: load its program, calculate it with the same options, home the machine, then choose the run.";
+/** Ends after which a run has no rest; see ``store/unfinished.py``. */
 const WHOLE = new Set(["completed", "refused"]);
 
 export class Rest {
@@ -29,11 +29,11 @@ export class Rest {
     by("rest-told").replaceChildren(made("li", HINT));
   }
 
-  /** Why there is no rest of a run that can be chosen; empty where there is one. */
-  whole(run: Kept | null): string { return run === null ? "no run was kept" : WHOLE.has(run.ended) ? `the run was ${run.ended}: there is no rest of it` : ""; }
+  /** Why a run has no rest that can be run; empty if it has one. */
+  whole(run: Kept | null): string { return run === null ? "no run is stored" : WHOLE.has(run.ended) ? `the run was ${run.ended}: there is no rest of it` : ""; }
 
   show(state: State, run: Kept | null): void {
-    const told = state.rest ? [state.rest.run, ...state.rest.told, "Start the rest confirms it; a stop drops it"] : [HINT, ...(run && this.whole(run) ? [`${run.run}: ${this.whole(run)}`] : [])];
+    const told = state.rest ? [state.rest.run, ...state.rest.told, "Start the rest confirms; a stop discards it"] : [HINT, ...(run && this.whole(run) ? [`${run.run}: ${this.whole(run)}`] : [])];
     if (told.join("\n") === this.shown) return;
     this.shown = told.join("\n");
     by("rest-told").replaceChildren(...told.map((line) => made("li", line)));

@@ -1,8 +1,8 @@
-/** What drawing costs here, and whether anybody would see it. */
+/** Whether drawing is slow in this browser, and whether an element is on the screen. */
 
 const NO_CARD = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 
-/** Whether the browser says that the processor draws what is in three dimensions, as without a graphics card it does. */
+/** Whether the browser draws three dimensions on the processor, without a graphics card. */
 export function bySoftware(): boolean {
   const probe = document.createElement("canvas").getContext("webgl2", { antialias: false });
   if (!probe) return false;
@@ -12,7 +12,7 @@ export function bySoftware(): boolean {
   return NO_CARD.test(name);
 }
 
-/** A way to ask whether a place is on the screen: in the part of the page that is open, and not scrolled away. */
+/** Return a function that says whether an element is on the screen: in the open part of the page, and not scrolled away. */
 export function onScreen(place: Element): () => boolean {
   let seen = false;
   new IntersectionObserver((changes) => { seen = changes[changes.length - 1]!.isIntersecting; }).observe(place);

@@ -1,4 +1,4 @@
-/** Who this page is to the panel, what it knows, and what it may do now. */
+/** The page's session at the panel: its number, the machine, and the commands that are possible now. */
 
 import { by, made } from "./dom";
 import { Link } from "./link";
@@ -6,8 +6,8 @@ import type { Axis, Figures, FromPanel, Progress, State } from "./messages";
 
 const RENEW_MS = 80;
 const MOST_LINES = 50;
-const STARTS = "a start is being checked"; // the panel's words
-/** Commands that wait for what the panel works at. */
+const STARTS = "a start is being checked"; // a text of the panel
+/** Commands that wait until the panel is no longer busy. */
 const FOR_RUNS = new Set(["start", "start-rest", "continue", "calculate"]);
 const MOVING = new Set(["homing", "jogging", "running", "holding", "stopping"]);
 
@@ -17,15 +17,15 @@ export class Session {
   axes: Axis[] = [];
   /** Whether the axes can be moved by hand. */
   byHand = true;
-  /** Options of planning that have a meaning for the machine. */
+  /** Planning options that apply to the machine. */
   options: string[] = [];
-  /** Commands that are not had on this link, and why. */
+  /** Commands that this link lacks, and why. */
   lacks: Record<string, string> = {};
   figures: Figures | null = null;
   /** Number of the state before the figures came. */
   figuresAt = 0;
-  private readonly renewals = new Set<number>(); // that were not answered yet
-  private renews = 0; // of the timer that renews a motion; 0 where there is none
+  private readonly renewals = new Set<number>(); // not answered yet
+  private renews = 0; // number of the timer that renews a motion; 0 for none
 
   constructor(heard: (message: FromPanel) => void, lost: () => void) {
     this.link = new Link(`${navigator.platform || "browser"}`.slice(0, 40), new URLSearchParams(location.hash.slice(1)).get("token") ?? kept(""), heard, () => { this.letGo(); this.renewals.clear(); lost(); });
@@ -35,10 +35,10 @@ export class Session {
   get moves(): boolean { return this.renews !== 0; }
   mine(): boolean { return this.link.lease !== "" && this.state?.control.client === this.me; }
   can(what: string): boolean { return this.mine() && (this.state?.allowed.includes(what) ?? false); }
-  /** Why no part program can be taught to this machine; empty where one can. */
+  /** Why no part program can be taught to this machine; empty if one can. */
   untaught = "";
-  /** Why a command is not had on this link; empty where it is. */
-  lacking(what: string): string { return what in this.lacks ? `not had on this link: ${this.lacks[what]}` : ""; }
+  /** Why this link lacks a command; empty if it has it. */
+  lacking(what: string): string { return what in this.lacks ? `not available on this link: ${this.lacks[what]}` : ""; }
   machineMoves(): boolean { return MOVING.has(this.state?.state ?? ""); }
   /** Whether a run is about to begin. */
   starts(): boolean { return this.state?.busy === STARTS; }
@@ -49,13 +49,13 @@ export class Session {
     return `not possible now: the machine is ${state.state}${state.busy && FOR_RUNS.has(what) ? `, and ${state.busy}` : ""}`;
   }
 
-  /** Let the panel have a token, and keep it as long as this tab is open. */
+  /** Send a token to the panel, and keep it while this tab is open. */
   knock(token: string): void {
     kept(token);
     this.link.knock(token);
   }
 
-  /** A motion that goes on only while the page renews it; a renewal that is refused says that it has ended. */
+  /** Begin a motion that lasts only while the page renews it; a refused renewal means that it has ended. */
   hold(command: { what: string; [key: string]: unknown }): void {
     this.letGo();
     if (!this.can(command.what)) return;
@@ -66,14 +66,14 @@ export class Session {
     }, RENEW_MS);
   }
 
-  /** Whether an answer is that of a renewal: one that is refused says that the motion is over. */
+  /** Whether an answer belongs to a renewal; a refused renewal means that the motion is over. */
   renewal(number: number): boolean { return this.renewals.delete(number); }
 
   letGo(): void {
     if (this.endsRenewing()) this.link.act({ what: "let-go" });
   }
 
-  /** End a motion by its lease: a short step comes to its end, and a long one stops within 250 ms. */
+  /** Let the lease of a motion run out: a short step is finished, a long one stops within 250 ms. */
   runOut(): void { this.endsRenewing(); }
 
   private endsRenewing(): boolean {
@@ -88,7 +88,7 @@ export class Session {
   }
 }
 
-/** The token that this tab keeps; one that is given is kept. Where a browser keeps nothing, it is asked for again. */
+/** Return the token kept by this tab; a given one is kept first. A browser that stores nothing asks again. */
 function kept(token: string): string {
   try {
     if (token) sessionStorage.setItem("token", token);
@@ -98,7 +98,7 @@ function kept(token: string): string {
   }
 }
 
-/** Say something in the list of what happened, and above the other parts of the page. */
+/** Add a message to the list of events, and show it above the other parts of the page. */
 export function say(text: string, wrong = false): void {
   const line = made("li", `${new Date().toLocaleTimeString()}  ${text}`);
   line.className = wrong ? "wrong" : "";
@@ -108,13 +108,13 @@ export function say(text: string, wrong = false): void {
   while (by("log").childElementCount > MOST_LINES) by("log").lastElementChild!.remove();
 }
 
-/** Factor and unit in which an axis, or what moves without being one, is shown. */
+/** Factor and unit in which an axis or another moving body is shown. */
 export function unitOf(session: Session, name: string): [number, string] {
   return session.axes.find((axis) => axis.name === name)?.unit === "rad" ? [180 / Math.PI, "°"] : [1000, "mm"];
 }
 
-/** How a run has ended, and why, said once: "stopped by the operator", "fault: axis X ...". */
+/** How and why a run ended: "stopped by the operator", "fault: axis X ...". */
 export function endOf(ended: string, why: string): string { return why === "" ? ended : why.startsWith(ended) ? why : `${ended}: ${why}`; }
 
-/** How a run of this panel has ended, and its verdict where there is one, which may say why. */
+/** How a run of this panel ended, with its verdict, if there is one. */
 export function toldRun({ program, ended, why, verdict }: Progress): string { return `${program}: ${endOf(ended ?? "", why !== "" && verdict.includes(why) ? "" : why)}. ${verdict}`.trim(); }

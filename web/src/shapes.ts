@@ -1,17 +1,17 @@
-/** Shapes of a drawing, in mm with y upwards: each is what its points say, so that moving and turning act on points alone. */
+/** Shapes of a drawing, in mm, y upwards. Points define a shape completely: moving and turning change only points. */
 
 export type Point = [number, number];
 export type Kind = "line" | "polygon" | "arc" | "circle" | "spline" | "leader";
 export type Style = "solid" | "dashed" | "dotted" | "dashdot";
 export type Fill = "none" | "solid" | "hatched" | "crossed";
 
-/** A line has two points or more; an arc its begin, a point on it and its end; a circle its centre and a point on it; a leader points with its first point, and has its label at the last. */
-export interface Shape { kind: Kind; points: Point[]; style: Style; fill: Fill; label: string; /** Shapes of one number are chosen together. */ group: number }
+/** Points: of a line, two or more; of an arc, its start, a point on it, its end; of a circle, its centre and a point on it; of a leader, its tip first and the place of its label last. */
+export interface Shape { kind: Kind; points: Point[]; style: Style; fill: Fill; label: string; /** Shapes with the same group are chosen together. */ group: number }
 
-const HEAD = [4, 1.2]; // mm, length and half the width of a leader's head
+const HEAD = [4, 1.2]; // length and half width of a leader's head, mm
 export const LABEL_MM = 4;
 
-/** Points that a shape needs; it may have more where there is no exact number. */
+/** Number of points of a shape: the least, or the exact number. */
 export const NEEDS: Record<Kind, [number, boolean]> = { line: [2, false], polygon: [3, false], arc: [3, true], circle: [2, true], spline: [3, false], leader: [2, false] };
 
 const distance = (a: Point, b: Point): number => Math.hypot(a[0] - b[0], a[1] - b[1]);
@@ -30,7 +30,7 @@ export function middle(shapes: Shape[]): Point {
   return [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2];
 }
 
-/** Shapes by what is filled at once, and the number of the first: within a group, what lies in another is a hole, as in letters. */
+/** Shapes that are filled together, and the index of the first: within a group, a shape inside another is a hole, as in letters. */
 export function filledTogether(shapes: Shape[]): { at: number; of: Shape[] }[] {
   const found: { at: number; of: Shape[] }[] = [];
   shapes.forEach((shape, at) => {
@@ -41,7 +41,7 @@ export function filledTogether(shapes: Shape[]): { at: number; of: Shape[] }[] {
   return found;
 }
 
-/** Corners of what the shapes cover; curves may reach a little beyond their points. */
+/** Corners of the box around the shapes' points; curves may reach a little beyond it. */
 export function bounds(shapes: Shape[]): [Point, Point] {
   const all = shapes.flatMap((shape) => shape.kind === "circle" ? reach(shape) : shape.points);
   return [[Math.min(...all.map((p) => p[0])), Math.min(...all.map((p) => p[1]))], [Math.max(...all.map((p) => p[0])), Math.max(...all.map((p) => p[1]))]];
@@ -71,7 +71,7 @@ export function controls(points: Point[]): Point[] {
 
 const told = ([x, y]: Point): string => `${Number(x.toFixed(4))} ${Number((-y).toFixed(4)) + 0}`;
 
-/** Path data of SVG, whose y goes downwards. */
+/** SVG path data, with y downwards. */
 export function pathData(shape: Shape): string {
   const [a, b, c] = shape.points as [Point, Point, Point];
   if (shape.kind === "circle") {

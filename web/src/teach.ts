@@ -1,4 +1,4 @@
-/** Teach-in: points where the machine was moved by hand, as a program that is checked like any other. */
+/** Teach-in: a part program from points to which the machine was moved by hand. */
 
 import { button, by, made, put, typing, value } from "./dom";
 import type { State } from "./messages";
@@ -17,10 +17,10 @@ export class Teach {
     window.addEventListener("keydown", (event) => { if (event.key === "p" && !event.repeat && !event.ctrlKey && !event.metaKey && !typing() && this.can(session.state)) this.record(); });
   }
 
-  /** Say why nothing can be taught to this machine. */
+  /** Show why nothing can be taught to this machine. */
   build(): void {
     put(by("untaught"), "hidden", this.session.untaught === "");
-    put(by("untaught"), "textContent", this.session.untaught && `Nothing is taught here: ${this.session.untaught}.`);
+    put(by("untaught"), "textContent", this.session.untaught && `Teach-in is not possible: ${this.session.untaught}.`);
   }
 
   private record(): void {
@@ -57,7 +57,7 @@ export class Teach {
     }));
   }
 
-  /** Write a part program in absolute positions, and put it into the project folder. */
+  /** Write a part program in absolute positions, and upload it to the project folder. */
   private async save(): Promise<void> {
     const feed = Number(value("teach-feed"));
     if (this.points.length === 0 || !(feed > 0)) { say("a program needs a point and a feed above 0", true); return; }

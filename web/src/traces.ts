@@ -1,4 +1,4 @@
-/** Runs that were kept: commanded, actual and their difference, and the recording as a file. */
+/** Stored runs: curves of commanded and actual position and their difference; the recording as a file. */
 
 import uPlot from "uplot";
 import { by, made, value } from "./dom";
@@ -23,10 +23,10 @@ export class Traces {
     by("export").onclick = () => void this.save();
   }
 
-  /** The run that is chosen; null where there is none. */
+  /** The chosen run; null for none. */
   get chosen(): Kept | null { return this.runs.find((one) => one.run === value("kept")) ?? null; }
 
-  /** A run has ended or was judged: the list that is open knows it, too. */
+  /** Load the open list again, after a run ended or was judged. */
   show(state: State): void {
     const last = JSON.stringify([state.progress?.run, state.progress?.ended, state.progress?.verdict]);
     if (last === this.last) return;

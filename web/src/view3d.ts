@@ -1,4 +1,4 @@
-/** Mandrel or bed with the path in three dimensions: planned, simulated beforehand, live. */
+/** View of mandrel or bed and path in three dimensions: planned, simulated, live. */
 
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -6,7 +6,7 @@ import { by, put, tell, value } from "./dom";
 import type { Figures, Mandrel, State } from "./messages";
 import { bySoftware, onScreen } from "./seen";
 
-const SHOWN_S = 15; // a simulation lasts no longer by the clock
+const SHOWN_S = 15; // longest playing time of a simulation, s
 const GREY = 0xbdbdbd, FAINT = 0x8f8f8f, BLUE = 0x003f72, INK = 0x949494, DARK = 0x333333;
 
 type At = Record<string, number>;
@@ -22,11 +22,11 @@ export class View3d {
   private figures: Figures | null = null;
   private mandrel: Mandrel | null = null;
   private size = 0.1; // m
-  private playing: number | null = null; // when it began, ms of the page
+  private playing: number | null = null; // start of the simulation by the page's clock, ms
   private dirty = true;
-  private shown = ""; // where all was put last
+  private shown = ""; // the state last drawn
   private readonly seen: () => boolean;
-  /** Whether the processor draws: then edges are not smoothed, and there are fewer pictures. */
+  /** Whether the processor draws: then without smoothed edges, and fewer frames. */
   readonly slow = bySoftware();
 
   constructor(private readonly place: HTMLElement, private readonly moves: () => boolean) {
@@ -49,7 +49,7 @@ export class View3d {
     if (!this.figures) this.show(null, mandrel);
   }
 
-  /** Show what is planned; without figures the bare machine. */
+  /** Show the planned path; without figures the bare machine. */
   show(figures: Figures | null, mandrel: Mandrel | null): void {
     this.figures = figures;
     this.mandrel = mandrel;
@@ -75,13 +75,13 @@ export class View3d {
     this.put(figures ? this.planned(0) : {}, 0);
   }
 
-  /** Live: where the machine is now. */
+  /** Show the live position of the machine. */
   live(state: State): void {
     if (this.playing !== null && !this.moves()) return;
     this.playing = null;
     const at: At = {};
     for (const [name, where] of Object.entries(state.axes)) at[name] = where.measured ?? where.load ?? where.commanded ?? 0;
-    const run = state.progress?.ended === null ? state.progress : null; // its time stands still in a hold
+    const run = state.progress?.ended === null ? state.progress : null; // the run's time does not advance in a hold
     this.put(at, run ? this.step(run.time_s) : 0);
     tell("seen", this.moves() ? "the machine, now" : "the machine, at rest");
   }
@@ -92,7 +92,7 @@ export class View3d {
     return at;
   }
 
-  /** Number of the planned point at a time. */
+  /** Index of the planned point at a time. */
   private step(time_s: number): number {
     const times = this.figures?.times_s ?? [], later = times.findIndex((t) => t > time_s);
     return later < 0 ? times.length - 1 : Math.max(later - 1, 0);
@@ -117,7 +117,7 @@ export class View3d {
     const places = [low, ...mandrel.at.filter((place) => place > low && place < high), high];
     const lathe = new three.LatheGeometry(places.map((place) => new three.Vector2(this.radius(place), place)), 48);
     const found = new three.Mesh(lathe, new three.MeshLambertMaterial({ color: GREY, side: three.DoubleSide }));
-    found.rotation.z = -Math.PI / 2; // from its own axis to that of the carriage
+    found.rotation.z = -Math.PI / 2; // from y, the axis of a lathe geometry, to x
     return found;
   }
 
@@ -138,10 +138,10 @@ export class View3d {
     this.dirty = true;
   }
 
-  /** Turn the product and put the head; of the path, the first points are done. */
+  /** Turn the product, place the head, and mark the first points of the path as done. */
   private put(at: At, points: number): void {
     const shown = JSON.stringify([at, points]);
-    if (shown === this.shown) return; // at rest nothing is drawn again
+    if (shown === this.shown) return; // nothing is drawn again at rest
     this.shown = shown;
     if (this.mandrel) {
       const along = at[this.mandrel.along] ?? 0;

@@ -1,1 +1,1 @@
-"""What every room stands on: checked arrays, compiled code, progress of long work, and wording."""
+"""Tools for every room: checked arrays, compiled code, safe files, progress, and safe text."""

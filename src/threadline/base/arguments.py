@@ -1,7 +1,7 @@
-"""Checks of what Python callers give: every wrong type is told as an ``InputError``.
+"""Checks of the arguments of Python callers: a wrong type raises an ``InputError``.
 
-The command line gives text, which its readers check. A caller in Python may give anything; what a
-parameter takes is said once, by its annotation, and held against what is given.
+Readers of options check the text of the command line. A caller in Python may pass any object;
+``checked`` compares each argument with the annotation of its parameter.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ _WORDS = {
 def checked(function: Callable[P, T]) -> Callable[P, T]:
     """Return a function that refuses arguments of other types than its annotations say.
 
-    Files that cannot be used, and memory that is not there, are told as on the command line, too.
+    Unusable files and a lack of memory raise the same errors as on the command line.
 
     Raises
     ------
     OptionError
-        By the function that is returned: with the name of the argument, and what it takes.
+        Raised by the returned function; names the argument and its valid types.
     """
 
     @wraps(function)
@@ -78,17 +78,17 @@ def _takes(function: Callable[..., Any], name: str) -> Any:
     told = inspect.signature(function).parameters[name].annotation
     if told is inspect.Parameter.empty:
         return Any
-    # Not all names of a signature are there at run time: those of answers are for readers.
+    # Evaluate parameters only: return types may be imported for type checkers alone.
     return eval(told, function.__globals__) if isinstance(told, str) else told  # noqa: S307
 
 
 def check_argument(name: str, value: object, takes: Any) -> None:
-    """Refuse a value that is of none of the types that an argument takes.
+    """Refuse a value whose type the argument does not allow.
 
     Raises
     ------
     OptionError
-        If it is not, or is a text that no file or program could hold.
+        If the type is wrong, or a text cannot be encoded as UTF-8 or contains a null.
     """
     if not _fits(value, takes):
         raise OptionError(
@@ -123,7 +123,7 @@ def _is_text(text: str) -> bool:
 
 
 def _named(takes: Any) -> str:
-    """Return types as people say them."""
+    """Return the words of an error message for types."""
     if isinstance(takes, UnionType):
         *most, last = dict.fromkeys(map(_named, get_args(takes)))
         return f"{', '.join(most)} or {last}" if most else last

@@ -1,4 +1,4 @@
-"""Read-only checked arrays, and results kept for a search that asks again."""
+"""Read-only checked arrays, and a small cache for searches that need a result again."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ IntArray: TypeAlias = NDArray[np.int64]
 
 
 def read_only(values: ArrayLike, name: str, *, ndim: int) -> FloatArray:
-    """Return a locked float64 array of ``values``: a copy, unless nobody can change them any more.
+    """Return a locked float64 array of ``values``: a copy, unless ``values`` is locked already.
 
     Parameters
     ----------
     values
-        Anything that numpy turns into an array of finite numbers. An array that is locked
-        already, with all that it is a view of, is taken as it is.
+        Anything that numpy turns into an array of finite numbers. A locked array whose bases are
+        locked, too, is returned without copying.
     name
-        Named in the error.
+        Name of the array in errors.
     ndim
         The number of dimensions that the array must have.
 
@@ -65,7 +65,7 @@ def real_numbers(values: ArrayLike) -> FloatArray:
 
 
 def _is_masked(values: object) -> bool:
-    """Return whether a value is hidden by a mask, which numpy drops without a word."""
+    """Return whether a mask hides a value; numpy would drop the mask without a warning."""
     if isinstance(values, list | tuple):
         return any(_is_masked(one) for one in values if not isinstance(one, float | int))
     return np.ma.is_masked(values)
@@ -89,7 +89,7 @@ def read_only_int(values: ArrayLike, name: str, *, ndim: int) -> IntArray:
 
 
 def _taken(values: ArrayLike, dtype: type[Any]) -> NDArray[Any]:
-    """Return a copy of ``values``, or themselves where nothing can write to them any more."""
+    """Return a copy of ``values``, or ``values`` if they and all their bases are locked."""
     if type(values) is np.ndarray and values.dtype == dtype and values.flags.c_contiguous:
         part: Any = values
         while isinstance(part, np.ndarray) and not part.flags.writeable:
@@ -100,9 +100,9 @@ def _taken(values: ArrayLike, dtype: type[Any]) -> NDArray[Any]:
 
 
 def largest_of_axes(values: FloatArray) -> FloatArray:
-    """Return the (n,) largest of each row of (n, axes) values.
+    """Return the largest value of each row, shape (n,), of ``values``, shape (n, axes).
 
-    Axis after axis: numpy compares along a short inner dimension slowly.
+    The loop runs over axes because numpy is slow along a short inner dimension.
     """
     largest: FloatArray = values[:, 0]
     for axis in range(1, values.shape[1]):
@@ -129,7 +129,7 @@ class Locked:
 
 
 def _locked(cls: type[Any], state: Mapping[str, Any]) -> Any:
-    """Return an object of ``cls`` in ``state``, with every array of it locked."""
+    """Return an object of ``cls`` with the attributes of ``state``, every array locked."""
     found = object.__new__(cls)
     for name, value in state.items():
         for array in value.values() if isinstance(value, Mapping) else (value,):
@@ -140,7 +140,7 @@ def _locked(cls: type[Any], state: Mapping[str, Any]) -> Any:
 
 
 def finite(value: float | None) -> float | None:
-    """Return ``value``, or None where it is not a finite number: JSON has no other word for it."""
+    """Return ``value``, or None where it is not finite: JSON cannot express infinity or NaN."""
     return value if value is not None and math.isfinite(value) else None
 
 
@@ -149,16 +149,16 @@ V = TypeVar("V")
 
 
 class Recent(Generic[K, V]):
-    """The last things that were made, each with what it was made of.
+    """A cache of the last results, each with its key.
 
-    Threads that ask side by side may lose one, and make it again.
+    Threads that use it at the same time may lose an entry and compute it again.
 
     Parameters
     ----------
     most
-        Number of things that are kept.
+        Number of entries kept.
     alike
-        Says whether the same would be made of two.
+        Returns whether two keys give the same result.
     """
 
     def __init__(self, most: int, alike: Callable[[K, K], bool]) -> None:
@@ -166,7 +166,7 @@ class Recent(Generic[K, V]):
         self._known: tuple[tuple[K, V], ...] = ()
 
     def of(self, key: K, make: Callable[[], V]) -> V:
-        """Return what was made of ``key`` or one like it; else make it, and keep it."""
+        """Return the cached result for ``key`` or a key like it, else that of ``make``."""
         for known, made in self._known:
             if self._alike(known, key):
                 return made

@@ -1,13 +1,13 @@
 """``njit`` with a cache on disk that several processes, and changed files, cannot mislead.
 
 numba writes the index of a function before the machine code that the index names, and gives the
-code of two processes the same name. A process that comes in between runs code of the file as it was
-before, or of other types. It also does not look at the files of functions that are called. Here
-machine code is written first and named by what it was made from, called functions included. Of
-processes that want the same function at once, one compiles it and the others wait for it.
+code of two processes the same name. Another process may then run code of an older source file, or
+code for other types. numba also ignores changes in the files of called functions. This module
+writes the machine code first. Its name contains a digest of its sources, including called
+functions. If several processes need the same function, one compiles it and the others wait.
 
-numba runs what it finds in a file, whatever a loss of power or a bad disk made of it. Here every
-file begins with a digest of the rest; a file that does not have its digest is made again.
+numba would also run a file that a loss of power or a bad disk has damaged. Every file here begins
+with a digest of its content; a file with a wrong digest is compiled again.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ try:
     from numba.core.event import Event, Listener, register
 except ValueError as error:  # NUMBA_NUM_THREADS=0, for instance
     raise OptionError(
-        f"the compiler numba refuses its settings in the environment: {error}",
+        f"the compiler numba refuses the settings in the environment: {error}",
         remedy="Correct or unset the variables whose names begin with NUMBA_.",
     ) from error
 
@@ -45,7 +45,7 @@ if sys.platform != "win32":
 _config: Any = numba.config  # numba has no types for it
 if _config.DISABLE_JIT:
     raise OptionError(
-        "NUMBA_DISABLE_JIT is set: simulations and plans run as machine code alone",
+        "NUMBA_DISABLE_JIT is set, but simulations and plans need compiled code",
         remedy="Unset it.",
     )
 
@@ -53,15 +53,15 @@ __all__ = ["FileLock", "njit", "where_kept"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 _WAITS_S = 120.0
-"""How long a process waits for another's machine code; it compiles for itself after that."""
+"""Longest wait for the machine code of another process; after it, this process compiles."""
 _LOOKS_EACH_S = 0.02
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
 
 
 class FileLock:
-    """A file that one process locks until it forgets this object, where files can be locked.
+    """A file that one process locks until it deletes this object, where the system has file locks.
 
-    Others wait, though not for ever: a process may have been stopped.
+    Other processes wait at most ``_WAITS_S``: the owner may have been suspended.
     """
 
     def __init__(self, path: Path) -> None:
@@ -69,7 +69,7 @@ class FileLock:
         if sys.platform == "win32":
             return
         end_s = time.monotonic() + _WAITS_S
-        # It goes on where the file cannot be written, or its file system has no locks.
+        # Work goes on without a lock if the file cannot be written or locked.
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = os.open(path, os.O_CREAT | os.O_RDWR)
@@ -82,7 +82,7 @@ class FileLock:
                     break
 
     def remove(self) -> None:
-        """Remove the file: nobody has to wait any more."""
+        """Remove the file, so that no process waits for it."""
         with suppress(OSError):
             self._path.unlink(missing_ok=True)
 
@@ -92,14 +92,14 @@ class FileLock:
 
 
 class CacheFile(IndexDataCacheFile):
-    """An index, and files of machine code whose names say what they were made from.
+    """An index, and files of machine code with a digest of their sources in their names.
 
-    Who finds no machine code is the one to make it, until ``save`` or the end of its process; who
-    looks for the same in the meantime waits.
+    A process that finds no machine code compiles it. Until it calls ``save`` or ends, other
+    processes that need the same code wait.
     """
 
     def load(self, key: Hashable) -> Any:
-        """Return the machine code of a key; None if whoever asks has to make it."""
+        """Return the machine code of a key; None if the caller has to compile it."""
         inherited: Any = super()  # numba has types for some of itself
         found = inherited.load(key)
         if found is not None or key in self._making:
@@ -111,11 +111,11 @@ class CacheFile(IndexDataCacheFile):
         return found
 
     def save(self, key: Hashable, data: object) -> None:
-        """Write machine code, then name it in the index; a loser of a race compiles once more."""
+        """Write machine code, then its index entry; a process that loses a race compiles again."""
         name = self._name_of(key)
         inherited: Any = self
         try:
-            # It goes on where it cannot be kept: the next process compiles it, too.
+            # If it cannot be written, the next process compiles again.
             with suppress(OSError):
                 inherited._save_data(name, data)
                 known = self._load_index()
@@ -129,7 +129,7 @@ class CacheFile(IndexDataCacheFile):
 
     @property
     def _making(self) -> dict[Hashable, FileLock]:
-        """What this process has to make."""
+        """Locks of the machine code that this process has to compile."""
         found: dict[Hashable, FileLock] = self.__dict__.setdefault("_made_here", {})
         return found
 
@@ -140,7 +140,7 @@ class CacheFile(IndexDataCacheFile):
 
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[BinaryIO]:
-        """Write beside the file, then take its place; an interrupt leaves no half of it."""
+        """Write a temporary file, then rename it; an interrupt leaves no partial file."""
         part = Path(f"{filepath}.tmp.{uuid.uuid4().hex[:16]}")
         try:
             content = BytesIO()
@@ -155,7 +155,7 @@ class CacheFile(IndexDataCacheFile):
             part.unlink(missing_ok=True)
 
     def _load_index(self) -> dict[Hashable, str]:
-        """Return the names of what is kept by its key; nothing where the index is not whole."""
+        """Return key -> file name; empty where the index is missing or damaged."""
         try:
             content = BytesIO(_checked(Path(self._index_path)))
         except OSError:
@@ -166,11 +166,11 @@ class CacheFile(IndexDataCacheFile):
         return dict(names) if stamp == self._source_stamp else {}
 
     def _load_data(self, name: str) -> Any:
-        """Return machine code; an OSError says that it is not there, or not whole."""
+        """Return machine code; raise OSError if the file is missing or damaged."""
         return pickle.loads(_checked(Path(self._cache_path) / name))  # noqa: S301
 
     def _forget(self, kept: set[str]) -> None:
-        """Remove machine code of files as they were; who still wants it compiles once more."""
+        """Remove machine code of older sources; a process that still needs it compiles again."""
         for file in Path(self._cache_path).glob(self._data_name_pattern.replace("{number:d}", "*")):
             if file.name not in kept:
                 file.unlink(missing_ok=True)
@@ -181,7 +181,7 @@ def _digest(content: bytes) -> bytes:
 
 
 def _checked(path: Path) -> bytes:
-    """Return what is behind the digest of a file; an OSError says that they do not agree."""
+    """Return the content behind the digest of a file; raise OSError if they disagree."""
     content = path.read_bytes()
     size = hashlib.sha256().digest_size
     digest, rest = content[:size], content[size:]
@@ -191,7 +191,7 @@ def _checked(path: Path) -> bytes:
 
 
 class _Clock(Listener):
-    """Tells ``COMPILING`` when functions are compiled that are not on disk yet."""
+    """Reports to ``COMPILING`` the start and end of every compilation."""
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002
         """Note the start."""
@@ -207,11 +207,10 @@ _register("numba:compile", _Clock())
 
 
 def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
-    """Compile the function that is given next, as ``numba.njit``; its machine code is kept.
+    """Decorate a function like ``numba.njit``, with the cache of this module.
 
-    It divides as numpy does: what is divided by zero is infinite, or no number. A look at each
-    divisor, as Python's, would be a sixth of the work of compiling; a block of a trajectory refuses
-    what is not finite.
+    Division by zero gives infinity or NaN, as in numpy. Python's check of each divisor would take a
+    sixth of the compile time; a block of a trajectory refuses values that are not finite.
     """
     options = {"error_model": "numpy", **options}
 
@@ -224,10 +223,10 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
 
 
 def where_kept(function: Callable[..., Any]) -> Path | None:
-    """Return the folder where machine code of a function's file is kept; None where it cannot be.
+    """Return the cache folder of a function's file; None where no folder can be written.
 
-    That is beside the file, in the user's folder for caches where that cannot be written, or where
-    NUMBA_CACHE_DIR says.
+    The folder is beside the source file, or the user's cache folder if that one is read-only, or
+    NUMBA_CACHE_DIR.
     """
     untyped: Any = CompileResultCacheImpl
     try:
@@ -248,10 +247,10 @@ def _keep_safely(function: Any, options: str) -> None:
 
 
 def _used_by(function: Callable[..., Any], seen: set[Any]) -> tuple[Hashable, ...]:
-    """Return what machine code of ``function`` is made from beside its file.
+    """Return the sources of ``function``'s machine code other than its file.
 
-    Constants of the module, and the files of compiled functions that it calls, which may call
-    others.
+    These are constants of the module and the files of compiled functions that it calls, directly or
+    through others.
     """
     found: list[Hashable] = []
     for name in sorted(_names(function.__code__)):
@@ -268,6 +267,6 @@ def _used_by(function: Callable[..., Any], seen: set[Any]) -> tuple[Hashable, ..
 
 
 def _names(code: CodeType) -> set[str]:
-    """Return the names that a function, and those inside it, look up in the module."""
+    """Return the global names that a function and its inner functions use."""
     inner = (c for c in code.co_consts if isinstance(c, CodeType))
     return set(code.co_names).union(*map(_names, inner))

@@ -1,4 +1,4 @@
-"""Imports that do not look for garbage: what they make stays until the program ends."""
+"""Imports without garbage collection: imported objects stay until the program ends."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from types import ModuleType
 
 @contextmanager
 def collecting_no_garbage() -> Iterator[None]:
-    """Import without looking for garbage, and never look for it among what is imported.
+    """Import without garbage collection, and exclude the imported objects from later collections.
 
-    Imports make a hundred thousand objects that stay until the program ends. To look through them
-    for garbage again and again takes a tenth of the time of an import, and once more at the end.
+    Imports create a hundred thousand objects that stay until the program ends. Searching them for
+    garbage takes a tenth of the import time, and as much again at exit.
     """
     gc.disable()
     try:
@@ -25,13 +25,13 @@ def collecting_no_garbage() -> Iterator[None]:
 
 
 def imported(name: str) -> ModuleType:
-    """Return the module ``name``, imported so."""
+    """Import the module ``name`` without garbage collection and return it."""
     with collecting_no_garbage():
         return import_module(name)
 
 
 def words_of(module: str, function: str) -> str:
-    """Return words of Python with which a process imports a module so, and calls its function.
+    """Return Python source that imports a module with ``imported`` and calls its function.
 
     >>> words_of("threadline.base.arrays", "be")
     "from threadline.base.importing import imported; imported('threadline.base.arrays').be()"

@@ -1,4 +1,4 @@
-"""Linear programs that are small and dense, by the simplex method first."""
+"""Solver for small, dense linear programs: the simplex method first."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Rows = tuple[FloatArray, ArrayLike]
 """A matrix of rows, and the value of each."""
 
 QUICK: Any = {"presolve": False, "simplex_dual_edge_weight_strategy": "devex"}
-"""How simplex is asked. Looking at a dense program before it is solved finds nothing to leave out,
-and takes longer than to solve it; exact weights of the edges cost more than the steps they save."""
+"""Options of the simplex method. Presolve finds nothing to remove in a dense program and takes
+longer than the solution; exact edge weights cost more time than they save."""
 
 _OUT_OF_TIME = 1
-_ANSWERED = (0, _OUT_OF_TIME, 2)  # at the least cost; 2 where no x meets the rows
+_ANSWERED = (0, _OUT_OF_TIME, 2)  # 0: optimal, 2: infeasible
 
 
 def solved(
@@ -31,19 +31,18 @@ def solved(
 ) -> Any:
     """Minimise ``cost`` @ x under rows @ x = values and rows @ x <= values.
 
-    Where the quick way has no answer, the program is given to the solver as it comes.
+    If the simplex method with ``QUICK`` fails, HiGHS solves it with its default options.
 
     Parameters
     ----------
     seconds
-        How long the solver may take, each time that it is asked. A degenerate program can keep the
-        simplex method for minutes; then the interior-point method gets as long.
+        Time limit of each attempt. A degenerate program can keep the simplex method busy for
+        minutes; then the interior-point method gets the same time.
 
     Returns
     -------
     scipy.optimize.OptimizeResult
-        What ``linprog`` of scipy answers; its status is 0 at the least cost, 2 where no x meets
-        the rows.
+        Result of scipy's ``linprog``; its status is 0 for an optimum, 2 for an infeasible program.
 
     Examples
     --------

@@ -1,27 +1,26 @@
-"""Defaults of the options of planning, which every help text tells.
+"""Defaults of the planning options, for help texts.
 
-They stand alone, so that a text that tells them need not wait for what plans by them.
+They have a file of their own, so that showing a help text does not import the planner.
 """
 
 from __future__ import annotations
 
 DEFAULT_INTERPOLATION = "default"
-"""What ``--interpolation`` says for what the machine does by itself: ``firmware`` where its file
-names the motion planner of a firmware, else ``AUTO``."""
+"""``--interpolation`` of the machine's own choice: ``firmware`` where its file names the motion
+planner of a firmware, else ``AUTO``."""
 AUTO = "auto"
 USUAL = frozenset({DEFAULT_INTERPOLATION, AUTO})
-"""Interpolations that choose nothing in particular: feed-forward takes the chords in their place.
-"""
+"""Interpolations that feed-forward replaces by chords, because the user chose no path."""
 DEFAULT_LIMITS = "100 %"
 DEFAULT_CONTOUR_M = 3e-4
-"""Default of ``--contour``, m: how far the control loops may take the load off the path of
-``optimal``. With the tolerance of the path this is 0.4 mm of the +-0.5 mm that the winder and the
-stitcher have to keep. The rest is for what the plan does not contain: encoder counts, levels of the
-DAC, friction, and the spread from run to run."""
+"""Default of ``--contour``, m: largest contour error of the load that the control loops may cause
+on the path of ``optimal``. Together with the path tolerance this uses 0.4 mm of the +-0.5 mm
+allowed on the winder and the stitcher. The rest covers effects outside the plan: encoder counts,
+DAC levels, friction, and the spread from run to run."""
 NO_CONTOUR = "none"
-"""What ``--contour`` says for no limit."""
+"""Value of ``--contour`` for no limit."""
 UNSHAPED_WORD = "none"
-"""What ``--shaper`` says for no shaper."""
+"""Value of ``--shaper`` for no shaper."""
 DEFAULT_TOLERANCE_M = 1e-4
 """Default of ``--tolerance``, m: largest deviation from the programmed path."""
 DEFAULT_TOLERANCE = f"{DEFAULT_TOLERANCE_M * 1e3:g} mm"
@@ -31,4 +30,4 @@ OPTIMAL_FEED_FORWARD = "10 ms"
 """Default with ``optimal``: its acceleration has no steps, so less smoothing is enough."""
 
 MOST_REPEATS = 1000
-"""Runs of a machine in one verdict at most: each is kept until the last one is judged."""
+"""Largest number of runs in one verdict: every run is kept until the last one is judged."""

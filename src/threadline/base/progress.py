@@ -1,11 +1,6 @@
-"""How far a long calculation is: of planning, of compiling to machine code, and of any other work.
+"""Progress of planning, of compiling to machine code, and of any other long calculation.
 
-What is compiled is kept on disk (``compiled``), so that later runs do not wait. Whoever talks to
-people reads it here. Only the standard library is imported: numba takes a second.
-
-Whoever talks to people reads it here. Only the standard library is imported.
-
-Whoever draws a bar of it needs no more than this name.
+A progress bar reads these values. Only the standard library is imported: numba takes a second.
 """
 
 from __future__ import annotations
@@ -17,16 +12,16 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class Compiling:
-    """Time spent on compiling, one function inside another counted once.
+    """Time spent on compiling; nested compilations count once.
 
     Attributes
     ----------
     done_s
-        Of what is compiled.
+        Time of finished compilations, s.
     depth
-        Functions that are being compiled now.
+        Number of nested compilations in progress.
     began_s
-        Start of the outermost of them, on the monotonic clock.
+        Start of the outermost one, on the monotonic clock.
     """
 
     done_s: float = 0.0
@@ -34,37 +29,37 @@ class Compiling:
     began_s: float = 0.0
 
     def begin(self) -> None:
-        """Note that a function is being compiled from now on."""
+        """Note the start of a compilation."""
         if self.depth == 0:
             self.began_s = time.monotonic()
         self.depth += 1
 
     def end(self) -> None:
-        """Note that it is compiled."""
+        """Note the end of a compilation."""
         self.depth -= 1
         if self.depth == 0:
             self.done_s += time.monotonic() - self.began_s
 
     def lasted_s(self) -> float:
-        """Return the time spent until now."""
+        """Return the time spent so far, s."""
         return self.done_s + (time.monotonic() - self.began_s if self.depth else 0.0)
 
 
 COMPILING = Compiling()
-"""Of this process."""
+"""Compilations of this process."""
 
 
 @dataclass(slots=True)
 class PlanningSoFar:
-    """What is planned of the motion under way.
+    """Progress of the motion that is being planned.
 
     Attributes
     ----------
     motion_s
-        How much of the motion is planned, s; 0 where nothing is known of it.
+        Planned length of the motion, s; 0 while unknown.
     round_, rounds
-        How often a motion of that length was timed, and how often it will be at most; 0 where it
-        is planned once, piece after piece.
+        Passes of timing done over the motion, and their largest number; 0 where one pass plans it
+        piece by piece.
     """
 
     motion_s: float = 0.0
@@ -72,11 +67,11 @@ class PlanningSoFar:
     rounds: int = 0
 
     def reach(self, motion_s: float, round_: int = 0, rounds: int = 0) -> None:
-        """Note what is planned now."""
+        """Set the progress."""
         self.motion_s, self.round_, self.rounds = motion_s, round_, rounds
 
     def words(self) -> str:
-        """Return it for people; empty where nothing is known.
+        """Return the progress in words; empty while unknown.
 
         >>> PlanningSoFar(3585.7).words(), PlanningSoFar(3585.7, 2, 16).words()
         ('3586 s of motion so far', 'motion of 3586 s, time 2 of at most 16')
@@ -89,8 +84,8 @@ class PlanningSoFar:
 
 
 PLANNING = PlanningSoFar()
-"""Of this process."""
+"""Planning of this process."""
 
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction that is done."""
+"""Called with the name of the work and the fraction done."""

@@ -17,21 +17,21 @@ from typing import Any, BinaryIO
 from threadline.errors import InputError, JobError, Place
 
 _INPUTS: ContextVar[dict[tuple[int, int], str] | None] = ContextVar("inputs", default=None)
-"""Device and inode of every file that was read in ``noting_inputs``, with its name."""
+"""(device, inode) -> name of every file read within ``noting_inputs``."""
 _WITHIN: ContextVar[Path | None] = ContextVar("within", default=None)
-"""The only folder in which files are read now; None for any."""
+"""The folder to which reading is limited; None for no limit."""
 
 
 def refuse_special(path: Path) -> None:
-    """Refuse a pipe, a device or a socket: opening or reading one may never end.
+    """Refuse a pipe, a device or a socket: opening or reading it may block for ever.
 
-    Every reader asks this first, so the file is noted as an input here.
+    Every reader calls this first, so it also notes the file as an input.
 
     Raises
     ------
     OSError
-        If ``path`` is one of them, cannot be looked at, or is not in the folder that
-        ``reading_within`` names. A folder passes: opening it fails with a reason of its own.
+        If ``path`` is a special file, is inaccessible, or is outside the folder of
+        ``reading_within``. A folder is not refused: opening it raises an error anyway.
     """
     if (folder := _WITHIN.get()) is not None:
         _refuse_outside(path, folder)
@@ -43,9 +43,9 @@ def refuse_special(path: Path) -> None:
 
 @contextmanager
 def reading_within(folder: Path) -> Iterator[None]:
-    """Read only files in ``folder`` in the block, and follow no link that stands in it.
+    """Read only files in ``folder`` within the block, and follow no link below it.
 
-    What is read by the words of somebody else, as a file that he has sent, may name any other.
+    A file from another person may name any other file on this computer.
     """
     mark = _WITHIN.set(folder)
     try:
@@ -56,7 +56,7 @@ def reading_within(folder: Path) -> Iterator[None]:
 
 def _refuse_outside(path: Path, folder: Path) -> None:
     real = Path(os.path.realpath(folder))
-    named = Path(os.path.normpath(path.absolute()))  # links stay what they are
+    named = Path(os.path.normpath(path.absolute()))  # links are not followed
     folders = (Path(os.path.normpath(folder.absolute())), real)
     base = next((one for one in folders if named.is_relative_to(one)), None)
     if base is None:
@@ -67,7 +67,7 @@ def _refuse_outside(path: Path, folder: Path) -> None:
 
 @contextmanager
 def noting_inputs() -> Iterator[None]:
-    """Note every file that is read in the block, however it is reached; blocks may be nested."""
+    """Note every file that is read within the block; blocks may be nested."""
     before = _INPUTS.get()
     mark = _INPUTS.set({} if before is None else before)
     try:
@@ -77,7 +77,7 @@ def noting_inputs() -> Iterator[None]:
 
 
 def note_input(path: Path, status: os.stat_result | None = None) -> None:
-    """Note that ``path`` is read, where inputs are noted."""
+    """Note ``path`` as an input, if within ``noting_inputs``."""
     noted = _INPUTS.get()
     if noted is None:
         return
@@ -99,7 +99,7 @@ def input_behind(path: Path) -> str | None:
 
 
 def inputs_read() -> tuple[Path, ...]:
-    """Return the files that were read since inputs are noted, first the one that came first."""
+    """Return the noted input files in the order of reading."""
     return tuple(Path(name) for name in (_INPUTS.get() or {}).values())
 
 
@@ -123,7 +123,7 @@ def open_binary(path: Path) -> BinaryIO:
 
 @dataclass(frozen=True, slots=True)
 class KnownFile:
-    """A file as it was when its hash was taken.
+    """A file with its hash and its state at the time of hashing.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class KnownFile:
     sha256
         Hash of its content.
     size, modified_ns
-        As long as both are the same, the content is taken for the same without reading it.
+        While both are unchanged, the content counts as unchanged without reading it.
     """
 
     path: Path
@@ -156,11 +156,11 @@ class KnownFile:
         return cls(path.absolute(), digest, status.st_size, status.st_mtime_ns)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        # No modification time is -1: the process that receives it hashes the content once.
+        # No file has the modification time -1, so the receiving process hashes the content once.
         return KnownFile, (self.path, self.sha256, self.size, -1)
 
     def is_unchanged(self) -> bool:
-        """Say whether the file still holds what it did.
+        """Return whether the content of the file is unchanged.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class KnownFile:
 
 @lru_cache(maxsize=64)
 def _sha256(path: Path, modified_ns: int) -> str:
-    """Return the SHA-256 of a file, from the cache as long as ``modified_ns`` is the same."""
+    """Return the SHA-256 of a file, cached by its path and modification time."""
     del modified_ns
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -186,16 +186,16 @@ def _sha256(path: Path, modified_ns: int) -> str:
 
 @contextmanager
 def naming(output: Path, temporary: Path) -> Iterator[None]:
-    """Let an OSError or InputError of the block name ``output``, and not a temporary file.
+    """Let an OSError or InputError of the block name ``output`` instead of a temporary file.
 
-    An error that names no file, as that of a full disk, then names ``output``, too.
+    An error without a file name, such as a full disk, also names ``output``.
 
     Parameters
     ----------
     output
-        What was asked for.
+        The file or folder that the user named.
     temporary
-        What it is made from, a folder or a file that is gone afterwards.
+        The temporary file or folder from which it is made.
     """
     try:
         yield
@@ -211,25 +211,25 @@ def naming(output: Path, temporary: Path) -> Iterator[None]:
 def read_text(
     path: Path, most_bytes: int, error: type[InputError], what: str, encoding: str = "utf-8"
 ) -> str:
-    """Return the whole of a text file that people write.
+    """Return the content of a text file that a person wrote.
 
     Parameters
     ----------
     path
         The file.
     most_bytes
-        A larger one is refused before it is read.
+        Largest size; a larger file is refused before it is read.
     error
-        What is raised.
+        Class of the errors raised.
     what
-        What the file should be, for remedies: ``"machine file"``.
+        Kind of file, for remedies: ``"machine file"``.
     encoding
-        ``"utf-8-sig"`` where a byte order mark may stand first.
+        ``"utf-8-sig"`` where a byte order mark is allowed.
 
     Raises
     ------
     InputError
-        Of the kind ``error``, if the file cannot be read, is too large or is not UTF-8.
+        Of the class ``error``, if the file cannot be read, is too large or is not UTF-8.
     """
     try:
         refuse_special(path)

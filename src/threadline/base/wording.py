@@ -1,8 +1,8 @@
-"""Text from users and from other libraries, in words that are safe to print.
+"""Make text from users and from other libraries safe to print.
 
-Names of jobs and machines, titles, steps, tags and file names are anybody's text. Each kind of
-output has its one function here, so that no such text ends a comment, begins a command, or drives
-a terminal. Only the standard library is imported here.
+Names of jobs and machines, titles, steps, tags and file names may contain any text. This module has
+one function for each kind of output, so that no such text ends a comment, begins a command, or
+controls a terminal. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 _DRIVING = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
-"""Unicode categories that are never written as they are: controls, marks that reverse the direction
-of writing, lone surrogates (from file names that are not UTF-8), code points that are private or
-unassigned, and line separators."""
+"""Unicode categories that are always escaped: controls, marks that reverse the direction of
+writing, lone surrogates (from file names that are not UTF-8), private or unassigned code points,
+and line separators."""
 
 
 def plain(text: str) -> str:
-    r"""Return ``text`` in one line of characters that can be seen.
+    r"""Return ``text`` as one line of visible characters.
 
-    Everything else is written as in a Python string. It is for terminals, XML, SVG and HTML: their
-    own escapes of markup come after this.
+    Other characters are escaped as in a Python string. Use it for terminals, XML, SVG and HTML;
+    escape their markup afterwards.
 
     >>> plain("a\x1b[2Jb\nc"), plain("10 \u00b5s"), plain("\u202etxt.exe"), plain("\udcff")
     ('a\\x1b[2Jb\\nc', '10 µs', '\\u202etxt.exe', '\\udcff')
@@ -48,10 +48,10 @@ def ascii_only(text: str) -> str:
 
 
 def st_comment(text: str) -> str:
-    """Return what may stand in a ``(* comment *)`` of IEC 61131-3 text, and cannot end it.
+    """Return ``text`` made safe for a ``(* comment *)`` of IEC 61131-3 text: it cannot end it.
 
     The third edition of the standard nests comments and adds ``//`` and ``/* */``. Some tools also
-    read ``{pragmas}``, ``@`` tags or quoted strings in comments. None of these marks stays whole.
+    read ``{pragmas}``, ``@`` tags or quoted strings in comments. All these marks are broken up.
 
     >>> st_comment("a *) b := TRUE; (* c"), st_comment("{x}**"), st_comment("// @END")
     ('a * ) b := TRUE; ( * c', '[x]* *', '/ / at END')
@@ -61,7 +61,7 @@ def st_comment(text: str) -> str:
 
 
 def nc_comment(text: str) -> str:
-    """Return what may stand behind the ``;`` of a part program, and is no word of it.
+    """Return ``text`` made safe for a comment behind the ``;`` of a part program.
 
     Brackets begin comments and messages to the operator (MSG, DEBUG, PRINT) and end them, ``%``
     ends a program, and a second ``;`` or a ``#`` is a comment or a parameter to some.
@@ -82,10 +82,10 @@ def toml_string(text: str) -> str:
 
 
 def json_line(value: Any) -> str:
-    """Return ``value`` as JSON in one line that every reader of lines takes for one.
+    """Return ``value`` as JSON without any character that a reader takes for a line break.
 
-    Text stays as it is, unless it holds a character that ``plain`` would escape: then everything
-    outside of ASCII is escaped.
+    Text is unchanged unless it contains a character that ``plain`` would escape: then all
+    characters outside ASCII are escaped.
     """
     text = json.dumps(value, ensure_ascii=False)
     return text if plain(text) == text else json.dumps(value)
@@ -96,7 +96,7 @@ def _in_toml(letter: str) -> str:
         return f"\\{letter}"
     if letter.isascii() and letter.isprintable():
         return letter
-    if unicodedata.category(letter) == "Cs":  # half of a pair, which TOML has no escape for
+    if unicodedata.category(letter) == "Cs":  # a lone surrogate has no escape in TOML
         return f"\\\\u{ord(letter):04x}"
     return f"\\u{ord(letter):04X}" if ord(letter) < 1 << 16 else f"\\U{ord(letter):08X}"
 
@@ -124,7 +124,7 @@ _PATTERNS = {
     "^[A-Z]$": ("must be one capital letter", "Name it like A, X or Y."),
     "^G5[4-9]$": ("must be a work coordinate system, G54 to G59", "Write it like G55."),
     "^[A-Za-z][A-Za-z0-9_-]*$": (
-        "is no name of letters, digits, _ and -, with a letter first",
+        "must be a name of letters, digits, _ and - that begins with a letter",
         "Name it like x_belt.",
     ),
     "^[A-Za-z_]+(\\.(\\*|[A-Za-z0-9_-]+))+$": (
@@ -162,12 +162,12 @@ _RANGES = {
 
 
 def toml_fault(error: Exception, text: str) -> tuple[str, int]:
-    """Return what is wrong with a TOML file, and its line: 0 if not known, the last at its end.
+    """Return the fault of a TOML file and its line: 0 if unknown, the last line at its end.
 
     Parameters
     ----------
     error
-        What ``tomllib`` raised: its own error, or ``RecursionError`` of a deep nest.
+        From ``tomllib``: ``TOMLDecodeError``, or ``RecursionError`` for deep nesting.
     text
         The file.
     """
@@ -193,10 +193,10 @@ def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
     text
         The file.
     rows, index
-        The array, ``[[rows]]``, and which of its tables, from 0; None for the top of the file.
+        Name of the array, ``[[rows]]``, and index of the table; None for the top of the file.
     key
-        What is looked for; where it is not there the line is that of the table's header, and 0
-        where there is none either.
+        The key to find. If it is missing, the result is the line of the table's header, or 0 if
+        that is missing, too.
     """
     is_header = re.compile(rf"\s*\[\[\s*{re.escape(rows)}\s*\]\]")
     is_key = re.compile(rf'\s*"?{re.escape(key)}"?\s*=')
@@ -211,7 +211,7 @@ def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
 
 
 def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
-    """Return what is wrong with a value, and the remedy.
+    """Return the fault of a value and the remedy.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
         entries = "entry" if least == 1 else "entries"
         return f"must have at least {least} {entries}{got}", "Add what is missing."
     if kind == "too_long":
-        # Pydantic counts lists alone, and says None of a table.
+        # Pydantic gives the number of entries only for lists, and None for tables.
         most, count = context["max_length"], len(error["input"])
         entries = "entry" if most == 1 else "entries"
         return f"must have at most {most} {entries}, got {count}", "Take some out."
@@ -252,7 +252,7 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
-    """Return a remedy for a wrong word: the right one nearest to it, or all of them.
+    """Return a remedy for a wrong word: the most similar valid word, or all valid words.
 
     >>> nearest("hed", ["head", "frame"]), nearest("zz", ["head", "frame"], "There are")
     ("Did you mean 'head'?", 'There are: head, frame.')
@@ -275,7 +275,7 @@ def _shown(value: object) -> str:
 
 
 def grouped(warnings: Iterable[str]) -> list[str]:
-    """Return the warnings, those that differ only in a figure and a part of the machine as one.
+    """Merge warnings that differ only in a number and the part of the machine.
 
     >>> grouped(["axes.X: 3 A of 2 A", "axes.Y: 4 A of 2 A", "slow", "slow"])
     ['axes.X: 3 A of 2 A (likewise axes.Y)', 'slow (2 times)']

@@ -1,9 +1,8 @@
-"""Files that are written: all of a command appear together when it ends well, or none of them.
+"""Output files: all files of a command appear together when it succeeds, or none of them.
 
-Every file is made beside its place under a name of its own and moved there at the end, in steps
-that can be undone. None takes the place of a file that was read, of a read-only one, of a folder,
-or of a pipe or device; a link is followed. What goes to standard output goes there last. Folders
-that are missing on the way to a file are made.
+Every file is written under a temporary name in its folder and renamed at the end, in steps that can
+be undone. No output replaces an input file, a read-only file, a folder, a pipe or a device; links
+are followed. Standard output is written last. Missing parent folders are made.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from typing import IO
 from threadline.base.reading import input_behind, naming
 from threadline.errors import OptionError
 
-_PREFIX = 80  # characters of a file's name that the temporary one has too
+_PREFIX = 80  # characters of the file's name in the temporary name
 _STDOUT = 1
 _ANY_WRITES = 0o222
 _REMEDY = "Give another path."
 
 
 def check_output(path: Path) -> None:
-    """Refuse what must not be written over.
+    """Refuse a path that must not be overwritten.
 
     Raises
     ------
@@ -44,9 +43,9 @@ def check_output(path: Path) -> None:
         return
     try:
         status = path.stat()
-    except (FileNotFoundError, NotADirectoryError):  # the folder is looked at where it is made
+    except (FileNotFoundError, NotADirectoryError):  # the folder is checked when it is made
         return
-    except (OSError, ValueError) as error:  # a circle of links, a null in the name
+    except (OSError, ValueError) as error:  # a loop of links, a null in the name
         why = getattr(error, "strerror", None) or error
         raise OptionError(f"cannot write {str(path)!r}: {why}", remedy=_REMEDY) from error
     if stat.S_ISDIR(status.st_mode):
@@ -61,13 +60,13 @@ def check_output(path: Path) -> None:
     read = input_behind(path)
     if read is not None:
         raise OptionError(
-            f"{str(path)!r} is the input {read!r} and would be written over",
+            f"{str(path)!r} is the input {read!r} and would be overwritten",
             remedy="Give another file to write.",
         )
 
 
 def is_stdout(path: Path) -> bool:
-    """Say whether ``path`` is where standard output goes, and no file that could be replaced."""
+    """Return whether ``path`` is the present standard output, and not a replaceable file."""
     try:
         status, own = path.stat(), os.fstat(_STDOUT)
     except (OSError, ValueError):
@@ -79,7 +78,7 @@ def is_stdout(path: Path) -> bool:
 
 @dataclass(slots=True)
 class _Move:
-    """A file to be moved to its place, or (``made`` is None) one to be removed."""
+    """A temporary file to rename to its place, or (``made`` is None) a file to remove."""
 
     made: Path | None
     place: Path
@@ -88,7 +87,7 @@ class _Move:
 
 @dataclass(slots=True)
 class _Together:
-    """What was written and has not yet appeared."""
+    """Files written and folders made in a block ``together`` that has not ended."""
 
     stack: ExitStack
     moves: list[_Move] = field(default_factory=list)
@@ -98,7 +97,7 @@ class _Together:
 
 @dataclass(slots=True)
 class Appeared:
-    """What has appeared: files, and folders that were missing on the way to what was asked for."""
+    """Files that have appeared, and the missing parent folders that were made for them."""
 
     files: list[Path] = field(default_factory=list)
     folders: list[Path] = field(default_factory=list)
@@ -110,7 +109,7 @@ _APPEARED: ContextVar[Appeared | None] = ContextVar("_APPEARED", default=None)
 
 @contextmanager
 def noting_outputs() -> Iterator[Appeared]:
-    """Tell in the block which files have appeared, and which folders were made for them."""
+    """Give a list that is filled with the files that appear and the folders made for them."""
     appeared = Appeared()
     mark = _APPEARED.set(appeared)
     try:
@@ -121,9 +120,9 @@ def noting_outputs() -> Iterator[Appeared]:
 
 @contextmanager
 def together(*outputs: Path | None) -> Iterator[None]:
-    """Let all files that are written in the block appear at its end, and none if it fails.
+    """Let all files written within the block appear at its end, or none if it fails.
 
-    A block inside another joins it: its files appear at the end of the outer one.
+    A nested block joins the outer one: its files appear at the end of the outer block.
 
     Parameters
     ----------
@@ -133,9 +132,9 @@ def together(*outputs: Path | None) -> Iterator[None]:
     Raises
     ------
     OptionError
-        If one of them must not be written.
+        If an output must not be overwritten.
     OSError
-        If one of them cannot be put in its place; those before it are as they were.
+        If a file cannot be renamed to its place; the files before it are restored.
     """
     if _TOGETHER.get() is not None:
         _make_folders(outputs)
@@ -143,7 +142,7 @@ def together(*outputs: Path | None) -> Iterator[None]:
         return
     with ExitStack() as stack:
         pending = _Together(stack)
-        stack.callback(_unmake, pending)  # last, when what was made in the folders is gone
+        stack.callback(_unmake, pending)  # last, when the folders are empty again
         mark = _TOGETHER.set(pending)
         try:
             _make_folders(outputs)
@@ -161,9 +160,9 @@ def together(*outputs: Path | None) -> Iterator[None]:
 
 @contextmanager
 def staged_file(path: Path) -> Iterator[IO[bytes]]:
-    """Open a file that becomes ``path`` with the others of ``together``, or when the block ends.
+    """Open a temporary file that becomes ``path`` at the end of ``together`` or of this block.
 
-    The ``name`` of what is opened is where its bytes are until then.
+    The ``name`` of the opened file is its temporary path.
 
     Raises
     ------
@@ -188,7 +187,7 @@ def staged_file(path: Path) -> Iterator[IO[bytes]]:
 
 @contextmanager
 def staging_folder(folder: Path) -> Iterator[Path]:
-    """Give a folder whose files appear in ``folder`` with the others of ``together``.
+    """Give a temporary folder whose files appear in ``folder`` at the end of ``together``.
 
     Raises
     ------
@@ -215,7 +214,7 @@ def remove_with(path: Path) -> None:
 
 
 def content_of(path: Path) -> Path:
-    """Return where the bytes of ``path`` are now, which may not have appeared yet."""
+    """Return the file that holds the bytes of ``path`` now: a temporary one until it appears."""
     pending = _TOGETHER.get()
     staged = [m.made for m in pending.moves if m.asked == path and m.made] if pending else []
     return staged[-1] if staged else path
@@ -237,7 +236,7 @@ def _made(folder: Path, *, asked: bool = False) -> Path:
     Parameters
     ----------
     asked
-        Whether the folder itself was asked for, and not a file in it.
+        Whether the user named the folder itself instead of a file in it.
     """
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
     for each in reversed(missing):
@@ -257,7 +256,7 @@ def _make_folders(outputs: Iterable[Path | None]) -> None:
 
 def _unmake(pending: _Together) -> None:
     for folder in reversed(pending.folders):
-        with suppress(OSError):  # something else has been put there
+        with suppress(OSError):  # the folder holds other files now
             folder.rmdir()
 
 
@@ -274,11 +273,11 @@ def _grant(made: Path, path: Path) -> None:
 
 def _commit(pending: _Together) -> None:
     """Put every file in its place; put everything back as it was if one cannot be."""
-    undo: list[tuple[Path, Path | None]] = []  # a place, and where what was there is kept
+    undo: list[tuple[Path, Path | None]] = []  # a place, and the backup of its old file
     to_stdout = []
     places: dict[Path, Path] = {}
     for move in pending.moves:
-        check_output(move.asked)  # files may have been read since, and folders made
+        check_output(move.asked)  # again: files may have been read and folders made since
         other = places.setdefault(move.place, move.asked)
         if move.made is not None and places[move.place] is not move.asked:
             raise OptionError(
@@ -309,7 +308,7 @@ def _commit(pending: _Together) -> None:
 
 
 def _kept(move: _Move, stack: ExitStack) -> Path | None:
-    """Keep what is at the place of a file under another name there; return that name."""
+    """Back up the file at ``move.place`` beside it; return the backup, None without a file."""
     if not move.place.exists():
         return None
     folder = tempfile.TemporaryDirectory(

@@ -1,4 +1,4 @@
-"""``threadline analyse``: what a machine's loops, modes and actuators are like."""
+"""``threadline analyse``: margins, poles, modes and actuators of a machine's loops."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def analyse(
 ) -> None:
     """Analyse the loops of MACHINE: margins, bandwidth, poles, modes, actuators, steps.
 
-    A cylinder has no loop: a line says so, and its modes are given.
+    A cylinder has no loop: the output says so and lists its modes.
 
-    A loop is analysed twice: sampled, as it is, and continuous with its exact dead time. With
-    --lead the axes have lead filters that are designed for that crossover and phase margin. Exit
-    status: 0 when every loop is stable, 1 when one is not, 2 wrong input.
+    Each loop is analysed twice: sampled, as it runs, and continuous with its exact dead time.
+    --lead first designs lead filters for the given crossover and phase margin. Exit status: 0 when
+    every loop is stable, 1 when one is not, 2 wrong input.
 
     Example: threadline analyse stitcher --axis X --report reports/stitcher
     """
@@ -82,7 +82,7 @@ def analyse(
     measured = None if data is None else read_response(data)
     designs = {} if lead is None else _designs(chosen, names, lead)
     replaced = {k: v for design, name in designs.values() for k, v in design.replaced(name).items()}
-    if replaced:  # all that follows is of the machine with these filters
+    if replaced:  # the rest of the analysis uses the designed filters
         chosen = with_numbers(chosen, replaced)
     analyses = {name: analyse_moving(chosen, name) for name in names}
     apart = (

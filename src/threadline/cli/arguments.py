@@ -15,15 +15,15 @@ from threadline.errors import OptionError
 
 
 def ratio(option: str) -> Callable[[str | float], float]:
-    """Return the reader of an option that is a ratio, ``"20 %"`` or ``0.2``, for typer.
+    """Return a parser for typer that reads a ratio option, ``"20 %"`` or ``0.2``.
 
-    Its errors are in the words of this program; a default comes as the number that it is.
+    Its errors are Threadline's own; a default passes as the number that it is.
     """
 
     def read(text: str | float) -> float:
         if not isinstance(text, str):
             return text
-        # Units take a third of a second to load, and help has none to read.
+        # Units take a third of a second to load, and --help does not need them.
         from threadline.units import parse_number
 
         return parse_number(option, text, "", "20 %")
@@ -77,7 +77,7 @@ JsonOption = Annotated[
 
 
 def named_folder(text: str) -> Path:
-    """Return a folder; refuse an empty name, which would be the current folder."""
+    """Return a folder; refuse an empty name, which would mean the current folder."""
     if not text:
         raise typer.BadParameter("it is empty; name a folder, or . for this one")
     return Path(text)
@@ -99,30 +99,30 @@ RecordingOption = Annotated[
 
 
 def key_of(option: str, key: Path | None, proof: Path | None) -> bytes | None:
-    """Return the key that an option names, None without one.
+    """Return the signing key in the file ``key``, None without one.
 
     Raises
     ------
     OptionError
-        If there is no proof that it could be of, or its file holds no key.
+        If no proof is given that the key could sign or check, or the file holds no key.
     """
     if key is None:
         return None
     if proof is None:
-        raise OptionError(f"{option} needs the file of a proof", remedy="Give --proof FILE.")
-    # Proofs take a while to load, and help reads none.
+        raise OptionError(f"{option} signs or checks a proof", remedy="Give --proof FILE.")
+    # Proofs take a while to load, and --help does not need them.
     from threadline.proof.proof_file import read_key
 
     return read_key(key)
 
 
 def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
-    """Refuse an output file that is one of the input files, which would be overwritten.
+    """Refuse an output file that would overwrite one of the input files.
 
     Raises
     ------
     OptionError
-        If the output is one of the inputs, by whatever name.
+        If the output is one of the inputs, under whatever name.
     """
     if output is None or not output.exists():
         return

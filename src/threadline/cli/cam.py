@@ -1,4 +1,4 @@
-"""``threadline cam``: from the measured cam of an old machine to a motion law."""
+"""``threadline cam``: make a motion law from a measured cam."""
 
 from __future__ import annotations
 
@@ -29,28 +29,26 @@ def cam(
         Path, typer.Argument(help="Table: alpha [deg], h [mm] and, where printed, phi [deg].")
     ],
     b: Annotated[
-        str | None, typer.Option(help='From the axis of the cam to that of the rocker: "165 mm".')
+        str | None, typer.Option(help='Distance from cam axis to rocker axis: "165 mm".')
     ] = None,
     c: Annotated[str | None, typer.Option(help='Length of the rocker: "135 mm".')] = None,
     roller: Annotated[
-        str, typer.Option(help="Radius that is added to each distance; negative: taken off.")
+        str, typer.Option(help="Roller radius, added to each distance; negative: subtracted.")
     ] = "0 mm",
     noise: Annotated[
-        str | None, typer.Option(help='Measuring error: "0.05 mm"; estimated unless given.')
+        str | None, typer.Option(help='Measuring error: "0.05 mm"; default: estimated.')
     ] = None,
     fairing: Annotated[
-        str, typer.Option(help="Of the law: spline, rebound, differences, none.")
+        str, typer.Option(help="Fairing of the law: spline, rebound, differences, none.")
     ] = "spline",
     start: Annotated[
-        str | None, typer.Option(help='Where the rise starts: "7.5 deg"; found unless given.')
+        str | None, typer.Option(help='Where the rise starts: "7.5 deg"; default: found.')
     ] = None,
-    end: Annotated[
-        str | None, typer.Option(help="Where the rise ends; found unless given.")
-    ] = None,
-    passes: Annotated[int, typer.Option(help="Most passes of the rebound.")] = MOST_PASSES,
+    end: Annotated[str | None, typer.Option(help="Where the rise ends; default: found.")] = None,
+    passes: Annotated[int, typer.Option(help="Most rebound passes.")] = MOST_PASSES,
     epsilon: Annotated[
         str | None,
-        typer.Option(help='Stop the rebound by this change of a pass alone: "0.001 mm".'),
+        typer.Option(help='Stop the rebound once a pass changes less than this: "0.001 mm".'),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "--output", help="Write the law as a table (.csv).")
@@ -60,11 +58,11 @@ def cam(
 ) -> None:
     """Turn a measured cam into a motion law.
 
-    With b and c, the sides from the cam's axis to the rocker's axis and on to the roller, each
-    measured distance h is the third side of a triangle, and the angle between b and c is the
-    rotation of the rocker. Without b and c the distance is the stroke of a straight follower.
-    Rows whose printed angle is not that of their distance are flagged, the noise is estimated, the
-    rise is found, and the law is faired; nothing is left out. Exit status: 0, or 2 for wrong input.
+    b is the distance from the cam's axis to the rocker's axis, c the length of the rocker up to
+    the roller. Each measured distance h closes the triangle with b and c; the angle between b and c
+    is the rotation of the rocker. Without b and c, h is the stroke of a straight follower. Rows
+    whose printed angle contradicts their distance are flagged, the noise is estimated, the rise is
+    found, and the law is faired; no row is left out. Exit status: 0, or 2 for wrong input.
 
     Example: threadline cam examples/schiffli-cam.csv --b "165 mm" --c "135 mm" --noise "0.05 mm"
     """
@@ -114,9 +112,9 @@ def cam(
     for line in study.rise.said:
         say(line)
     how = (
-        "as was given"
+        "as given"
         if study.noise_given
-        else "that of the digits which are written"
+        else "from the number of printed digits"
         if study.noise_m <= table.rounding_m
         else "estimated from fourth differences"
     )
@@ -143,7 +141,7 @@ def _notes(study: CamStudy) -> dict[int, str]:
 
 
 def _rows(study: CamStudy, *, everything: bool = False) -> Table:
-    """Return every row where they are few or all are wanted, else those with a remark."""
+    """Return every row if they are few or ``everything`` is set, else the rows with a remark."""
     table, notes = study.cam, _notes(study)
     whole = everything or len(table.h_m) <= _FEW
     faired = study.faired(study.chosen)
@@ -161,7 +159,7 @@ def _rows(study: CamStudy, *, everything: bool = False) -> Table:
         for k in range(len(table.h_m))
         if whole or k in notes
     ]
-    told = "" if whole else f", those of {len(table.h_m)} with something to tell"
+    told = "" if whole else f", the ones of {len(table.h_m)} with a remark"
     return Table(
         title=f"Rows of {table.file}{told}",
         header=["alpha deg", "h mm", "phi deg", f"{study.chosen} mm", "moved mm", "note"],

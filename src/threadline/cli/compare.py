@@ -58,16 +58,16 @@ def compare(
 ) -> None:
     """Prove JOB with several interpolations at several feeds, and print them side by side.
 
-    On an on/off machine shapers are compared instead, on an embroidery machine the laws of its
-    moves. The fastest feed of each interpolation is searched within the placement criteria alone;
-    of a move list, a design, or a machine file without dynamics the answer says what searches it.
+    On an on/off machine shapers are compared instead, on an embroidery machine motion laws. The
+    fastest feed of each interpolation is searched within the placement criteria alone. For a move
+    list, a design, or a machine file without dynamics the output names the command that searches.
 
     Exit status: 0 when every proof is in spec, 1 when one is not, 2 wrong input.
 
     Example: threadline compare examples/x-180.prg -m lathe-winder
     --interpolation linear,b-spline,b-spline-pulled --feed "10 count/tick,80 count/tick"
 
-    Of an on/off machine: threadline compare examples/letter-cycle.toml -m letter-placer
+    On an on/off machine: threadline compare examples/letter-cycle.toml -m letter-placer
     --shaper none,zv,um-zv
     """
     trials = words.trials()
@@ -126,7 +126,7 @@ def show_comparison(found: Comparison, shown: Sequence[str]) -> None:
 
 
 def left_out_words(found: Comparison, job: Path, machine: str) -> str | None:
-    """Return why no fastest of each was searched, and what searches it; None where one was."""
+    """Return why the fastest was not searched, and the command that does; None if it was."""
     if found.fastest:
         return None
     plan = found.proofs[0].plan
@@ -142,23 +142,23 @@ def left_out_words(found: Comparison, job: Path, machine: str) -> str | None:
 _LEFT_OUT = {
     "switchings": "The fastest of each shaper is not searched: the shortest cycle chooses shaper, "
     "levels and waits for every move by itself.",
-    "shaft": "The fastest of each law is not searched: a speed of the shaft is searched with one "
+    "shaft": "The fastest of each law is not searched: the shaft speed is searched with one "
     "law, which --law names.",
 }
-"""By what paces a job that has no feed: why a comparison searches no fastest."""
+"""Why a comparison searches no fastest feed, by what paces the job."""
 
 
 def comparison_tables(
     found: Comparison, shown: Sequence[str] = ("interpolation", "feed")
 ) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Return the tables of a comparison: title, header, rows; ``shown`` are its options."""
+    """Return the tables of a comparison: title, header, rows; ``shown`` names compared options."""
     first = found.proofs[0].plan
     stepwise = any(result.step for proof in found.proofs for result in proof.verdict.results)
     sewn = any(result.name == STITCH_COLUMNS[0][0] for result in found.proofs[0].verdict.results)
     columns: tuple[tuple[str, str], ...] = COLUMNS
     if stepwise or sewn:
         columns = STEP_COLUMNS if stepwise else STITCH_COLUMNS
-    if first.machine.without_dynamics:  # placement is not measured: the columns would be empty
+    if first.machine.without_dynamics:  # placement is not measured: its columns would be empty
         columns = tuple(
             (name, title)
             for name, title in columns
@@ -243,16 +243,16 @@ def comparison_json(found: Comparison) -> dict[str, Any]:
 
 
 def _label(proof: Proof, key: str) -> str:
-    """Return the value of the option ``key`` with which a compared proof was planned."""
+    """Return the value of the compared option ``key`` in this proof."""
     if key == "interpolation":
         return proof.plan.interpolation
     return proof.plan.options.get(key, "none")
 
 
 def _worst(proof: Proof, name: str) -> str:
-    """Return the largest length in mm, time in s, or share in %, of a criterion.
+    """Return the worst value of a criterion: length in mm, time in s, share in %.
 
-    ``-`` where there is none.
+    ``-`` if it was not measured.
     """
     sizes = [
         (abs(r.measured), r.unit)
@@ -270,7 +270,7 @@ def _worst(proof: Proof, name: str) -> str:
 def _values(
     text: str | None, defaults: Mapping[str, tuple[str, ...]], key: str, otherwise: str
 ) -> list[str]:
-    """Return the values of a compared option: those given, else the defaults of the kind."""
+    """Return the values of a compared option: the given ones, else the defaults of the kind."""
     return list(defaults.get(key, (otherwise,))) if text is None else _listed(text, f"--{key}")
 
 

@@ -1,4 +1,4 @@
-"""``threadline compile``: the tables and programs that a machine's own controller takes."""
+"""``threadline compile``: write tables and programs for a machine's own controller."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def compile_(
         str,
         typer.Option(
             help="ticks, csv, npz, nc, grbl, fluidnc, marlin, klipper, reprapfirmware, linuxcnc, "
-            "fanuc; of an on/off machine st, plcopen, scl; of an embroidery machine steps, t15."
+            "fanuc; on an on/off machine st, plcopen, scl; on an embroidery machine steps, t15."
         ),
     ],
     out: Annotated[Path, typer.Option("--out", "--output", "-o", help="File to write.")],
@@ -36,22 +36,22 @@ def compile_(
         bool,
         typer.Option(
             "--slower",
-            help="Write a program that takes longer on its firmware than JOB as it stands, too.",
+            help="Write even a program that takes longer on its firmware than JOB as it stands.",
         ),
     ] = False,
     json: JsonOption = False,
 ) -> None:
     """Plan JOB and write it for a controller; every limit is checked before the first byte.
 
-    Words of a part program that work the machine (spindle, laser, tool, coolant, fan, pen) keep
-    their places in a program for a firmware; one that would be lost or mean something else there
-    is refused by name.
+    Auxiliary words of a part program (spindle, laser, tool, coolant, fan, pen) keep their places
+    in a program for a firmware. A word that the firmware lacks or reads differently is refused by
+    name.
 
     Exit status: 0 written, 2 wrong input (nothing is written).
 
     Example: threadline compile examples/x-180.prg -m lathe-winder --target csv -o x-180.csv
 
-    Of an on/off machine: threadline compile examples/letter-cycle.toml -m letter-placer
+    On an on/off machine: threadline compile examples/letter-cycle.toml -m letter-placer
     --target st --shaper zv --mode "3.04 Hz" --damping 0.17 -o letter-cycle.st
     """
     chosen = words.machine(machine)

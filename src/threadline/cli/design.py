@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -33,7 +33,7 @@ from threadline.report.design import (
     what_binds,
     write_design_report,
 )
-from threadline.search.design import Candidate, DesignResult
+from threadline.search.design import Candidate, DesignResult, Wanted
 from threadline.search.design import design as search_design
 from threadline.search.design_files import spec_file, write_design
 from threadline.verdict import Verdict, closing, verdict_rows
@@ -43,17 +43,17 @@ _MOST_WIDTHS = 6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seeking:
-    """What a design found by ``threadline design`` must hold for, and where it is written."""
+    """Options of ``threadline design``: required tolerances, region plot, output file."""
 
     corners: Annotated[
         bool,
         typer.Option(
             "--corners",
-            help="It must hold at every corner of the tolerances of [design], too.",
+            help="The design must also hold at every corner of the tolerances of [design].",
         ),
     ] = False
     plot: Annotated[
-        str | None, typer.Option(help='Two parameters to draw the region in: "belt,load".')
+        str | None, typer.Option(help='Plot the feasible region over two parameters: "belt,load".')
     ] = None
     output: Annotated[
         Path | None,
@@ -61,7 +61,7 @@ class Seeking:
             "--output",
             "--out",
             "-o",
-            help="Write the machine here (.toml), and its specification beside it (.spec.toml).",
+            help="Write the machine here (.toml) and its specification beside it (.spec.toml).",
         ),
     ] = None
 
@@ -76,9 +76,9 @@ def design(
 ) -> None:
     """Find the smallest change to the machine with which JOB is within specification.
 
-    The [design] table of the machine file says what may be changed, how far and at which cost.
-    What is found is proved as prove does by default, in twenty runs; --nominal asks for one,
-    --tolerances for other machines as well.
+    The [design] table of the machine file lists the parameters that may change, their bounds and
+    their costs. The design is proved in twenty runs, as prove does by default; --nominal proves one
+    run, --tolerances other machines as well.
 
     Exit status: 0 when a design was found, 1 when there is none within the bounds, 2 wrong input.
 
@@ -101,23 +101,27 @@ def design(
     smoothing_s = _widths_s(forward, words.text("smoothing"))
     if forward and contour is not None:
         raise OptionError(
-            f"--contour {contour!r} bounds how far motors leave their path, and with "
+            f"--contour {contour!r} bounds the path error of the motors, but with "
             "--feed-forward the loads follow the path, not the motors",
             remedy="Leave one of them out.",
         )
-    # The search tries each smoothing; the rest of the plan is the same for all of them.
-    options = words.options(feed_forward=False, smoothing=None)
+    # The search tries each smoothing width; the rest of the plan stays the same.
+    options = words.options(feed_forward=False, smoothing=None, robust=None)
+    if words.text("robust") is not None:
+        options = replace(options, robust_share=words.options(smoothing=None).robust_share)
     with progress_bar(not json) as progress:
         result = search_design(
             job,
             chosen,
             with_shaping(words.spec(chosen), chosen, options),
             options,
-            trials=trials,
-            corners=seeking.corners,
-            plotted=plotted,
-            smoothing_s=smoothing_s,
-            progress=progress,
+            Wanted(
+                trials=trials,
+                corners=seeking.corners,
+                plotted=plotted,
+                smoothing_s=smoothing_s,
+            ),
+            progress,
         )
     written = []
     with together(output if result.found is not None else None):
@@ -142,7 +146,7 @@ def design(
 def _again(
     job: Path, written: list[Path], result: DesignResult, words: Mapping[str, str | Path | None]
 ) -> str | None:
-    """Return the command that proves what was found and written; None where nothing was."""
+    """Return the command that proves the written design; None if none was found or written."""
     if result.found is None or not written:
         return None
     smoothing_s = result.found.candidate.smoothing_s
@@ -164,17 +168,17 @@ def _plotted(text: str | None, known: tuple[str, ...] | None) -> tuple[str, str]
 
 
 def _widths_s(feed_forward: bool, text: str | None) -> tuple[float, ...]:
-    """Return the widths of the smoothing to try; none without feed-forward."""
+    """Return the smoothing widths to try, in s; none without feed-forward."""
     if not feed_forward:
         if text is not None:
             raise OptionError(
-                f"--smoothing {text!r} is of feed-forward", remedy="Give --feed-forward too."
+                f"--smoothing {text!r} needs feed-forward", remedy="Give --feed-forward too."
             )
         return ()
     parts = (FEED_FORWARD if text is None else text).split(",")
     widths = tuple(dict.fromkeys(parse_width_s(part.strip()) for part in parts))
     if len(widths) > _MOST_WIDTHS:
-        raise OptionError(f"{len(widths)} widths of the smoothing, at most {_MOST_WIDTHS}")
+        raise OptionError(f"{len(widths)} smoothing widths, at most {_MOST_WIDTHS}")
     return widths
 
 

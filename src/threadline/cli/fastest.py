@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, named_folder
-from threadline.cli.fastest_asked import Asked
-from threadline.cli.fastest_by_feed import fastest_by_feed
-from threadline.cli.fastest_cycle import fastest_moves
-from threadline.cli.fastest_optimal import fastest_optimal
-from threadline.cli.fastest_seam import fastest_design, fastest_seam
-from threadline.errors import OptionError
-from threadline.jobs.operations import Pace
+from threadline.cli.fastest_cycle import CycleTold, write_move_list
+from threadline.cli.fastest_told import FeedTold, NeedleTold, OptimalTold, ShaftTold, Told
+from threadline.cli.found import as_typed, command_line
+from threadline.cli.output import check_outputs, print_json, progress_bar
+from threadline.cli.warn import tell, warn
 from threadline.motion.path.interpolations import OPTIMAL
-from threadline.proof.asked import Words
-from threadline.search.by_pace import Question, refuse_for_pace
+from threadline.proof.asked import Words, level_option
+from threadline.search.by_pace import answered
+from threadline.search.question import question_of, refuse_others, searched_as
 from threadline.search.until import Until
-from threadline.units import parse_number
 
 
 def fastest(
@@ -68,56 +67,41 @@ def fastest(
     Of an on/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer
     -o best.toml
     """
-    question = Question.of(words, job, machine)
-    refuse_for_pace(question.job, {"--out": out})
-    law = words.text("law")
-    typed = words.typed(robust=question.words.get("robust"))
-    asked = Asked(
-        question=question,
-        words={
-            "-m": machine,
-            **typed,
-            "--interpolation": None if law is not None else question.options.interpolation,
-        },
-        low=words.text("low"),
-        high=words.text("high"),
-        until=Until.within(_seconds(words.text("within"))),
-        band=words.text("band"),
-        out=out,
-        mismatch=words.flag("mismatch"),
-        report=report,
-        json=json,
-    )
-    with asked.until.with_answer():
-        ANSWERS[question.job.paced_by](asked)
+    asked = question_of(words, job, machine)
+    refuse_others(asked.job, asked.options, {"--out": out})
+    check_outputs(file=out, folder=report)
+    telling = TOLD[searched_as(asked.job, asked.options)]
+    warn(asked.machine, asked.job, own_feed=False)
+    with progress_bar(not json) as progress:
+        found = answered(replace(asked, until=asked.until or Until(), progress=progress))
+        told = telling(found, f"{asked.job.name} on {asked.machine.name}")
+    tell(told.warnings())
+    page = None if report is None else told.report(report)
+    written = None if out is None else write_move_list(found, out)
+    again = None
+    if written is not None or found.again is not None:
+        typed = words.typed(robust=asked.words.get("robust")) | {"--interpolation": None}
+        if told.on_ticks and words.text("law") is None:
+            typed["--interpolation"] = asked.options.interpolation
+        best = as_typed(found.words or {}) if written is None else {}
+        options = {"-m": machine, **typed, **best, **level_option(asked.trials)}
+        again = command_line("prove", written or job, options)
+    if json:
+        said = {"command": again} | ({} if page is None else {"report": str(page)})
+        print_json(told.content() | said)
+    else:
+        told.show(again, page)
+    raise typer.Exit(0 if found.passed else 1)
 
 
-def _seconds(within: str | None) -> float | None:
-    if within is None:
-        return None
-    within_s = parse_number("--within", within, "s", "5 min")
-    if not within_s > 0.0:
-        raise OptionError(
-            f"--within {within!r} must be greater than 0",
-            remedy="Give how long the search may take, like '5 min', or leave it out.",
-        )
-    return within_s
-
-
-def _by_feed(asked: Asked) -> NoReturn:
-    """Tell the fastest of a job with feeds, or of one whose timing is planned as a whole."""
-    if asked.options.interpolation == OPTIMAL:
-        fastest_optimal(asked)
-    fastest_by_feed(asked)
-
-
-ANSWERS: Mapping[Pace, Callable[[Asked], NoReturn]] = {
-    "feed": _by_feed,
-    "needle": fastest_seam,
-    "shaft": fastest_design,
-    "switchings": fastest_moves,
+TOLD: Mapping[str, type[Told]] = {
+    "feed": FeedTold,
+    OPTIMAL: OptimalTold,
+    "needle": NeedleTold,
+    "shaft": ShaftTold,
+    "switchings": CycleTold,
 }
-"""By pace, as ``search.by_pace`` has the searches: how they are told."""
+"""By ``searched_as``, as ``search.by_pace`` has the searches: how they are told."""
 
 
 def register(app: typer.Typer) -> None:

@@ -1,56 +1,25 @@
-"""``threadline fastest --band``: a cycle for a band of modes, and cycles side by side."""
+"""How ``threadline fastest`` tells cycles: of a move list, for a band of modes, side by side."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
-
-import typer
+from typing import Any
 
 from threadline.base.writing import together
-from threadline.cli.fastest_asked import (
-    Asked,
-    check_mismatch,
-    drawn_of,
-    mismatch_json,
-    show_mismatch,
-)
-from threadline.cli.found import as_typed, command_line, limit_words, margin_words, until_words
-from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
-from threadline.cli.warn import warn
-from threadline.errors import OptionError
-from threadline.proof.asked import level_option
+from threadline.cli.fastest_told import Told, verdict_content
+from threadline.cli.found import limit_words
 from threadline.report.document import Printed
 from threadline.report.switching import write_switching
-from threadline.search.by_pace import cycle_words
-from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
+from threadline.search.by_pace import Answer
+from threadline.search.cycle import FastestCycle, cycle_s
 from threadline.search.cycle_beside import BesideRow, cycles_beside
 from threadline.search.cycle_forecast import MoveChoice
-from threadline.search.cycle_robust import RobustCycle, robust_cycle
+from threadline.search.cycle_robust import RobustCycle
 from threadline.search.fastest import RANGE
-from threadline.search.mismatch import CYCLE, cycle_over_tolerances
 from threadline.search.move_list import move_list
 from threadline.search.studied import studied
-from threadline.units import parse_number
-from threadline.verdict import closing, criteria_json, verdict_rows
-
-
-def parse_band(text: str) -> float:
-    """Return the half width of a band, ``"20 %"`` of the frequency, as a share: 0.2.
-
-    Raises
-    ------
-    OptionError
-        If it is not above 0 % and at most 60 %.
-    """
-    value = parse_number("band", text, "", "20 %")
-    if not 0.0 < value <= 0.6:
-        raise OptionError(
-            f"band {text!r} must be above 0 % and at most 60 % of the frequency",
-            remedy='Modes that may be a fifth off to either side are "20 %".',
-        )
-    return value
+from threadline.verdict import closing, verdict_rows
 
 
 def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
@@ -77,15 +46,14 @@ def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
     return f"{title}: commands for modes within {band * 100:g} %, move by move", header, rows
 
 
-def show_robust(robust: RobustCycle, table: Printed) -> None:
-    """Print the cycle that was found for a band: ``robust_table`` and what holds over it."""
-    print_table(*table)
-    say(
+def robust_lines(robust: RobustCycle) -> Iterator[Printed | str]:
+    """Yield what holds over a band of modes, and the verdict of the cycle that was found for it."""
+    yield (
         "bound: the shortest on the same scan with levels free between 0 and 1, this move alone "
         "and all that may ring its own; no valves are faster"
     )
     for move in robust.moves:
-        say(f"{move.step}, {move.axis}: {move.levels}")
+        yield f"{move.step}, {move.axis}: {move.levels}"
     modes = ", ".join(
         f"{axis} {low:.2f} to {high:.2f} Hz" for axis, (low, high) in robust.frequencies_hz.items()
     )
@@ -95,14 +63,14 @@ def show_robust(robust: RobustCycle, table: Printed) -> None:
         f"with modes of {modes}; the most at {worst.relative * 100:+.3g} %"
     )
     if robust.job is None:
-        say(f"no cycle in spec all over the band was found ({robust.tried} tried): {over}")
+        yield f"no cycle in spec all over the band was found ({robust.tried} tried): {over}"
         return
-    say(
+    yield (
         f"fastest for the band: a cycle of {cycle_s(robust.proof):.3f} s, "
         f"{robust.tried} cycles tried on the twin; {over}"
     )
-    print_table("verdict of the machine as its file says", *verdict_rows(robust.proof.verdict))
-    say(closing(robust.proof.verdict))
+    yield "verdict of the machine as its file says", *verdict_rows(robust.proof.verdict)
+    yield closing(robust.proof.verdict)
 
 
 def beside_table(rows: Sequence[BesideRow], title: str, band: float | None) -> Printed:
@@ -129,11 +97,7 @@ def robust_json(robust: RobustCycle) -> dict[str, Any]:
         "best": None if robust.job is None else cycle_s(robust.proof),
         "tried": robust.tried,
         "frequencies_hz": {axis: list(ends) for axis, ends in robust.frequencies_hz.items()},
-        "verdict": {
-            "passed": robust.proof.verdict.passed,
-            "level": robust.proof.verdict.level.value,
-            "criteria": criteria_json(robust.proof.verdict),
-        },
+        "verdict": verdict_content(robust.proof.verdict),
         "over": [
             {"relative": run.relative, "worst_m": run.worst_m, "passed": run.verdict.passed}
             for run in robust.over
@@ -169,139 +133,102 @@ def beside_json(rows: Sequence[BesideRow]) -> list[dict[str, Any]]:
     ]
 
 
-def fastest_moves(asked: Asked) -> NoReturn:
-    """Search the commands and waits of a move list, print the result, and end the program."""
-    read, machine, spec, actual = asked.job, asked.machine, asked.spec, asked.actual
-    words = {name: asked.words.get(name) for name in ("-m", "-s", "--par", "--actual")}
-    words |= level_option(asked.trials)
-    band = None if asked.band is None else parse_band(asked.band)
-    check_outputs(file=asked.out)
-    check_mismatch(asked.mismatch, actual is not None, asked.report)
-    if band is not None and (actual is not None or asked.mismatch):
-        raise OptionError(
-            "--band simulates machines all over its band, and no others",
-            remedy="Leave --actual and --mismatch out.",
+class CycleTold(Told):
+    """A search for the shortest cycle of a move list, with a band of modes or without."""
+
+    of: FastestCycle
+    on_ticks = False
+
+    def __init__(self, found: Answer, title: str) -> None:
+        super().__init__(found, title)
+        self._beside = cycles_beside(self.asked, self.of, found.over_band)
+
+    def _table(self) -> Printed:
+        return moves_table(self.of, self.title)
+
+    def _lines(self) -> Iterator[str]:
+        found = self.of
+        for move in found.moves:
+            if " for " in move.how:
+                yield f"{move.step}, {move.axis}: {move.how}"
+        beside = found.unshaped.verdict
+        unshaped = f"unshaped it takes {cycle_s(found.unshaped):.3f} s and is " + (
+            f"{'in spec' if beside.passed else 'out of spec'} ({beside.level})"
         )
-    warn(machine, read, own_feed=False)
-    with progress_bar(not asked.json) as progress:
-        found = fastest_cycle(
-            read,
-            machine,
-            spec,
-            progress=progress,
-            actual=actual,
-            trials=asked.trials,
-            until=asked.until,
+        saved_s = cycle_s(found.unshaped) - cycle_s(found.base)
+        if saved_s > 0.0:
+            unshaped += f"; what the list lets overlap saves {saved_s:.3f} s"
+        limits = limit_words(found.limited_by)
+        if found.cycle_s is None:
+            yield f"no cycle in spec was found ({found.tried} tried): {limits} fails; {unshaped}"
+            return
+        before = "" if found.limited_by == RANGE else f" (a faster one fails {limits})"
+        yield (
+            f"fastest: a cycle of {found.cycle_s:.3f} s; {found.tried} cycles tried on the twin"
+            f"{before}; {unshaped}"
         )
-        cells = []
-        if asked.mismatch:
-            cells = cycle_over_tolerances(read, machine, spec, progress=progress)
-        robust = None
-        if band is not None:
-            robust = robust_cycle(
-                read,
-                machine,
-                spec,
-                band,
-                progress=progress,
-                trials=asked.trials,
-                until=asked.until,
-            )
-        beside = cycles_beside(
-            read, machine, spec, found, robust, band, actual=actual, progress=progress
-        )
-    title = f"{asked.title}{margin_words(asked.margin)}"
-    fastest = found.proof if robust is None else robust.proof
-    moves, cycles = moves_table(found, title), beside_table(beside, title, band)
-    banded = None if robust is None or band is None else robust_table(robust, title, band)
-    drawn = drawn_of(cells, title, CYCLE, asked)
-    if drawn is None and asked.report is not None:
-        drawn = write_switching(studied(fastest), asked.report, [banded or moves, cycles])
-    chosen = found.job if robust is None else robust.job
-    written = None
-    if asked.out is not None and chosen is not None:
-        over = "" if band is None else f" for modes within {band * 100:g} %"
-        with together(asked.out):
-            asked.out.write_text(
-                f"# The shortest cycle of {asked.file.name} in spec on {machine.name}{over}, by "
-                f"threadline fastest.\n{move_list(chosen, machine)}",
-                encoding="utf-8",
-            )
-        written = asked.out
-    again = (
-        _command(found, asked.file, written, words)
-        if robust is None
-        else (None if written is None else command_line("prove", written, words))
-    )
-    if asked.json:
-        said: dict[str, Any] = {
-            "margin": asked.margin,
-            "command": again,
-            "ended": asked.until.ended,
-            "beside": beside_json(beside),
+
+    def _more(self) -> Iterator[Printed | str]:
+        robust = self.found.over_band
+        if robust is not None:
+            yield self._banded(robust)
+            yield from robust_lines(robust)
+        yield self._cycles()
+
+    def _banded(self, robust: RobustCycle) -> Printed:
+        return robust_table(robust, self.title, self.asked.band or 0.0)
+
+    def _cycles(self) -> Printed:
+        return beside_table(self._beside, self.title, self.asked.band)
+
+    def _page(self, folder: Path) -> Path | None:
+        robust = self.found.over_band
+        proof = self.of.proof if robust is None else robust.proof
+        moves = self._table() if robust is None else self._banded(robust)
+        return write_switching(studied(proof), folder, [moves, self._cycles()])
+
+    def _own(self) -> dict[str, Any]:
+        found, robust = self.of, self.found.over_band
+        return {
+            "unshaped_s": cycle_s(found.unshaped),
+            "unshaped_overlapped_s": cycle_s(found.base),
+            "unshaped_passed": found.unshaped.verdict.passed,
+            "moves_s": sum(move.command_s + move.wait_s for move in found.moves),
+            "unshaped_moves_s": sum(move.unshaped_s for move in found.moves),
+            "time_optimal_moves_s": sum(move.time_optimal_s for move in found.moves),
+            "moves": [
+                {
+                    "step": move.step,
+                    "axis": move.axis,
+                    "job_line": move.job_line,
+                    "distance_m": move.distance_m,
+                    "how": move.how,
+                    "command_s": move.command_s,
+                    "wait_s": move.wait_s,
+                    "unshaped_s": move.unshaped_s,
+                    "time_optimal_s": move.time_optimal_s,
+                }
+                for move in found.moves
+            ],
+            "beside": beside_json(self._beside),
+            **({} if robust is None else {"robust": robust_json(robust)}),
         }
-        said |= {} if robust is None else {"robust": robust_json(robust)}
-        print_json(_content(found) | said | mismatch_json(cells, drawn))
-    else:
-        _show(found, moves, asked.until.ended)
-        if robust is not None and banded is not None:
-            show_robust(robust, banded)
-        print_table(*cycles)
-        if chosen is not None:
-            say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
-        if cells:
-            show_mismatch(cells, title, CYCLE)
-        if drawn is not None:
-            say(f"Report: {drawn}")
-    raise typer.Exit(0 if chosen is not None else 1)
 
 
-def _command(
-    found: FastestCycle, file: Path, written: Path | None, words: dict[str, str | Path | None]
-) -> str | None:
-    """Return the command that proves the fastest; None where only a move list can say it."""
-    if found.job is None:
+def write_move_list(found: Answer, file: Path) -> Path | None:
+    """Write the move list of the shortest cycle; return its file, None where none is in spec."""
+    asked, robust = found.asked, found.over_band
+    job = found.of.job if robust is None else robust.job
+    if job is None:
         return None
-    if written is not None:
-        return command_line("prove", written, words)
-    planned = cycle_words(found)
-    return None if planned is None else command_line("prove", file, {**words, **as_typed(planned)})
-
-
-def _content(found: FastestCycle) -> dict[str, Any]:
-    best = found.cycle_s
-    return {
-        "best": best,
-        "unit": "s",
-        "intervals": [] if best is None else [[best, best]],
-        "limited_by": found.limited_by,
-        "tried": found.tried,
-        "verdict": {
-            "passed": found.proof.verdict.passed,
-            "level": found.proof.verdict.level.value,
-            "criteria": criteria_json(found.proof.verdict),
-        },
-        "unshaped_s": cycle_s(found.unshaped),
-        "unshaped_overlapped_s": cycle_s(found.base),
-        "unshaped_passed": found.unshaped.verdict.passed,
-        "moves_s": sum(move.command_s + move.wait_s for move in found.moves),
-        "unshaped_moves_s": sum(move.unshaped_s for move in found.moves),
-        "time_optimal_moves_s": sum(move.time_optimal_s for move in found.moves),
-        "moves": [
-            {
-                "step": move.step,
-                "axis": move.axis,
-                "job_line": move.job_line,
-                "distance_m": move.distance_m,
-                "how": move.how,
-                "command_s": move.command_s,
-                "wait_s": move.wait_s,
-                "unshaped_s": move.unshaped_s,
-                "time_optimal_s": move.time_optimal_s,
-            }
-            for move in found.moves
-        ],
-    }
+    over = "" if asked.band is None else f" for modes within {asked.band * 100:g} %"
+    with together(file):
+        file.write_text(
+            f"# The shortest cycle of {asked.file.name} in spec on {asked.machine.name}{over}, by "
+            f"threadline fastest.\n{move_list(job, asked.machine)}",
+            encoding="utf-8",
+        )
+    return file
 
 
 def moves_table(found: FastestCycle, title: str) -> Printed:
@@ -316,35 +243,6 @@ def moves_table(found: FastestCycle, title: str) -> Printed:
     ]
     rows.append(["all moves", "", "", *(f"{value:.3f}" for value in sums), ""])
     return f"{title}: commands, move by move", header, rows
-
-
-def _show(found: FastestCycle, table: Printed, ended: str) -> None:
-    for line in until_words(ended):
-        say(line)
-    print_table(*table)
-    for move in found.moves:
-        if " for " in move.how:
-            say(f"{move.step}, {move.axis}: {move.how}")
-    beside = found.unshaped.verdict
-    unshaped = f"unshaped it takes {cycle_s(found.unshaped):.3f} s and is " + (
-        f"{'in spec' if beside.passed else 'out of spec'} ({beside.level})"
-    )
-    saved_s = cycle_s(found.unshaped) - cycle_s(found.base)
-    if saved_s > 0.0:
-        unshaped += f"; what the list lets overlap saves {saved_s:.3f} s"
-    limits = limit_words(found.limited_by)
-    if found.cycle_s is None:
-        say(f"no cycle in spec was found ({found.tried} tried): {limits} fails; {unshaped}")
-        print_table("verdict where the search came closest", *verdict_rows(found.proof.verdict))
-        say(closing(found.proof.verdict))
-        return
-    before = "" if found.limited_by == RANGE else f" (a faster one fails {limits})"
-    say(
-        f"fastest: a cycle of {found.cycle_s:.3f} s; {found.tried} cycles tried on the twin"
-        f"{before}; {unshaped}"
-    )
-    print_table("verdict at the fastest", *verdict_rows(found.proof.verdict))
-    say(closing(found.proof.verdict))
 
 
 def _row(move: MoveChoice) -> list[str]:

@@ -15,6 +15,7 @@ from threadline.search import FastestJob
 from threadline.search.allowance import ALLOWED, LIMITS
 from threadline.search.fastest import RANGE, Fastest
 from threadline.search.forbidden import Forbidden
+from threadline.search.mismatch import Certainty
 
 END = "the end of the search (--high)"
 AXES_ALONE = "the velocity limits of the axes"
@@ -119,6 +120,18 @@ def forbidden_words(
 def _span_words(one: Forbidden, told: Callable[[float], str]) -> str:
     low, high = told(one.low), told(one.high)
     return f"at {low}" if low == high else f"from {low} to {high}"
+
+
+def certainty_words(sure: Certainty) -> str:
+    """Return the sentence on what it costs to hold at the ends of the tolerances."""
+    both = [
+        "none" if best is None else f"{typed(best)} {sure.unit}" for best in (sure.sure, sure.alone)
+    ]
+    change = "" if sure.share is None else f": {abs(sure.share):.1%} slower"
+    return (
+        f"what certainty costs: {both[0]} on all {sure.machines} machines, {both[1]} planned "
+        f"and judged for the machine as its file says{change}"
+    )
 
 
 def margin_words(margin: float) -> str:

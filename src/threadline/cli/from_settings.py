@@ -1,4 +1,4 @@
-"""A project of a machine whose controller plans its motion, made from the controller's settings."""
+"""Make a project from the settings of a controller that plans its motion itself."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ FIRMWARES = {
     "rrf": "reprapfirmware",
     "linuxcnc": "linuxcnc",
 }
-"""The controller of each kind of project."""
+"""The firmware of each kind of project."""
 KINDS = tuple(FIRMWARES)
 ANSWERS_TO = {
     "grbl": "what grbl answers to $$",
@@ -44,7 +44,7 @@ ANSWERS_TO = {
     "rrf": "config.g of RepRapFirmware",
     "linuxcnc": "the INI of LinuxCNC",
 }
-"""What the settings of each kind are."""
+"""Name of the settings file of each kind of project."""
 PROVE = "there-and-back.gcode -m machine.toml"
 _SPEC = "stepper-winder"
 _WAY_MM, _FEED_MM_MIN = 20.0, 1200.0
@@ -55,25 +55,25 @@ _PLANNER_UNITS = {
 }  # fmt: skip
 
 Row = tuple[str, str, str]
-"""What a setting is, its value, and where it comes from."""
+"""A setting, its value, and its source."""
 
 
 @dataclass(frozen=True, slots=True)
 class FromSettings:
-    """What the settings of a controller make.
+    """A project made from the settings of a controller.
 
     Parameters
     ----------
     contents
-        The files of the project: names and contents.
+        Files of the project: names and contents.
     form
-        Whose settings they are, and in which of their forms.
+        Firmware and format of the settings.
     rows
-        What was read, said by the owner or assumed.
+        Settings that were read, given by the owner, or assumed.
     notes
-        What was assumed in reading, a sentence each.
+        Assumptions made while reading, a sentence each.
     left_out
-        What the controller does besides, and is planned without.
+        Behaviour of the controller that the plan ignores.
     """
 
     contents: dict[str, bytes]
@@ -84,18 +84,18 @@ class FromSettings:
 
 
 def settings_of(kind: str, source: Path) -> Settings:
-    """Return the settings in a file, which must be of the controller of ``kind``.
+    """Return the settings in a file, which must come from the controller of ``kind``.
 
     Raises
     ------
     MachineError
         If the settings cannot be read.
     OptionError
-        If they are another controller's.
+        If they come from another controller.
     """
     firmware = FIRMWARES[kind]
     settings = read_settings(source, firmware)
-    if settings.firmware == "grbl" and firmware == "fluidnc":  # it answers $$ as grbl does
+    if settings.firmware == "grbl" and firmware == "fluidnc":  # FluidNC answers $$ as grbl does
         return replace(settings, firmware="fluidnc")
     if settings.firmware != firmware:
         own = next(name for name, of in FIRMWARES.items() if of == settings.firmware)
@@ -106,33 +106,35 @@ def settings_of(kind: str, source: Path) -> Settings:
     return settings
 
 
-def still_asked(settings: Settings, answers: Sequence[str], *, limits_only: bool) -> list[Missing]:
-    """Return what the owner is still to say."""
+def still_missing(
+    settings: Settings, answers: Sequence[str], *, limits_only: bool
+) -> list[Missing]:
+    """Return the values that the owner still has to give."""
     return missing_answers(settings, parse_answers(answers), limits_only=limits_only)
 
 
 def settings_files(
     kind: str, source: Path, answers: Sequence[str], *, limits_only: bool = False
 ) -> FromSettings:
-    """Return the files of a project, and what was read for them.
+    """Return the files of a project made from the settings in ``source``.
 
     Parameters
     ----------
     kind
         One of ``KINDS``.
     source
-        File of the settings as the controller lists them.
+        Settings file as the controller lists it.
     answers
         Values that the settings lack, ``"mass=1.2 kg"`` each.
     limits_only
-        Whether to make a machine of limits alone, without values of motors and masses.
+        Whether to make a machine with limits only, without motors and masses.
 
     Raises
     ------
     MachineError
         If the settings cannot be read.
     OptionError
-        If the settings are another controller's, or lack a value that ``answers`` does not give.
+        If the settings come from another controller, or a value is still missing.
     """
     settings = settings_of(kind, source)
     said = parse_answers(answers)
@@ -162,8 +164,13 @@ def settings_files(
     return FromSettings(contents, form, rows, settings.notes, settings.unheeded)
 
 
+def read_rows(settings: Settings) -> list[Row]:
+    """Return what the settings alone say of each axis and of the planner, with their lines."""
+    return list(_rows(settings, parse_answers(())))
+
+
 def _rows(settings: Settings, answers: Answers) -> Iterator[Row]:
-    """Yield what was read and said of each axis, and of the planner."""
+    """Yield the settings of each axis and of the planner, read or given."""
     turning = turning_axes(settings, answers)
     for axis, said in settings.axes.items():
         unit = "deg" if axis in turning else "mm"
@@ -198,7 +205,7 @@ def _from(said: Said) -> str:
 def _check(text: str, settings: Settings) -> None:
     """Refuse a machine file that cannot be read or used, before anything is written.
 
-    The file lies nowhere that its reader could look into: the error names the settings instead.
+    The text is not in a file yet, so the error names the settings file instead.
     """
     with tempfile.TemporaryDirectory(prefix="threadline-") as folder:
         file = Path(folder) / "machine.toml"
@@ -217,7 +224,7 @@ def _check(text: str, settings: Settings) -> None:
 
 
 def _job(settings: Settings, rotary: str) -> str:
-    """Return a short job: one axis there and back, at a feed that the machine has."""
+    """Return a short job: one axis there and back, at a feed within its limit."""
     straight = [axis for axis in settings.axes if axis not in rotary]
     axis = (straight or list(settings.axes))[0]
     said = settings.axes[axis]

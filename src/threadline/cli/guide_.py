@@ -27,10 +27,10 @@ def guide(
     ] = Path("guide"),
     json: JsonOption = False,
 ) -> None:
-    """Write the guide to MACHINE: axes, signals, connectors, and how its drives are calibrated.
+    """Write the guide to MACHINE: axes, signals, connectors, and the calibration of its drives.
 
-    Everything follows from the machine file; [guide] has its connectors, and what its drives ask
-    for by their own manual.
+    Everything follows from the machine file; its [guide] table lists the connectors and the
+    calibration steps from the drives' manual.
 
     Example: threadline guide lathe-winder -o reports/guide
     """

@@ -1,4 +1,4 @@
-"""Ends of the program that nobody asked for: interrupts and defects, each with its exit status.
+"""Exit status and message of interrupts and defects.
 
 An interrupt is SIGINT from a person, SIGTERM from a time limit or a batch system, or SIGHUP from a
 terminal that is closed. Only the standard library is imported here.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 EXIT_INTERRUPTED = 130  # 128 + SIGINT
 _STDERR = 2
-_told = threading.Lock()  # taken when the line of an interrupt is written
+_told = threading.Lock()  # held once the line of an interrupt has been written
 _SAME_S = 1.0
 _AGAIN_S = 0.01
 _NOTHING = "nothing was left half-written"
@@ -48,23 +48,23 @@ _Answer = Callable[[int, FrameType | None], None]
 
 
 class TerminatedError(KeyboardInterrupt):
-    """A signal that ends the program, whatever it could still answer: not from the keyboard."""
+    """A terminating signal that did not come from the keyboard: the command cannot go on."""
 
 
 class Termination:
-    """The signal that ends the program: SIGINT until another one comes."""
+    """The signal that ends the program: SIGINT until another one arrives."""
 
     def __init__(self) -> None:
         self.number = signal.SIGINT
         self.was_lost = False
-        """Whether an interrupt came where nobody could be told: what failed since failed of it."""
+        """Whether an interrupt was raised where Python drops it: later failures are its effect."""
         self._came_s = -math.inf
         self._again: threading.Timer | None = None
 
     def answer(self, number: int, _frame: FrameType | None) -> None:
         """Raise ``KeyboardInterrupt`` in the running command, which removes its unfinished files.
 
-        Signals that follow within a second are ignored, or they would interrupt the removing.
+        Signals within the next second are ignored, or they would interrupt the clean-up.
         """
         now_s = time.monotonic()
         if now_s - self._came_s < _SAME_S:
@@ -73,7 +73,7 @@ class Termination:
         raise KeyboardInterrupt if number == signal.SIGINT else TerminatedError
 
     def repeat(self) -> None:
-        """Send the signal once more in a moment: where it was raised, it could not be told."""
+        """Send the signal again in a moment: Python dropped its exception."""
         self.was_lost, self._came_s = True, -math.inf
         self._again = threading.Timer(
             _AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, self.number)
@@ -82,19 +82,19 @@ class Termination:
         self._again.start()
 
     def over(self) -> None:
-        """Answer no signal any more, and send none."""
+        """Stop answering and sending signals."""
         self._came_s = math.inf
         if self._again is not None:
             self._again.cancel()
             self._again.join()
 
     def end(self, *, wrote: bool) -> tuple[int, str]:
-        """Return the exit status and the line of the signal; no other signal is told after it.
+        """Return the exit status and the message of the signal; later signals print nothing.
 
         Parameters
         ----------
         wrote
-            Whether files have appeared before it: they are whole, and they stay.
+            Whether files were written before it: they are complete and stay.
         """
         _told.acquire(blocking=False)
         status, said = _ENDS[self.number]
@@ -103,10 +103,10 @@ class Termination:
 
 @contextmanager
 def leaving_on_interrupt() -> Iterator[None]:
-    """End the process at an interrupt, while modules are imported and nothing is written.
+    """End the process at an interrupt while modules are imported and nothing is written.
 
-    An exception would not do: a package may catch it half-way through its own import, and say so
-    at length.
+    An exception would not do: a package may catch it half-way through its own import and print a
+    long message.
     """
     with _answering({number: _leave for number in _ENDS}):
         yield
@@ -116,8 +116,8 @@ def leaving_on_interrupt() -> Iterator[None]:
 def terminating() -> Iterator[Termination]:
     """Treat SIGTERM and SIGHUP as interrupts within the block; yield the signal that came.
 
-    Python drops an exception that is raised in a function that machine code calls (numba's compiler
-    does), or while an object is deleted. An interrupt that is lost there is raised once more.
+    Python drops an exception raised in a function that machine code calls (numba's compiler does),
+    or while an object is deleted. Such a lost interrupt is raised again.
     """
     termination = Termination()
     if _told.locked():  # by an earlier command in this process
@@ -141,7 +141,7 @@ def terminating() -> Iterator[Termination]:
 
 @contextmanager
 def _answering(answers: dict[signal.Signals, _Answer]) -> Iterator[None]:
-    """Handle signals within the block, but for those ignored, as SIGINT is in background jobs."""
+    """Handle signals within the block, except ignored ones, as SIGINT is in background jobs."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -171,12 +171,12 @@ _SHOWN = 120
 
 
 def keep_traceback(error: Exception, given: Sequence[str]) -> str:
-    """Write the traceback of ``error`` to a file of its own; return the line that says where.
+    """Write the traceback of ``error`` to its own file; return a message that names the file.
 
     Parameters
     ----------
     error
-        The exception that the program did not expect.
+        The unexpected exception.
     given
         The arguments of the command.
     """

@@ -1,4 +1,4 @@
-"""``threadline judge``: the verdict on recordings, Threadline's own or another program's."""
+"""``threadline judge``: judge recordings, Threadline's own or another program's."""
 
 from __future__ import annotations
 
@@ -19,19 +19,21 @@ from threadline.verdict import closing, happened_lines, verdict_json, verdict_ro
 def judge(
     recordings: Annotated[
         list[Path],
-        typer.Argument(help="Recordings (.mcap, .npz, .csv, .plt) of one and the same job."),
+        typer.Argument(help="Recordings (.mcap, .npz, .csv, .plt) of the same job."),
     ],
     words: Words,
     job: Annotated[
-        Path | None, typer.Option(help="The job; default: what the recording names.")
+        Path | None, typer.Option(help="The job; default: the one that the recording names.")
     ] = None,
     machine: Annotated[
         str | None,
-        typer.Option("--machine", "-m", help="The machine; default: what the recording names."),
+        typer.Option(
+            "--machine", "-m", help="The machine; default: the one that the recording names."
+        ),
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Judge what a machine did, recorded by Threadline or by anything that writes a table.
+    """Judge recordings of what a machine did, from Threadline or any program that writes a table.
 
     Exit status: 0 in spec, 1 out of spec, 2 wrong input.
 

@@ -1,4 +1,4 @@
-"""``threadline law``: motion laws, their peaks, and the vibration that they leave on a mode."""
+"""``threadline law``: motion laws, their peaks, and the vibration that they leave in a mode."""
 
 from __future__ import annotations
 
@@ -33,14 +33,16 @@ def law(
     ] = 0.0,
     move: Annotated[str | None, typer.Option(help='Length of the move: "16.5 mm".')] = None,
     time: Annotated[str | None, typer.Option(help='Duration of the move: "120 ms".')] = None,
-    mass: Annotated[str, typer.Option(help="Mass moved; the force follows.")] = "1000 kg",
+    mass: Annotated[str, typer.Option(help="Mass that moves, for the peak force.")] = "1000 kg",
     residual: Annotated[
         str | None,
-        typer.Option(help='Amplitude allowed after the move: "0.05 mm"; tells shortest windows.'),
+        typer.Option(
+            help='Residual amplitude allowed after the move: "0.05 mm"; lists shortest windows.'
+        ),
     ] = None,
     limit: Annotated[
         str | None,
-        typer.Option(help='Largest acceleration, "6.33 m/s^2": with it a law is made.'),
+        typer.Option(help='Largest acceleration, "6.33 m/s^2": makes a law for the mode.'),
     ] = None,
     jerk: Annotated[
         str | None,
@@ -50,7 +52,7 @@ def law(
         float | None,
         typer.Option(
             parser=ratio("--band"),
-            help="Half width of the band that it serves, of the frequency; 0.1.",
+            help="Half width of the law's design band, share of the frequency (default 0.1).",
         ),
     ] = None,
     out: Annotated[
@@ -66,10 +68,10 @@ def law(
 
     A law is a rise from rest to rest, 1 in time 1. Cv, Ca and Cj are the peaks of velocity,
     acceleration and jerk: a move by h in time T has the peak velocity Cv h / T, acceleration
-    Ca h / T^2, jerk Cj h / T^3. The efficiency is the heat in the motor of the cubic law, the least
-    there is, over that of this law.
+    Ca h / T^2, jerk Cj h / T^3. The efficiency compares motor heat: the cubic law, which heats
+    least, divided by this law.
 
-    With --mode, --move and --time the laws are ranked by the amplitude that they leave on that
+    With --mode, --move and --time the laws are ranked by the amplitude that they leave in that
     mode. With --residual and --limit too, a law is made for the mode: the shortest window that
     keeps the residual over the band.
 
@@ -118,7 +120,7 @@ def law(
 
 
 def _called(name: str) -> Law:
-    """Return the law of a name; shapers, which take a second to load, where one is in the name."""
+    """Return the law of a name; load shapers, which takes a second, only if the name has one."""
     if "*" not in name:
         return law_of_catalogue(name)
     from threadline.motion.shaping.shaped_law import law_named

@@ -1,8 +1,9 @@
-"""Vibration that laws leave on a mode, and the law made for it: tables and JSON content."""
+"""Residual vibration of laws in a mode, and the law made for that mode: tables and JSON content."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,33 @@ from threadline.report.document import Table
 from threadline.units import parse_number
 
 COPIED = "modified-sine"
-"""The law that the made one is compared with: the cams of embroidery machines have it."""
+"""The law that the made one is compared with: cams of embroidery machines use it."""
 _RATIOS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3, 1.5, 2.0)
 _BAND = 0.1
 _DRAWN = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Move:
+    """A move from rest to rest of a mass on a flexible mode.
+
+    Parameters
+    ----------
+    mode
+        The mode that the move excites.
+    length_m, window_s
+        Length and duration of the move.
+    mass_kg
+        Mass that moves, for the peak force.
+    residual_m
+        Residual amplitude allowed after the move; None if not given.
+    """
+
+    mode: FlexibleMode
+    length_m: float
+    window_s: float
+    mass_kg: float
+    residual_m: float | None
 
 
 def study(
@@ -44,12 +68,12 @@ def study(
     mass: str, residual: str | None, limit: str | None, jerk: str | None, band: float | None,
     out: Path | None, report: Path | None, json: bool,
 ) -> None:  # fmt: skip
-    """Rank ``laws`` on a mode, make one for it where limits are given, print and write.
+    """Rank ``laws`` on a mode, make a law for it if limits are given, print and write files.
 
     Raises
     ------
     OptionError
-        If an option cannot be read, lacks another, or has a value that no machine has.
+        If an option cannot be read, needs another one, or has an impossible value.
     """
     flexible = _mode(mode, damping)
     if move is None or time is None:
@@ -73,6 +97,9 @@ def study(
                 f"{option} {typed!r} must be greater than 0, and finite",
                 remedy=f'Write it like {option} "{like}".',
             )
+    motion = _Move(
+        mode=flexible, length_m=move_m, window_s=window_s, mass_kg=mass_kg, residual_m=still
+    )
     demand = _demand(flexible, move_m, still, most, jerk, band, out)
     made, shaped = None, []
     with progress_bar(not json) as progress:
@@ -89,7 +116,7 @@ def study(
         if demand is not None:
             made = made_law(demand, progress)
             shaped = shaped_windows(LAWS[COPIED], demand)
-    tables = [_ranking(found, flexible, move_m, window_s, mass_kg, still, most is not None)]
+    tables = [_ranking(found, motion, limited=most is not None)]
     warnings: list[str] = []
     if made is not None:
         tables += [_made_table(made, shaped, found), _outside_table(made)]
@@ -97,13 +124,11 @@ def study(
     written = None
     with together(out):
         if report is not None:
-            written = _report(
-                report, found, laws, made, flexible, move_m, window_s, still, tables, warnings
-            )
+            written = _report(report, found, laws, made, motion, tables, warnings)
         if out is not None and made is not None:
             write_law(made.law, out)
     if json:
-        print_json(_content(found, flexible, move_m, window_s, mass_kg, made, shaped, written))
+        print_json(_content(found, motion, made, shaped, written))
         return
     for text in warnings:
         warning(text)
@@ -116,7 +141,7 @@ def study(
 
 
 def _mode(mode: str, damping: float) -> FlexibleMode:
-    """Return the mode, or refuse its options by their names."""
+    """Return the mode; errors name the options."""
     frequency_hz = parse_mode_hz(mode)
     if not 0.0 < frequency_hz < np.inf:
         raise OptionError(
@@ -133,20 +158,20 @@ def _mode(mode: str, damping: float) -> FlexibleMode:
 
 def _report(
     folder: Path, found: Sequence[Ringing], laws: Sequence[Law], made: MadeLaw | None,
-    mode: FlexibleMode, move_m: float, window_s: float, still: float | None,
-    tables: Sequence[Table], warnings: Sequence[str],
+    move: _Move, tables: Sequence[Table], warnings: Sequence[str],
 ) -> Path:  # fmt: skip
-    """Write the report on the best laws, ``COPIED`` and the made one; return its page."""
+    """Write the report on the best laws, ``COPIED`` and the made law; return its page."""
     from threadline.report.laws import Curve, write_laws
 
-    drawn = [Curve(one.law, window_s) for one in found[:_DRAWN]]
+    drawn = [Curve(one.law, move.window_s) for one in found[:_DRAWN]]
     if all(one.law.name != COPIED for one in drawn) and len(laws) > 1:
-        drawn[-1] = Curve(LAWS[COPIED], window_s)
+        drawn[-1] = Curve(LAWS[COPIED], move.window_s)
     if made is not None:
         drawn.insert(0, Curve(made.law, made.window_s))
     return write_laws(
-        [curve.law for curve in drawn], tables, warnings, folder, curves=drawn, mode=mode,
-        move_m=move_m, residual_m=still, band=None if made is None else made.demand.band,
+        [curve.law for curve in drawn], tables, warnings, folder, curves=drawn, mode=move.mode,
+        move_m=move.length_m, residual_m=move.residual_m,
+        band=None if made is None else made.demand.band,
     )  # fmt: skip
 
 
@@ -154,7 +179,7 @@ def _demand(
     mode: FlexibleMode, move_m: float, still: float | None, most: float | None, jerk: str | None,
     band: float | None, out: Path | None,
 ) -> Demand | None:  # fmt: skip
-    """Return the demand on the law to be made; None where none is to be made."""
+    """Return the demand on the law to be made; None if no law is to be made."""
     if most is not None and still is None:
         raise OptionError("--limit makes a law", remedy='Add --residual "0.05 mm", too.')
     for option, given in (("--jerk", jerk), ("--band", band), ("--out", out)):
@@ -171,10 +196,8 @@ def _demand(
     )  # fmt: skip
 
 
-def _ranking(
-    found: Sequence[Ringing], mode: FlexibleMode, move_m: float, window_s: float, mass_kg: float,
-    still: float | None, limited: bool,
-) -> Table:  # fmt: skip
+def _ranking(found: Sequence[Ringing], move: _Move, *, limited: bool) -> Table:
+    move_m, window_s, still = move.length_m, move.window_s, move.residual_m
     header = ["law", "residual mm", "worst mm", "in ms", "m/s^2", "m/s^3", "peak N"]
     rows = []
     for one in found:
@@ -188,7 +211,7 @@ def _ranking(
                 f"{one.worst_window_s * 1e3:.4g}",
                 f"{acceleration:.4g}",
                 "infinite" if law.jerk is None else f"{law.jerk * move_m / window_s**3:.4g}",
-                f"{mass_kg * acceleration:.4g}",
+                f"{move.mass_kg * acceleration:.4g}",
             ]
         )
         if one.window_s is not None:
@@ -197,7 +220,8 @@ def _ranking(
         header.append("still from ms")
     return Table(
         title=f"{move_m * 1e3:g} mm in {window_s * 1e3:g} ms on a mode of "
-        f"{mode.frequency_hz:g} Hz, damping ratio {mode.damping_ratio:g}, mass {mass_kg:g} kg",
+        f"{move.mode.frequency_hz:g} Hz, damping ratio {move.mode.damping_ratio:g}, "
+        f"mass {move.mass_kg:g} kg",
         header=header,
         rows=rows,
         note="Residual: amplitude of the mode when the move ends, the motor following exactly; "
@@ -307,15 +331,19 @@ def _wide(demand: Demand) -> float:
 
 
 def _content(
-    found: Sequence[Ringing], mode: FlexibleMode, move_m: float, window_s: float, mass_kg: float,
-    made: MadeLaw | None, shaped: Sequence[ShapedWindow], written: Path | None,
-) -> dict[str, Any]:  # fmt: skip
+    found: Sequence[Ringing],
+    move: _Move,
+    made: MadeLaw | None,
+    shaped: Sequence[ShapedWindow],
+    written: Path | None,
+) -> dict[str, Any]:
+    move_m, window_s = move.length_m, move.window_s
     content: dict[str, Any] = {
-        "mode_hz": mode.frequency_hz,
-        "damping_ratio": mode.damping_ratio,
+        "mode_hz": move.mode.frequency_hz,
+        "damping_ratio": move.mode.damping_ratio,
         "move_m": move_m,
         "window_s": window_s,
-        "mass_kg": mass_kg,
+        "mass_kg": move.mass_kg,
         "laws": [
             law_json(one.law)
             | {
@@ -325,7 +353,7 @@ def _content(
                 "velocity_m_s": one.law.velocity * move_m / window_s,
                 "acceleration_m_s2": one.law.acceleration * move_m / window_s**2,
                 "jerk_m_s3": None if one.law.jerk is None else one.law.jerk * move_m / window_s**3,
-                "force_n": mass_kg * one.law.acceleration * move_m / window_s**2,
+                "force_n": move.mass_kg * one.law.acceleration * move_m / window_s**2,
                 "still_from_s": one.window_s,
             }
             for one in found
@@ -344,7 +372,7 @@ def _content(
             "rigid_s": made.demand.rigid_s,
             "shaped": {one.law.name: one.window_s for one in shaped},
             "outside": [
-                {"frequency_hz": r * mode.frequency_hz, "residual_m": x, f"{COPIED}_m": y}
+                {"frequency_hz": r * move.mode.frequency_hz, "residual_m": x, f"{COPIED}_m": y}
                 for r, x, y in zip(ratios.tolist(), left.tolist(), copied.tolist(), strict=True)
             ],
             "warning": _notch(made),

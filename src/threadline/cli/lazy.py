@@ -1,4 +1,4 @@
-"""Commands that are imported when they are called: ``--help`` need not wait for numpy."""
+"""Commands that are imported only when called, so that ``--help`` does not wait for numpy."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class LazyCommand:
     Parameters
     ----------
     module
-        Its name in ``threadline.cli``; its ``register`` adds the command to a typer application.
+        Module name in ``threadline.cli``; its ``register`` adds the command to a typer application.
     summary
-        One line for ``threadline --help``: what the command's own help begins with.
+        One line for ``threadline --help``: the first sentence of the command's own help.
     """
 
     module: str
@@ -34,8 +34,9 @@ class LazyCommand:
 
 COMMANDS = {
     "new": LazyCommand("new", "Make a working project: machine, specification, job."),
+    "connect": LazyCommand("connect", "Read the settings of a controller from itself."),
     "prove": LazyCommand("prove", "Plan a job, simulate it, and say whether it is in spec."),
-    "verify": LazyCommand("verify", "Say whether a proof is one of what its files say now."),
+    "verify": LazyCommand("verify", "Check that a proof still matches its files."),
     "compare": LazyCommand("compare", "Prove a job with several interpolations and feeds."),
     "fastest": LazyCommand("fastest", "Find every feed at which a job stays in spec."),
     "yield": LazyCommand("yield_", "Say how many machines within the tolerances are in spec."),
@@ -64,7 +65,7 @@ class LazyGroup(TyperGroup):
         return list(COMMANDS)
 
     def get_command(self, _context: Any, cmd_name: str) -> Any:
-        """Import and return a command, None if there is none of that name."""
+        """Import and return a command, None if there is none with that name."""
         entry = COMMANDS.get(cmd_name)
         if entry is None:
             return None
@@ -77,12 +78,12 @@ class LazyGroup(TyperGroup):
         return self.commands[cmd_name]
 
     def resolve_command(self, context: Any, args: list[str]) -> Any:
-        """Return the command that is called, and what is left of the arguments.
+        """Return the called command and the remaining arguments.
 
         Raises
         ------
         OptionError
-            If there is none of that name.
+            If there is no command with that name.
         """
         if args and args[0] not in COMMANDS:
             close = difflib.get_close_matches(args[0], COMMANDS, n=1)
@@ -93,6 +94,6 @@ class LazyGroup(TyperGroup):
         return super().resolve_command(context, args)
 
     def format_commands(self, _context: Any, formatter: Any) -> None:
-        """Write the commands for ``--help`` without importing them."""
+        """Write the list of commands for ``--help`` without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, entry.summary) for name, entry in COMMANDS.items()])

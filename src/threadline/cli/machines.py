@@ -19,10 +19,10 @@ def machines(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """List the machines of the library: what they are, their axes, controllers and overlays.
+    """List the machines of the library: titles, axes, controllers and overlays.
 
-    An overlay changes a few numbers of a machine: lathe-winder+physical. docs/machines.md says
-    what stands in a machine file.
+    An overlay changes a few numbers of a machine: lathe-winder+physical. docs/machines.md describes
+    the machine file.
 
     Example: threadline machines --show lathe-winder > mine.toml
     """

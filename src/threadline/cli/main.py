@@ -30,8 +30,8 @@ from threadline.errors import BudgetError, InputError, LinkFaultError, OptionErr
 EXIT_WRONG_INPUT = 2
 EXIT_FAULT = 3
 EXIT_NO_READER = 141  # 128 + SIGPIPE
-# Characters of an error: a value of thousands would bury what is wrong with it. A remedy, which is
-# of our own making and may list many values to give, stands whole.
+# Longest error text, in characters: a value of thousands would bury the message. A remedy, which
+# Threadline writes itself and may list many values, is printed in full.
 _HEAD_SHOWN, _TAIL_SHOWN, _MOST_OF_REMEDY = 320, 155, 3000
 _LEFT_OUT = " ... "
 _COMPLETION = ("--install-completion", "--show-completion")  # typer's; it ends with 1 if refused
@@ -85,14 +85,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _near(folder: Path) -> Path:
-    """Return a folder as seen from the working one, if it is below that."""
-    with suppress(OSError, ValueError):  # the working folder may have gone; it may be elsewhere
+    """Return a folder relative to the working folder if it lies below, else unchanged."""
+    with suppress(OSError, ValueError):  # the working folder may be deleted, or not a parent
         return folder.relative_to(Path.cwd())
     return folder
 
 
 def _of_arguments(error: TyperException) -> str:
-    """Return what is wrong with an argument: in the words of this program wherever it has some."""
+    """Return what is wrong with an argument, in Threadline's own words if it has some."""
     faults = getattr(error.__cause__, "errors", None)  # of pydantic, by which typer reads values
     if isinstance(error, typer.BadParameter) and error.param and faults is not None:
         fault, *_ = faults()
@@ -112,8 +112,8 @@ def _run(given: list[str], termination: Termination) -> int:
     try:
         _refuse_undecodable(given)
         with telling(starting="--help" not in given) as told, noting_inputs():
-            # Not in typer's stand-alone mode, which tells a wrong option in four lines and an
-            # interrupt in none. It returns the exit status, or nothing for 0.
+            # Typer's stand-alone mode prints four lines for a wrong option and none for an
+            # interrupt. Without it typer returns the exit status, or None for 0.
             status = int(app(args=given or ["--help"], standalone_mode=False) or 0)
             if status and given and given[0] in _COMPLETION:
                 raise OptionError(
@@ -150,7 +150,7 @@ def _run(given: list[str], termination: Termination) -> int:
             EXIT_WRONG_INPUT,
         )
     except Exception as error:
-        # In the middle of machine code, which failed of it or returned as if there had been none.
+        # The interrupt came during machine code, which failed or returned as if nothing happened.
         if termination.was_lost or isinstance(error.__cause__, KeyboardInterrupt):
             return EXIT_INTERRUPTED
         _stop(keep_traceback(error, given), EXIT_DEFECT)
@@ -158,7 +158,7 @@ def _run(given: list[str], termination: Termination) -> int:
 
 
 def _refuse_undecodable(given: list[str]) -> None:
-    """Refuse an argument that is no valid text: it could be neither printed nor recorded."""
+    """Refuse an argument that is not valid text: it could be neither printed nor recorded."""
     for text in given:
         try:
             text.encode("utf-8")
@@ -169,7 +169,7 @@ def _refuse_undecodable(given: list[str]) -> None:
 
 
 def _flush() -> None:
-    """Flush what was printed; an error names the output that refused it."""
+    """Flush standard output; an error names the output that failed."""
     try:
         sys.stdout.flush()
     except BrokenPipeError:
@@ -180,22 +180,22 @@ def _flush() -> None:
 
 
 def _discard_output() -> None:
-    """Send standard output nowhere, or the interpreter would try it once more and complain."""
+    """Send standard output nowhere, or the interpreter would flush it again and complain."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
 
 
 def _nobody_reads() -> NoReturn:
-    """End as a shell's own tools do: a closed pipe is no error of the input."""
+    """End as a shell's own tools do: a closed pipe is not an error of the input."""
     _discard_output()
     sys.exit(EXIT_NO_READER)
 
 
 def _stop(text: str, status: int, *, remedy: str = "") -> NoReturn:
-    """Say in one line why the program ends, and end it."""
+    """Print in one line why the program ends, and end it."""
     line = " ".join(text.split())
     tail = min(max(_TAIL_SHOWN, len(" ".join(remedy.split()))), _MOST_OF_REMEDY)
     if len(line) > _HEAD_SHOWN + tail + len(_LEFT_OUT):
-        # The subject stands at the head and the remedy at the tail.
+        # The subject is at the start of the text and the remedy at its end.
         line = f"{line[:_HEAD_SHOWN]}{_LEFT_OUT}{line[-tail:]}"
     note(f"error: {line}")
     sys.exit(status)

@@ -1,7 +1,7 @@
-"""Messages on standard error: warnings after the answer, and a line each minute of a long run.
+"""Messages on standard error: warnings after the answer, a progress line each minute of a long run.
 
-An error is told alone, in one line: warnings wait until a command has answered, and are dropped if
-the command fails. Only the standard library is imported here.
+An error is printed alone, in one line: warnings wait until a command has answered, and are dropped
+if the command fails. Only the standard library is imported here.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from threadline.base.wording import grouped, plain
 STDOUT = "standard output"
 """Name of standard output in errors, where a file has its path."""
 _STDERR = 2  # its file descriptor
-_NEARLY = 99  # percent: what is left then is no measure of the time
-_EVERY_S = 50.0  # a minute without a word is too long
+_NEARLY = 99  # percent: above this the share left says nothing about the time left
+_EVERY_S = 50.0  # a minute without output is too long
 _LOOK_S = 1.0
 _PLANNING = "planning"
-"""The stage that has no share: how long a motion is, is known once it is planned."""
+"""The stage without a share done: the duration is unknown until the motion is planned."""
 _STARTING_S = 0.6
 _STARTING = "starting ..."
 _ERASED = "\r" + " " * len(_STARTING) + "\r"
-_COMPILING_S = 4.0  # of compiling, after which it is said what takes so long
+_COMPILING_S = 4.0  # of compiling, after which a line says why it takes so long
 
 
 class Starting:
-    """A word on a terminal while a command is loaded, which nothing else can tell of yet.
+    """A word on a terminal while a command is being loaded, before it can report progress.
 
-    It stands on a line of its own, and is taken away before anything else is printed.
+    The word has its own line, and is erased before anything else is printed.
     """
 
     def __init__(self) -> None:
@@ -44,7 +44,7 @@ class Starting:
         self._may = False
 
     def begin(self) -> None:
-        """Let the word appear, if standard error is a terminal."""
+        """Show the word soon, if standard error is a terminal."""
         with self._lock:
             self._may = sys.stderr is not None and sys.stderr.isatty()
 
@@ -56,7 +56,7 @@ class Starting:
                 _write(_STARTING)
 
     def over(self) -> None:
-        """Take the word away, and print it no more."""
+        """Erase the word, and do not print it again."""
         with self._lock:
             if self._stands:
                 _write(_ERASED)
@@ -68,14 +68,14 @@ STARTING = Starting()
 
 @dataclass(slots=True)
 class Telling:
-    """Warnings and progress of the command that runs.
+    """Warnings and progress of the running command.
 
     Attributes
     ----------
     warnings
-        Texts that are printed after the answer.
+        Texts to print after the answer.
     stage
-        What the command is doing, as its progress call names it; empty where it has none.
+        Current activity, as the command's progress call names it; empty if unknown.
     since_s
         Start of the stage, on the monotonic clock.
     fraction
@@ -107,9 +107,9 @@ _TELLING: ContextVar[Telling | None] = ContextVar("telling", default=None)
 
 
 def note(text: str) -> None:
-    """Print a line for people on standard error, so that --json stays pure.
+    """Print a line for people on standard error, so that --json output stays pure.
 
-    Where standard error is closed, the line is lost and nothing fails.
+    If standard error is closed, the line is lost and nothing fails.
     """
     STARTING.over()
     _write(plain(text) + "\n")
@@ -120,12 +120,12 @@ def _write(text: str) -> None:
         sys.stderr.write(text)
         sys.stderr.flush()
     except (OSError, ValueError):
-        with suppress(OSError):  # or the interpreter would flush what is left, and complain
+        with suppress(OSError):  # or the interpreter would flush the rest at exit, and complain
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
 
 
 def warning(text: str) -> None:
-    """Tell a warning once the command has answered; at once where no command is running."""
+    """Keep a warning until the command has answered; print at once if no command is running."""
     telling = _TELLING.get()
     if telling is None:
         note(f"warning: {text}")
@@ -138,7 +138,7 @@ def at_work(stage: str, fraction: float = 0.0, *, shown: bool) -> None:
     telling = _TELLING.get()
     if telling is None:
         return
-    # A stage that names what it is at (a duration, a limit) goes on; a new one begins low.
+    # A stage's text may include changing values (a duration, a limit); a new stage starts at 0.
     if stage != telling.stage and fraction <= telling.fraction:
         telling.since_s = time.monotonic()
     telling.stage, telling.fraction, telling.shown = stage, fraction, shown
@@ -157,9 +157,9 @@ def _two_digits(value: float) -> str:
 
 @contextmanager
 def telling(*, starting: bool = False) -> Iterator[Telling]:
-    """Collect the warnings of the block; print every minute that the command is still at work.
+    """Collect the warnings of the block; print a line every minute while the command runs.
 
-    That machine code is compiled, which happens once on a computer, is printed once. With
+    The compiling of machine code, which happens once on a computer, is reported once. With
     ``starting`` a terminal shows within a second that the command is being loaded.
     """
     held = Telling()
@@ -178,7 +178,7 @@ def telling(*, starting: bool = False) -> Iterator[Telling]:
         word.cancel()
         STARTING.over()
         ended.set()
-        beat.join()  # or a word that it has begun would come behind the error, or within it
+        beat.join()  # or a line that it has begun would appear after or within the error
         _TELLING.reset(before)
 
 
@@ -198,6 +198,6 @@ def _beat(held: Telling, ended: threading.Event) -> None:
 
 
 def tell_warnings(warnings: Iterable[str]) -> None:
-    """Print warnings that have waited; those that say the same of several parts are one line."""
+    """Print collected warnings; equal warnings about several parts become one line."""
     for line in grouped(warnings):
         note(f"warning: {line}")

@@ -1,4 +1,4 @@
-"""``threadline new``: a folder with a machine, a specification and a job that can be proved."""
+"""``threadline new``: make a folder with a machine, a specification and a job that is in spec."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from threadline.cli.from_settings import (
     FromSettings,
     settings_files,
     settings_of,
-    still_asked,
+    still_missing,
 )
 from threadline.cli.operator_keys import somebody_at_the_keys
 from threadline.cli.output import ask, check_outputs, print_json, print_table, say
@@ -45,7 +45,7 @@ class Project:
     machine
         Name of a machine of the library.
     prove
-        Arguments of ``threadline prove`` with which the job of the project is in specification.
+        Arguments of ``threadline prove`` that prove the project's job in specification.
     """
 
     machine: str
@@ -67,7 +67,7 @@ PROJECTS = {
 
 @dataclass(slots=True)
 class Wanted:
-    """What is to be made, as it was said on the command line and at the terminal."""
+    """The project to make, from the command line and answers at the terminal."""
 
     kind: str
     folder: Path
@@ -99,24 +99,25 @@ def new(
     answers: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", help='A value the settings lack: "mass=1.2 kg", "mass.X=1.2 kg", rotary=none.'
+            "--set",
+            help='A value that the settings lack: "mass=1.2 kg", "mass.X=1.2 kg", rotary=none.',
         ),
     ] = None,
     limits_only: Annotated[
         bool,
         typer.Option(
             "--limits-only",
-            help="Of a controller's machine: take its limits alone, without values of motors and "
-            "masses. Jobs are then proven for limits and time, and not for placement.",
+            help="For a controller's machine: take only its limits, without motors and masses. "
+            "Jobs are then proven for limits and time, not for placement.",
         ),
     ] = False,
     json: JsonOption = False,
 ) -> None:
     """Make a working project: machine.toml, spec.toml, a job, and a README with the commands.
 
-    The machine is one of the library's, to be changed into yours, or the one that a controller's
-    settings describe: what was read is listed with its line, and values that the settings lack are
-    asked for by name. Without arguments, each is asked for at a terminal.
+    The machine is a copy of one in the library, to be edited, or comes from the settings of a
+    controller: each value is listed with its line, and the command asks by name for values that
+    the settings lack. Without arguments the command asks at the terminal for each.
 
     Example: threadline new winder my-winder
 
@@ -130,7 +131,7 @@ def new(
     if kind is None or folder is None:
         if json or not somebody_at_the_keys():
             raise OptionError(
-                "say what the machine is" if kind is None else f"say where the {kind} is to lie",
+                "say what the machine is" if kind is None else f"give a folder for the {kind}",
                 remedy=f"Like threadline new {kind or 'grbl'} my-machine. Kinds: "
                 f"{', '.join([*KINDS, *PROJECTS])}.",
             )
@@ -152,7 +153,7 @@ def new(
         prove, contents = _project(wanted.kind).prove, project_files(wanted.kind)
         if wanted.source is not None or wanted.answers or wanted.limits_only:
             raise OptionError(
-                f"--from, --set and --limits-only are not of the kind {wanted.kind!r}",
+                f"--from, --set and --limits-only do not apply to the kind {wanted.kind!r}",
                 remedy=f"Use {', '.join(KINDS)}.",
             )
     _check(wanted.folder)
@@ -163,7 +164,7 @@ def new(
 def _tell(
     folder: Path, files: list[str], command: str, read: FromSettings | None, *, json: bool
 ) -> None:
-    """Say what was made, and from which lines."""
+    """Print the files made, and the lines of the settings they come from."""
     if json:
         told: dict[str, object] = {"folder": str(folder), "files": files, "prove": command}
         if read is not None:
@@ -188,7 +189,7 @@ def _asked(
     answers: list[str],
     limits_only: bool,
 ) -> Wanted:
-    """Ask at the terminal for what was not said, with what would do in brackets."""
+    """Ask at the terminal for missing arguments, with defaults in brackets."""
     if kind is None:
         say(f"Kinds: {', '.join([*KINDS, *PROJECTS])}.")
         kind = _until_right("What the machine is", "grbl", _kind)
@@ -206,7 +207,7 @@ def _asked(
     if not limits_only and not settings.coupled:
         wanted.limits_only = _until_right("Limits and times alone, without motors", "yes", _yes)
     wanted.limits_only |= bool(settings.coupled)
-    while missing := still_asked(settings, answers, limits_only=wanted.limits_only):
+    while missing := still_missing(settings, answers, limits_only=wanted.limits_only):
         one = missing[0]
 
         def said(text: str, key: str = one.key) -> str:
@@ -219,7 +220,7 @@ def _asked(
 
 
 def _until_right(question: str, default: str, read: Callable[[str], Answer]) -> Answer:
-    """Ask until the answer can be read; an empty one is the one in brackets."""
+    """Ask until the answer can be read; an empty answer takes the default in brackets."""
     while True:
         line = ask(f"{question} [{default}]: ")
         if not line:
@@ -272,7 +273,7 @@ def project_files(kind: str) -> dict[str, bytes]:
 
 
 def _without_operator(machine: str) -> str:
-    """Return a machine file without the operator's settings, which belong to the library's own."""
+    """Return a machine file without its [operator] table, which holds the library's own."""
     return re.sub(r"^\[operator\]\n(?:[^\n\[][^\n]*\n)*\n?", "", machine, flags=re.MULTILINE)
 
 
@@ -300,7 +301,7 @@ def _check(folder: Path) -> None:
 
 
 def _write(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Write all files or none, in a folder that is made or is empty."""
+    """Write all files or none, in a new or empty folder."""
     with staging_folder(folder) as staged:
         for name, content in contents.items():
             (staged / name).write_bytes(content)

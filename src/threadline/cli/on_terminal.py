@@ -1,4 +1,4 @@
-"""What is drawn on a terminal, and tables wherever they go: all that needs rich."""
+"""Tables and progress bars drawn with rich."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _WRAPPED = 40  # characters: a narrower column breaks a note too often
 def laid_out(
     title: str, header: Sequence[str], rows: Sequence[Sequence[str]], width: int | None
 ) -> tuple[Console, Table, list[tuple[str, str]]]:
-    """Return a table, the console that shows it, and notes that stand below it with their subjects.
+    """Return a table, its console, and the notes to print below it with their subjects.
 
     Parameters
     ----------
     title, header, rows
-        Texts; all columns but the first and a last one called note are aligned right.
+        Texts; columns are aligned right, except the first and a last one called note.
     width
-        Of the console, in characters; None is that of the terminal.
+        Width of the console in characters; None: width of the terminal.
     """
     console = Console() if width is None else Console(width=width)
     title, header = plain(title), [plain(cell) for cell in header]
@@ -42,9 +42,9 @@ def laid_out(
         named = 2 if len(header) > 1 and header[1] == "axis" else 1
         notes = [(" ".join(row[:named]).strip(), row[-1]) for row in rows if row[-1]]
         header, rows = header[:-1], [row[:-1] for row in rows]
-    # Text, not str: rich would take "[/b]" for its own markup, and ":x:" for a picture.
+    # Text, not str: rich would read "[/b]" as markup, and ":x:" as an emoji.
     table = Table(title=Text(title), title_justify="left", title_style="bold", box=SIMPLE_HEAD)
-    # What does not fit is cut where it may not be wrapped, and 0.5 mm would be read as 0.5 m.
+    # Text that does not fit is cut unless it wraps, and 0.5 mm would be read as 0.5 m.
     wide = [max(len(line[k]) for line in [header, *rows]) + 3 for k in range(len(header))]
     whole = sum(wide) + 1 <= console.width
     for index, name in enumerate(header):
@@ -68,7 +68,7 @@ def _fits(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> b
 
 
 class _WhileItStands(io.TextIOBase):
-    """A stream to a terminal; what is written is lost once that has hung up, and nothing fails."""
+    """A stream to a terminal; output is lost without an error once the terminal has hung up."""
 
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
@@ -80,22 +80,22 @@ class _WhileItStands(io.TextIOBase):
         return len(text)
 
     def flush(self) -> None:
-        """Flush it."""
+        """Flush the stream."""
         with suppress(OSError):
             self._stream.flush()
 
     def isatty(self) -> bool:
-        """Return whether it is a terminal."""
+        """Return whether the stream is a terminal."""
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        """Return its descriptor."""
+        """Return the file descriptor."""
         return self._stream.fileno()
 
 
 @contextmanager
 def bar_on_terminal() -> Iterator[ProgressCall]:
-    """Yield a progress call that draws a bar on standard error once a second has passed."""
+    """Yield a progress call that draws a bar on standard error after one second."""
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -118,7 +118,7 @@ def bar_on_terminal() -> Iterator[ProgressCall]:
         at_work(what, fraction, shown=shown.is_set())
         bar.update(task, description=what, completed=fraction)
 
-    # A single step may take minutes: the bar does not wait for the next one to be told.
+    # A single step may take minutes: the bar appears without waiting for the next call.
     timer = threading.Timer(_SHOW_AFTER_S, show)
     timer.daemon = True
     timer.start()

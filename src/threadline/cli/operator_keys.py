@@ -28,18 +28,18 @@ from threadline.live.store.whole_trace import refuse_other_rows, trace_of, unfin
 _KEYS = {"h": Cause.HOLD, "r": Cause.RESUME}
 """Any other key stops."""
 UNATTENDED_S = 10.0
-"""Time in s for which a hold lasts that nobody is at the keys to end."""
-_ALONE = f"nobody is at the keys: it is stopped unless it goes on within {UNATTENDED_S:g} s"
+"""Longest hold in s while nobody is at the keys to end it."""
+_ALONE = f"nobody is at the keys: the run stops after {UNATTENDED_S:g} s unless it is resumed"
 
 
 def somebody_at_the_keys() -> bool:
-    """Return whether standard input is a terminal; it may be closed."""
+    """Return whether standard input is a terminal; False if it is closed."""
     return sys.stdin is not None and sys.stdin.isatty()
 
 
 @contextmanager
 def at_the_keys(desk: Desk, duration_s: float, progress: Progress | None) -> Iterator[AtTheKeys]:
-    """Pass keys and signals to ``desk``; yield what looks after each step of a run for keys.
+    """Pass keys and signals to ``desk``; yield an object to call after each step of a run.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def at_the_keys(desk: Desk, duration_s: float, progress: Progress | None) -> Ite
     duration_s
         Planned duration of the run.
     progress
-        Called with the share of the run that is done; None for no progress.
+        Called with the share done of the run; None for no progress.
     """
     with ExitStack() as stack:
         stack.enter_context(_signals(desk))
@@ -57,15 +57,15 @@ def at_the_keys(desk: Desk, duration_s: float, progress: Progress | None) -> Ite
 
 
 class AtTheKeys:
-    """Looks after each step of a run for keys, a change of state, and the progress."""
+    """Reads keys after each step of a run, and reports changes of state and progress."""
 
     def __init__(
         self, desk: Desk, duration_s: float, progress: Progress | None, terminal: int | None
     ) -> None:
         self._desk, self._progress, self._terminal = desk, progress, terminal
         self._duration_s = max(duration_s, 1e-9)
-        self._told_hold = ""  # what was said of the hold that lasts
-        self._ends_s: float | None = None  # when a hold that nobody can end is over
+        self._told_hold = ""  # message already printed about the current hold
+        self._ends_s: float | None = None  # when an unattended hold ends
         self._told = terminal is None
         self.time_s = 0.0
         """Time of the run at its latest step, s."""
@@ -77,7 +77,7 @@ class AtTheKeys:
         return keys == b"c"
 
     def _pressed(self, most: int) -> bytes | None:
-        """Return keys that were pressed, none of a terminal that is gone; None for no key."""
+        """Return pressed keys, b"" if the terminal is gone, None for no key."""
         if self._terminal is None or not select.select([self._terminal], [], [], 0.0)[0]:
             return None
         keys = b""
@@ -88,7 +88,7 @@ class AtTheKeys:
         return keys
 
     def step(self, executor: Running) -> None:
-        """Pass the keys to the desk; tell the progress of the run, and that it holds."""
+        """Pass the keys to the desk; print progress, and a message while the run holds."""
         if not self._told:
             self._told = True
             note("h holds, r goes on, any other key stops; none of them is the emergency stop")
@@ -100,7 +100,7 @@ class AtTheKeys:
             self._progress("running", min(self.time_s / self._duration_s, 1.0))
 
     def _tell_hold(self, executor: Running) -> None:
-        """Say why a run holds and who can let it go on; end one that nobody here can."""
+        """Print why a run holds and who can resume it; stop a hold that nobody can end."""
         if executor.state is not State.HOLDING:
             self._told_hold, self._ends_s = "", None
             return
@@ -113,13 +113,13 @@ class AtTheKeys:
         if alone:
             self._ends_s = now_s + UNATTENDED_S if self._ends_s is None else self._ends_s
             if now_s >= self._ends_s:
-                executor.stopped_by = "Threadline: nobody is at the keys to let it go on"
+                executor.stopped_by = "Threadline: nobody is at the keys to resume"
                 self._desk.ask(Cause.STOP)
 
 
 @contextmanager
 def _signals(desk: Desk) -> Iterator[None]:
-    """Answer a first interrupt by a stop along the path, a second by ``KeyboardInterrupt``."""
+    """Stop along the path at the first interrupt, raise ``KeyboardInterrupt`` at the second."""
     came: list[int] = []
 
     def answer(number: int, _frame: FrameType | None) -> None:
@@ -129,7 +129,7 @@ def _signals(desk: Desk) -> Iterator[None]:
             raise KeyboardInterrupt
 
     numbers = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # else it outlives its terminal
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup: the run outlives it
         numbers.append(signal.SIGHUP)
     before = {number: signal.signal(number, answer) for number in numbers}
     try:
@@ -166,37 +166,37 @@ ContinueOption = Annotated[
     typer.Option(
         "--continue",
         metavar="RUN",
-        help="Do the rest of a run that was broken off (its name, or last): after homing and your "
-        "confirmation the axes are moved to where the work begins again.",
+        help="Complete a run that was broken off (its name, or last): after homing and your "
+        "confirmation the axes move to where the work begins again.",
     ),
 ]
 AtOption = Annotated[
     str | None,
     typer.Option(
-        help="Of --continue: where the work begins again: block (the one under way at the end), "
+        help="With --continue: where the work begins again: block (the one under way at the end), "
         'circuit, "circuit 12", "line 40".'
     ),
 ]
 ConfirmedOption = Annotated[
     bool,
-    typer.Option("--confirmed", help="Of --continue: go on without waiting for the key c."),
+    typer.Option("--confirmed", help="With --continue: go on without waiting for the key c."),
 ]
 
 
 def check_continued(store: Path, run: str | None, at: str | None, *, confirmed: bool) -> None:
-    """Refuse options of a continued run without one, no such run, and one that nobody confirms.
+    """Check the options of a continued run.
 
     Raises
     ------
     OptionError
-        With what is missing.
+        If --at or --confirmed lack --continue, or nobody is there to confirm.
     StoreError
-        If there is no such run, or it came to its end.
+        If there is no such run, or it is complete.
     """
     if run is None:
         if at is not None or confirmed:
             raise OptionError(
-                f"{'--at' if at is not None else '--confirmed'} is of --continue",
+                f"{'--at' if at is not None else '--confirmed'} needs --continue",
                 remedy="Name the run to be continued, too.",
             )
         return
@@ -211,9 +211,9 @@ def check_continued(store: Path, run: str | None, at: str | None, *, confirmed: 
 def continued_run(
     store: Path, run: str | None, at: str | None, plan: Plan, rest_of: RestOf, *, asks: bool
 ) -> tuple[Continued | None, dict[str, str]]:
-    """Return what is run, said to the operator, and what its recording tells of that.
+    """Return the rest of a broken-off run, and what its recording says about the first part.
 
-    Both are empty where no run is continued.
+    Both are empty if no run is continued. The operator is told what will be run.
 
     Parameters
     ----------
@@ -222,16 +222,16 @@ def continued_run(
     run, at
         The run, and where the work begins again, as typed.
     plan
-        The plan, which must be that of the run to the row.
+        The plan; its commands must equal the run's, row by row.
     rest_of
-        Returns the rest from an operation on, as the link is sent it.
+        Returns the rest from an operation on, as sent to the link.
     asks
         Whether the operator will be asked.
 
     Raises
     ------
     StoreError
-        If there is no such run, it came to its end, or it was of other commands.
+        If there is no such run, it is complete, or it had other commands.
     """
     if run is None:
         return None, {}
@@ -241,7 +241,7 @@ def continued_run(
         plan, last_executed(trace_of(folder, record)), "block" if at is None else at
     )
     again = continued_by(plan, rest_of(operation))
-    for line in again.told:
+    for line in again.notes:
         note(line)
     if asks:
         note("when it is home: c lets it go on, any other key ends it")

@@ -1,7 +1,7 @@
-"""From the table of options, and from groups of a command's own, to what typer reads.
+"""Turn the table of options, and a command's own groups of options, into parameters for typer.
 
-A command takes its options as a few objects: ``Words`` of the table, and dataclasses whose fields
-are options of the command alone. ``add`` tells typer each of them one by one.
+A command receives its options as a few objects: ``Words`` for the table, and dataclasses whose
+fields are options of this command. ``add`` gives typer each option separately.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def add(app: typer.Typer, verb: str, command: Callable[..., None]) -> None:
     Parameters
     ----------
     verb
-        Its name, and the name of the verb in the table of options.
+        Name of the command, and of the verb in the table of options.
     command
-        Takes the options of the table as the parameter of type ``Words``, groups of its own
-        options as dataclasses, and any other option by itself.
+        Takes the table's options as the parameter of type ``Words``, its own groups as
+        dataclasses, and any other option as a parameter.
     """
     signature = inspect.signature(command, eval_str=True)
     groups: dict[str, tuple[Callable[..., object], list[str]]] = {}

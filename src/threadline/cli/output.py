@@ -1,6 +1,6 @@
 """Output of the commands: tables for people, one JSON object for programs, and files.
 
-What needs rich is in ``on_terminal``, loaded where something is drawn: an object needs none of it.
+Code that needs rich is in ``on_terminal``, which is loaded only to draw.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def say(text: str) -> None:
 
 
 def ask(question: str) -> str:
-    """Print a question, and return the line that is typed behind it; empty where none comes."""
+    """Print a question and return the line typed after it; empty if input has ended."""
     with _to_stdout():
         sys.stdout.write(plain(question))
         sys.stdout.flush()
@@ -48,7 +48,7 @@ def ask(question: str) -> str:
 
 @contextmanager
 def _to_stdout() -> Iterator[None]:
-    """Name standard output in an ``OSError`` of writing to it, such as that of a full disk."""
+    """Name standard output in an ``OSError`` from writing to it, such as a full disk."""
     STARTING.over()
     try:
         yield
@@ -60,16 +60,16 @@ def _to_stdout() -> Iterator[None]:
 
 
 @contextmanager
-def as_far_as_possible(else_: str) -> Iterator[None]:
-    """Print as far as standard output takes it, flushed; what remains is only noted if not.
+def report_failed_print(else_: str) -> Iterator[None]:
+    """Print as far as standard output accepts it; report a failure on standard error only.
 
-    For what has happened already: its exit status is no longer about what is printed. Where nobody
-    reads, the program ends as others do.
+    For results that are already final: a failed print must not change their exit status. If the
+    reader of a pipe is gone, the program ends as other commands do.
 
     Parameters
     ----------
     else_
-        Where the same is found.
+        Where the same content can be found.
     """
     try:
         yield
@@ -77,19 +77,19 @@ def as_far_as_possible(else_: str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        with suppress(OSError):  # or the interpreter would flush what is left, and complain
+        with suppress(OSError):  # or the interpreter would flush the rest at exit, and complain
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STDOUT)
         note(f"{STDOUT} cannot be written ({error.strerror or error}); {else_}")
 
 
 def say_lines(text: str) -> None:
-    """Print the lines of ``text``, each by ``say``."""
+    """Print the lines of ``text``, each with ``say``."""
     for line in text.splitlines():
         say(line)
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print a table; all columns but the first and a last one called note are aligned right."""
+    """Print a table; columns are aligned right, except the first and a last one called note."""
     from threadline.cli.on_terminal import laid_out
 
     width = None if sys.stdout.isatty() else _FILE_WIDTH
@@ -102,9 +102,9 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]
 
 @contextmanager
 def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
-    """Yield a progress call that draws a bar on a terminal once a second has passed.
+    """Yield a progress call that draws a bar on a terminal after one second.
 
-    Without a terminal nothing is drawn; the line that ``told`` prints each minute has the share.
+    Without a terminal no bar is drawn; ``telling`` prints the share done each minute.
     """
     if not wanted or not sys.stderr.isatty():
         yield partial(at_work, shown=False)
@@ -116,7 +116,7 @@ def progress_bar(wanted: bool = True) -> Iterator[ProgressCall]:
 
 
 _STEMS = ("report", "comparison", "shaper", "analysis", "design")
-"""Names of reports' pages, without suffix, at which no folder or read-only file may be."""
+"""Page names of reports, without suffix, whose files must be writable."""
 
 
 def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> None:
@@ -125,15 +125,15 @@ def check_outputs(*, file: Path | None = None, folder: Path | None = None) -> No
     Parameters
     ----------
     file
-        A file to be written; its folder may have to be made.
+        File to write; its folder may be missing.
     folder
-        A folder to be written into; it may have to be made.
+        Folder to write into; it may be missing.
 
     Raises
     ------
     OptionError
-        If what should be a folder is a file, nothing can be written there, or something is in the
-        way.
+        If a file stands where a folder is needed, the folder is not writable, or the target
+        exists and cannot be replaced.
     """
     if file is not None:
         check_output(file)

@@ -32,13 +32,13 @@ _MOST_SPEED = 100.0
 def panel(
     machine: MachineOption,
     folder: Annotated[
-        Path, typer.Argument(help="Project folder: its programs are those of the panel.")
+        Path, typer.Argument(help="Project folder: the panel offers its programs.")
     ] = Path(),
     spec: SpecOption = None,
     link: Annotated[
         str,
         typer.Option(
-            help="Link to the machine: sim is a simulated one, in its own process; sim:slower goes "
+            help="Link to the machine: sim is a simulated one, in its own process; sim:slower runs "
             "slower where the computer is too busy for real time; grbl:HOST:PORT or "
             "grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
             "hal:plant are LinuxCNC's HAL without a machine."
@@ -49,7 +49,7 @@ def panel(
         typer.Option(
             min=LEAST_SPEED,
             max=_MOST_SPEED,
-            help="Of sim: simulated seconds a second; 1 is real time.",
+            help="With sim: simulated seconds per second; 1 is real time.",
         ),
     ] = REAL_TIME,
     host: Annotated[
@@ -57,17 +57,17 @@ def panel(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port to listen at.")] = 8750,
     token: Annotated[
-        str, typer.Option(help="Word that every client has to know; 16 characters or more.")
+        str, typer.Option(help="Secret word that every client needs; 16 characters or more.")
     ] = "",
     store: StoreOption = DEFAULT_STORE,
     par: ParOption = None,
 ) -> None:
     """Serve the operator's panel: calculate, home, jog, run, watch, stop.
 
-    The machine belongs to a process of its own. Where the panel ends or hangs, that process stops
-    the machine along its path; where a browser is gone, a jog ends within 250 ms, and a run goes
-    on, for every other browser can stop it, and so can Ctrl-C here, which ends the panel: it waits
-    until the machine stands, says so, and the exit status is 0.
+    A separate process owns the machine. If the panel ends or hangs, that process stops the machine
+    along its path. If a browser disconnects, a jog ends within 250 ms and a run goes on, for every
+    other browser can stop it. Ctrl-C here ends the panel: it waits until the machine stands, and
+    the exit status is 0.
 
     Example: threadline panel examples -m lathe-winder
     """
@@ -101,7 +101,7 @@ def panel(
         listening = _listen(host, port)
         url = f"http://{in_url(host)}:{port}/"
         say(f"The panel of {chosen.name} is at {url} (Ctrl-C stops and ends)")
-        at_work("serving", shown=True)  # what it does is seen in the browser
+        at_work("serving", shown=True)  # the browser shows its work
         config = uvicorn.Config(
             app,
             log_level="warning",
@@ -112,19 +112,19 @@ def panel(
             access_log=False,
         )
         logging.getLogger("uvicorn.error").addFilter(_of_the_panel)
-        logging.getLogger("asyncio").addHandler(_to_standard_error())
+        logging.getLogger("asyncio").addHandler(to_standard_error())
         try:
             uvicorn.Server(config).run(sockets=[listening])
         except TerminatedError:
             note(f"the panel ends: {served.ended}")
             raise
-        except KeyboardInterrupt:  # Ctrl-C is how a panel ends
+        except KeyboardInterrupt:  # Ctrl-C ends a panel
             pass
         say(f"The panel has ended: {served.ended.rstrip('.')}.")
 
 
-def _to_standard_error() -> logging.Handler:
-    """Return what writes the errors of tasks and connections: no caller is there to raise them."""
+def to_standard_error() -> logging.Handler:
+    """Return a log handler for errors of tasks and connections, which no caller catches."""
     handler = logging.StreamHandler()
     handler.setLevel(logging.ERROR)
     handler.setFormatter(logging.Formatter("error of the panel: %(message)s"))
@@ -133,9 +133,9 @@ def _to_standard_error() -> logging.Handler:
 
 
 def _of_the_panel(record: logging.LogRecord) -> bool:
-    """Say whether a record of the server tells of a fault of the panel.
+    """Return whether a log record of the server reports a fault of the panel.
 
-    What a client sends in place of text is none, nor that a request is not waited for at the end.
+    Malformed text from a client is no fault, nor a request abandoned at shutdown.
     """
     error = record.exc_info and record.exc_info[1]
     let_go = isinstance(error, asyncio.CancelledError) or str(record.msg).startswith("Cancel ")
@@ -148,7 +148,7 @@ def _checked_host(host: str) -> str:
     Raises
     ------
     OptionError
-        If it is neither an address nor written as a name.
+        If it is neither an address nor a valid host name.
     """
     if not is_host(host := bare(host)):
         raise OptionError(
@@ -163,12 +163,12 @@ def _listen(host: str, port: int) -> socket.socket:
     Raises
     ------
     OptionError
-        If that address cannot be had.
+        If the address cannot be used.
     """
     try:
         return socket.create_server((host, port), family=_family(host), reuse_port=False)
     except OSError as error:
-        why = str(error.strerror or error).partition(" (while")[0]  # it names the address again
+        why = str(error.strerror or error).partition(" (while")[0]  # the rest repeats the address
         of_port = error.errno in (errno.EADDRINUSE, errno.EACCES)
         raise OptionError(
             f"cannot listen at {in_url(host)}:{port}: {why}",

@@ -28,7 +28,7 @@ from threadline.proof.kinds.kind import WRITING, Share
 from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
 from threadline.proof.proof_file import write_proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.report import about, write_report
 from threadline.verdict import (
     Verdict,
@@ -59,8 +59,8 @@ def prove(
 ) -> None:
     """Plan JOB, simulate it on the machine, and say whether it is within specification.
 
-    Twenty runs are judged, with other encoder phases, friction and supply each, and the worst
-    counts; --nominal judges one, --tolerances other machines as well.
+    Twenty runs are judged, each with other encoder phases, friction and supply, and the worst
+    counts; --nominal judges one run, --tolerances other machines as well.
 
     Exit status: 0 in spec, 1 out of spec, 2 wrong input.
 
@@ -84,19 +84,19 @@ def prove(
         proof = prove_job(job, chosen, asked, options, progress, trials, words.actual())
         with together(recording, proof_file):
             if recording is not None:
-                # A recording is a recipe: to write it is to simulate that run again.
+                # A recording is a recipe: writing it simulates that run again.
                 watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
                 write_proof(proof, proof_file, key)
             written = None
             if report is not None:
-                # Searches take a while to load, and most proofs are without a report.
+                # Searches take a while to load, and most proofs have no report.
                 from threadline.search.studied import studied
 
                 progress("drawing the report", 0.0)
                 written = write_report(studied(proof), report)
-    tell(doubts(proof))
+    tell(warnings_of(proof))
     if json:
         content = verdict_json(proof.verdict, proof.plan)
         if written is not None:
@@ -114,7 +114,7 @@ def prove(
 
 
 def plot_every(machine: Machine) -> int | None:
-    """Return how many ticks lie between lines of a plot file: ``operator.record_every``."""
+    """Return the ticks between lines of a plot file: ``operator.record_every``."""
     return None if machine.operator is None else round(machine.operator.record_every.si)
 
 
@@ -130,7 +130,7 @@ def show_proof(proof: Proof) -> None:
 
 
 def show_steps(verdict: Verdict, how: str = "") -> None:
-    """Print the residual vibration after each step, where the job has steps."""
+    """Print the residual vibration after each step, if the job has steps."""
     header, rows = step_rows(verdict)
     if rows:
         print_table(f"Step by step{how}", header, rows)

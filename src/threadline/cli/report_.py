@@ -38,7 +38,7 @@ def report(
             "-o",
             parser=named_folder,
             metavar="<path>",
-            help="Folder for the report; default: report, in that of the run.",
+            help="Folder for the report; default: report, in the folder of the run.",
         ),
     ] = None,
     csv: Annotated[
@@ -48,7 +48,7 @@ def report(
 ) -> None:
     """Judge the recording of a run again, and write its report.
 
-    A continued run is judged together with what the runs that it continues did before it.
+    A continued run is judged together with the runs that it continues.
 
     Job, machine and specification must be unchanged since the run, unless -s gives another
     specification.
@@ -101,7 +101,7 @@ def report(
     else:
         show_proof(proof)
         if override:
-            say(f"Run although its proof did not pass, by an override: {override}")
+            say(f"Run although its proof failed, by an override: {override}")
         if before:
             say(as_one(before))
         say(f"Report: {written}")
@@ -109,7 +109,7 @@ def report(
 
 
 def _check_samples(folder: Path, record: RunRecord) -> None:
-    """Refuse a run that ended before its first sample, as one that was stopped while homing."""
+    """Refuse a run that ended before its first sample, for example while homing."""
     trace = folder / TRACE
     nothing = not trace.exists() or not trace.stat().st_size
     if nothing or read_recording(trace).is_empty():

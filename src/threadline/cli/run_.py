@@ -35,11 +35,11 @@ from threadline.cli.operator_keys import (
     somebody_at_the_keys,
 )
 from threadline.cli.output import (
-    as_far_as_possible,
     check_outputs,
     print_json,
     print_table,
     progress_bar,
+    report_failed_print,
     say,
 )
 from threadline.cli.prove import plot_every
@@ -50,7 +50,7 @@ from threadline.errors import LinkFaultError, OptionError, RecordingError, Store
 from threadline.files import Ended, Recording
 from threadline.files.formats import write_recording
 from threadline.live.hold_deviation import hold_waits, hold_words
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import Link, link_of
 from threadline.live.sim_machine import SimFault, parse_fault
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
@@ -61,7 +61,7 @@ from threadline.live.supervised import check_halts, check_override, check_runnab
 from threadline.proof.asked import Words
 from threadline.proof.pipeline import check_machine, open_job, plan_job, prove_plan, with_shaping
 from threadline.proof.proof_file import read_proof, write_proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.verdict import (
     Spec,
     Verdict,
@@ -91,12 +91,12 @@ def _checked_speed(speed: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Execution:
-    """How ``threadline run`` executes: the link, where it keeps the run, and what may go on."""
+    """Options of ``threadline run``: link, store, proof, overrides and confirmations."""
 
     link: Annotated[
         str,
         typer.Option(
-            help="Link to the machine: sim is a simulated one, in its own process; sim:slower goes "
+            help="Link to the machine: sim is a simulated one, in its own process; sim:slower runs "
             "slower where the computer is too busy for real time; grbl:HOST:PORT or "
             "grbl:/dev/ttyUSB0 is a controller with grbl; hal:loopback and "
             "hal:plant are LinuxCNC's HAL without a machine."
@@ -106,7 +106,7 @@ class Execution:
         float,
         typer.Option(
             callback=_checked_speed,
-            help="Of sim: simulated seconds a second; 1 is real time, 0 as fast as possible.",
+            help="With sim: simulated seconds per second; 1 is real time, 0 as fast as possible.",
         ),
     ] = REAL_TIME
     store: StoreOption = DEFAULT_STORE
@@ -114,19 +114,19 @@ class Execution:
         Path | None,
         typer.Option(
             "--proof",
-            help="Run by this proof (prove --proof FILE), which must hold for the files as they "
-            "are now; default: the job is proved first.",
+            help="Run by this proof (prove --proof FILE), which must match the files as they "
+            "are now; default: prove the job first.",
         ),
     ] = None
     key: KeyOption = None
     override: Annotated[
         str | None,
-        typer.Option(help="Why it is run out of specification; kept with the run."),
+        typer.Option(help="Why the job runs although out of specification; kept with the run."),
     ] = None
     inject: Annotated[
         str | None,
         typer.Option(
-            help="Of sim: a fault and when, to see what the guards do: stuck-encoder:X@1.2 s, "
+            help="With sim: inject a fault at a time, to test the guards: stuck-encoder:X@1.2 s, "
             "switch-hit:x_high@1 s, lost-link@1 s, late-ticks@1 s, power-loss@1 s."
         ),
     ] = None
@@ -137,12 +137,12 @@ class Execution:
         bool,
         typer.Option(
             "--approach",
-            help="Of grbl: move the axes to where the program begins, one after the other at their "
-            "manual feeds, linear ones first.",
+            help="With grbl: move the axes to where the program begins, one after the other at "
+            "their manual feeds, linear ones first.",
         ),
     ] = False
     pass_stops: Annotated[
-        bool, typer.Option("--pass-stops", help="Go on at M00 without waiting for a key.")
+        bool, typer.Option("--pass-stops", help="Pass M00 without waiting for a key.")
     ] = False
 
 
@@ -157,7 +157,7 @@ def run(
     """Run JOB on the machine: prove it, execute it, record it, and judge the recording.
 
     Ctrl-C brakes along the path to a standstill; a second Ctrl-C leaves the machine to its own
-    braking. On a terminal: h holds on the path, r goes on, any other key stops. None of them is an
+    braking. On a terminal: h holds on the path, r resumes, any other key stops. None of them is an
     emergency stop, which must be a circuit of the machine.
 
     Exit status: 0 in spec, 1 out of spec or stopped, 2 wrong input, 3 a fault of machine or link.
@@ -180,7 +180,7 @@ def run(
     asked = with_shaping(words.spec(chosen), chosen, options)
     check_machine(chosen)
     if proof_file is not None:
-        read_proof(proof_file, secret)  # one that cannot be read is told before any planning
+        read_proof(proof_file, secret)  # fail on an unreadable proof before planning
     with (
         progress_bar(not json) as progress,
         tempfile.TemporaryDirectory() as folder,
@@ -191,12 +191,12 @@ def run(
         if proof_file is None:
             proof_file = Path(folder) / "proof.json"
             proof = prove_plan(plan, asked, progress, trials)
-            tell(doubts(proof))
+            tell(warnings_of(proof))
             write_proof(proof, proof_file)
         known = check_runnable(proof_file, plan, asked, execution.override, secret)
         for line in over.prepare(plan):
             note(line)
-        leaves_m = way_of(chosen).hold_deviation_m(plan)
+        leaves_m = run_kind_of(chosen).hold_deviation_m(plan)
         at_rest, spoiled = _holds_at_rest(plan, asked, leaves_m)
         told = {
             "link": execution.link,
@@ -259,7 +259,7 @@ def _verdict(
     *,
     whole: bool,
 ) -> Verdict:
-    """Return the verdict; end the program where a run ended before there was anything to judge."""
+    """Return the verdict; end the program if the run ended before there was anything to judge."""
     try:
         return judge([happened], plan, spec)
     except RecordingError as error:
@@ -278,8 +278,8 @@ def _verdict(
 def _is_over(
     kept: OpenRun, ended: Ended, text: str, plan: Plan, fault: SimFault | None, until_s: float
 ) -> None:
-    """Keep how a run ended; warn of an injected fault to whose time it never came."""
-    with suppress(StoreError):  # an index that is locked may be free when the verdict is there
+    """Store how a run ended; warn if it ended before the injected fault."""
+    with suppress(StoreError):  # a locked index may be free when the verdict is stored
         kept.over(ended.value, text)
     period_s = float(plan.machine.command_clock.period_s)
     if fault is not None and ended is not Ended.FAULT and until_s < fault.tick * period_s:
@@ -295,9 +295,9 @@ def _judged(kept: OpenRun, content: Mapping[str, Any], ended: Ended, text: str) 
 
 @contextmanager
 def _moved(kept: OpenRun) -> Iterator[None]:
-    """Raise what keeps a run from being written as a fault: it is no input, and the machine moved.
+    """Report a failure to store a run as a fault of the machine, since it may have moved.
 
-    What the executor refuses before anything moves stays what it is.
+    Errors of the executor from before any motion pass unchanged.
     """
     try:
         yield
@@ -319,9 +319,9 @@ def _fault(kept: OpenRun, text: str, over: Link) -> LinkFaultError:
 
 
 def _holds_at_rest(plan: Plan, spec: Spec, leaves_m: float) -> tuple[bool, list[dict[str, Any]]]:
-    """Say what a hold would do to the work; return whether it waits for a rest, and why."""
+    """Print the effect of a hold on the work; return whether to hold at a rest only, and why."""
     at_rest = hold_waits(plan, spec, leaves_m)
-    spoiled = () if at_rest else way_of(plan.machine).spoiled_by_holds(plan, spec)
+    spoiled = () if at_rest else run_kind_of(plan.machine).spoiled_by_holds(plan, spec)
     at_rest = at_rest or bool(spoiled)
     if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
         note(words)
@@ -335,9 +335,9 @@ def _show(
     verdict: Verdict, plan: Plan, content: Mapping[str, Any], label: str, kept: OpenRun, *,
     json: bool,
 ) -> None:  # fmt: skip
-    """Print the verdict; of a run that ended as a fault the error says the rest."""
+    """Print the verdict; after a fault the error message gives the rest."""
     fault = content["ended"] == Ended.FAULT
-    with as_far_as_possible(f"the verdict is in {kept.path}"):
+    with report_failed_print(f"the verdict is in {kept.path}"):
         if json:
             if not fault:
                 print_json(content)

@@ -20,7 +20,7 @@ StoreOption = Annotated[
         "--store",
         parser=named_folder,
         metavar="<path>",
-        help="Folder of runs; the first run makes it.",
+        help="Folder of runs; the first run creates it.",
     ),
 ]
 
@@ -42,7 +42,7 @@ def runs(store: StoreOption = DEFAULT_STORE, json: JsonOption = False) -> None:
 
 
 def listed(record: RunRecord, folder: Path) -> list[str]:
-    """Return the row of a run: its own verdict, and that of its proof with the level of it."""
+    """Return the row of a run: its verdict, and the verdict and level of its proof."""
     ended = "not told" if record.ended == RUNNING else record.ended
     note = f"override: {record.override}" if record.override else _why(record)
     verdict = verdict_of_run(record, folder)
@@ -52,7 +52,7 @@ def listed(record: RunRecord, folder: Path) -> list[str]:
 
 
 def _why(record: RunRecord) -> str:
-    """Return why a run ended, without the word that stands before it: ``by the operator``."""
+    """Return why a run ended, without its leading word: ``by the operator``."""
     return record.text.removeprefix(f"{record.ended} ")
 
 

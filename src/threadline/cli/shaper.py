@@ -1,4 +1,4 @@
-"""``threadline shaper``: design an input shaper, and say what it costs."""
+"""``threadline shaper``: design an input shaper, and show its cost."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from threadline.cli.shaper_text import (
     KINDS,
     bands_of,
     curve_lines,
+    damping_warnings,
     designed,
-    doubted,
     missed,
     modes_of,
     price_content,
@@ -47,8 +47,8 @@ from threadline.report.document import Table
 from threadline.report.shaper import write_shaper
 from threadline.units import parse_number, without_noise
 
-_STILL = 0.01  # of one full step: 1 %
-_SI_BAND = 0.2  # of the frequency to either side: how well a stiffness is usually known
+_STILL = 0.01  # allowed ringing, share of one full step's
+_SI_BAND = 0.2  # half width over frequency: how well a stiffness is usually known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,8 +67,8 @@ def shaper(
     mode: Annotated[
         list[str],
         typer.Option(
-            help='Undamped frequency, "3.04 Hz"; with damping ratio, band and tolerance where '
-            'wanted: "3.04Hz:0.0089:20%:5%". Again for each mode.'
+            help='Undamped frequency, "3.04 Hz"; optionally with damping ratio, band and '
+            'tolerance: "3.04Hz:0.0089:20%:5%". Repeat for each mode.'
         ),
     ],
     damping: Annotated[
@@ -82,7 +82,7 @@ def shaper(
         float,
         typer.Option(
             parser=ratio("--tolerance"),
-            help="Vibration allowed, of one unit impulse's: 0.05 is 5 %.",
+            help="Vibration allowed, share of one unit impulse's: 0.05 is 5 %.",
         ),
     ] = 0.05,
     kind: Annotated[str, typer.Option(help=", ".join(KINDS) + '; convolved: "zv*um-2ei".')] = "zv",
@@ -90,40 +90,40 @@ def shaper(
         float | None,
         typer.Option(
             parser=ratio("--band"),
-            help="Half width of the band of frequency: of si, 0.2 unless given; of --tick, the "
-            "band in which the exact shaper keeps its tolerance unless given.",
+            help="Half width of the frequency band: for si, 0.2 by default; for --tick, by default "
+            "the band in which the exact shaper keeps its tolerance.",
         ),
     ] = None,
     tick: Annotated[
-        str | None, typer.Option(help='Impulses on whole ticks of the controller: "10 ms".')
+        str | None, typer.Option(help='Put impulses on whole ticks of the controller: "10 ms".')
     ] = None,
     dwell: Annotated[
         str | None, typer.Option(help='Shortest time between switchings, with --tick: "20 ms".')
     ] = None,
     max_impulses: Annotated[
-        int | None, typer.Option(help="Longest train that the controller takes, with --tick.")
+        int | None, typer.Option(help="Most impulses that the controller takes, with --tick.")
     ] = None,
     free: Annotated[
-        bool, typer.Option(help="With --tick: amplitudes may be set anew (flow valves, axes).")
+        bool, typer.Option(help="With --tick: choose amplitudes anew (flow valves, axes).")
     ] = False,
     move: Annotated[
         str | None,
         typer.Option(help='Time a move of this length, with --acceleration: "200 mm".'),
     ] = None,
     acceleration: Annotated[
-        str | None, typer.Option(help='Full acceleration of that move: "1 m/s^2".')
+        str | None, typer.Option(help='Acceleration during --move: "1 m/s^2".')
     ] = None,
     still: Annotated[
         float | None,
         typer.Option(
             parser=ratio("--still"),
-            help="Ringing allowed after --move, of one full step's; default 0.01, 1 %.",
+            help="Ringing allowed after --move, share of one full step's (default 0.01, 1 %).",
         ),
     ] = None,
     klipper: Annotated[
         bool,
         typer.Option(
-            "--klipper", help="Print Klipper's section; two modes are X's and Y's, each its own."
+            "--klipper", help="Print Klipper's section; two modes are one for X and one for Y."
         ),
     ] = False,
     report: ReportOption = None,
@@ -134,9 +134,9 @@ def shaper(
     Frequencies are undamped, vibration is normalised to one unit impulse, and insensitivity is
     (f_hi - f_lo) / f within the tolerance. Exit status: 0, or 2 for wrong input.
 
-    With --move the shaped move stands beside the time-optimal one and the robust optimum over
-    --band (20 % unless given); with --tick too, an on/off command is searched for within 10 % of
-    that optimum, and the front of ringing against time is shown.
+    With --move the shaped move is compared with the time-optimal one and the robust optimum over
+    --band (default 20 %). With --tick too, an on/off command is searched within 10 % of that
+    optimum, and the trade-off between ringing and time is listed.
 
     Example: threadline shaper --mode 3.04Hz --damping 0.17 --tolerance 0.05 --kind um-2ei
 
@@ -154,9 +154,9 @@ def shaper(
     said_band = band if own_band is None else own_band
     if said_band is not None and not (moving or tick is not None or kind in BANDED):
         raise OptionError(
-            f"--band {said_band:g} says nothing of the kind {kind}"
+            f"--band {said_band:g} has no effect on the kind {kind}"
             if own_band is None
-            else f"the band of a --mode, {own_band * 100:.4g}%, says nothing of the kind {kind}",
+            else f"the band of a --mode, {own_band * 100:.4g}%, has no effect on the kind {kind}",
             remedy="Add --tick or --move, or choose --kind si or um-si.",
         )
     if band is None and kind in BANDED:
@@ -194,9 +194,9 @@ def shaper(
         made = realised.shaper
         refuse_worse_than_none(made, modes)
     asked_of = tuple(zip(modes, bands, tolerances, strict=True))
-    warnings = doubted(modes) if klipper else list(suspicions(modes))
+    warnings = damping_warnings(modes) if klipper else list(suspicions(modes))
     warnings += [*_spoiled(realised), *(missed(made, asked_of) if kind in BANDED else ())]
-    # A positive train amplifies nothing, anywhere.
+    # A train of positive amplitudes amplifies at no frequency.
     for one in modes if bool((made.amplitudes < 0.0).any()) else ():
         others = [other for other in modes if other is not one]
         warnings += [w for w in check_higher_modes(made, one, others).warnings if w not in warnings]
@@ -317,7 +317,7 @@ def _content(answer: _Answer, written: Path | None) -> dict[str, Any]:
         "duration_s": train.duration_s,
         "centroid_s": train.centroid_s,
         "over_level": train.over_level,
-        # Of several modes the worst counts; each is in "modes".
+        # The worst of several modes; "modes" lists each.
         "vibration": max(vibrations),
         "insensitivity": min(width.value for width in answer.widths),
         "tolerance": max(answer.tolerances),
@@ -356,7 +356,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _spoiled(realised: Realised | None) -> list[str]:
-    """Return warnings where the ticks of the controller take what the shaper was made for."""
+    """Return warnings for shapers that the controller's ticks have spoiled."""
     found = []
     for over in () if realised is None else realised.bands:
         if over.made >= 1.0:

@@ -1,4 +1,4 @@
-"""Options and tables of ``threadline shaper --move``: a rest-to-rest move, its commands."""
+"""Options and tables of ``threadline shaper --move``: a rest-to-rest move and its commands."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from threadline.units import parse_number
 def rest_to_rest(
     move: str | None, acceleration: str | None, modes: Sequence[FlexibleMode]
 ) -> RestToRest:
-    """Return the move that the options describe.
+    """Return the rest-to-rest move that the options describe.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def rest_to_rest(
 
 
 def study_tables(study: MoveStudy) -> list[Table]:
-    """Return the tables of a study."""
+    """Return the tables of a move study."""
     best, robust = study.optimal.duration_s, study.robust.duration_s
     found = study.switched
     timed = [
@@ -68,7 +68,7 @@ def study_tables(study: MoveStudy) -> list[Table]:
             title=title,
             header=("move", "duration s", "over optimal", "over robust", f"worst over {band}"),
             rows=rows,
-            note="Ringing as a share of that of one full step of acceleration.",
+            note="Ringing as a share of one full acceleration step's ringing.",
         )
     ]
     if study.front:
@@ -112,7 +112,7 @@ def _percent(share: float) -> str:
 
 
 def study_content(study: MoveStudy) -> dict[str, Any]:
-    """Return a study for ``--json``."""
+    """Return a move study for ``--json``."""
     found = study.switched
     command = None if found is None else found.command
     return {

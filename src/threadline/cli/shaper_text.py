@@ -44,8 +44,8 @@ _IN_BAND, _ROUNDED = 201, 1.005
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """A mode as ``--mode`` names it; a part that is None takes the value for all modes.
+class GivenMode:
+    """A mode given by ``--mode``; a part that is None takes the value for all modes.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Asked:
     band
         Half width of the band over the mode's frequency, in (0, 1).
     tolerance
-        Vibration allowed over the band, over that of one unit impulse.
+        Vibration allowed over the band, as a share of one unit impulse's vibration.
     """
 
     mode: FlexibleMode
@@ -62,14 +62,14 @@ class Asked:
     tolerance: float | None = None
 
 
-def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Asked, ...]:
-    """Return the modes that the options name, ``FREQUENCY[:DAMPING[:BAND[:TOLERANCE]]]`` each.
+def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[GivenMode, ...]:
+    """Return the modes in ``texts``, each ``FREQUENCY[:DAMPING[:BAND[:TOLERANCE]]]``.
 
     Raises
     ------
     OptionError
-        If a part cannot be read or is out of range, there is not one damping ratio for all or one
-        for each, or bands overlap.
+        If a part cannot be read or is out of range, the number of damping ratios is neither one
+        nor the number of modes, or bands overlap.
     """
     ratios = list(damping or [0.0])
     if len(ratios) == 1:
@@ -80,14 +80,14 @@ def modes_of(texts: Sequence[str], damping: Sequence[float] | None) -> tuple[Ask
             remedy="Give --damping once, or once for each --mode.",
         )
     found = tuple(
-        _asked(text, ratio, given=damping is not None)
+        _given_mode(text, ratio, given=damping is not None)
         for text, ratio in zip(texts, ratios, strict=True)
     )
     _refuse_overlaps(found)
     return found
 
 
-def _asked(text: str, ratio: float, *, given: bool) -> Asked:
+def _given_mode(text: str, ratio: float, *, given: bool) -> GivenMode:
     words = [word.strip() for word in text.split(":")]
     if len(words) > 4 or not all(words):
         raise OptionError(
@@ -101,7 +101,7 @@ def _asked(text: str, ratio: float, *, given: bool) -> Asked:
                 remedy="Leave --damping out.",
             )
         ratio = _share(words[1], "the damping ratio", text)
-    return Asked(
+    return GivenMode(
         FlexibleMode(parse_mode_hz(words[0]), ratio),
         _within(words[2], "the band", text) if len(words) > 2 else None,
         _within(words[3], "the tolerance", text) if len(words) > 3 else None,
@@ -130,7 +130,7 @@ def _within(word: str, what: str, text: str) -> float:
     return value
 
 
-def _refuse_overlaps(asked: Sequence[Asked]) -> None:
+def _refuse_overlaps(asked: Sequence[GivenMode]) -> None:
     bands = sorted(
         (a.mode.frequency_hz * (1.0 - a.band), a.mode.frequency_hz * (1.0 + a.band), a)
         for a in asked
@@ -145,23 +145,23 @@ def _refuse_overlaps(asked: Sequence[Asked]) -> None:
             )
 
 
-def bands_of(asked: Sequence[Asked], band: float) -> tuple[float, ...]:
-    """Return the half width of every mode's band: that of the mode, else ``band``."""
+def bands_of(asked: Sequence[GivenMode], band: float) -> tuple[float, ...]:
+    """Return the half band width of every mode: its own, else ``band``."""
     return tuple(band if one.band is None else one.band for one in asked)
 
 
-def tolerances_of(asked: Sequence[Asked], tolerance: float) -> tuple[float, ...]:
-    """Return the tolerance of every mode: that of the mode, else ``tolerance``."""
+def tolerances_of(asked: Sequence[GivenMode], tolerance: float) -> tuple[float, ...]:
+    """Return the tolerance of every mode: its own, else ``tolerance``."""
     return tuple(tolerance if one.tolerance is None else one.tolerance for one in asked)
 
 
 def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
-    """Refuse a train that ticks and the dwell have made worse, at its own mode, than no shaper.
+    """Refuse a train that rings more at its own mode than no shaper, due to ticks and dwell.
 
     Raises
     ------
     OptionError
-        With the mode and what rings.
+        Names the mode and its vibration.
     """
     for mode in modes:
         left = vibration_of(made, mode)
@@ -174,7 +174,7 @@ def refuse_worse_than_none(made: Shaper, modes: Sequence[FlexibleMode]) -> None:
 
 
 def missed(made: Shaper, asked: Sequence[tuple[FlexibleMode, float, float]]) -> Iterator[str]:
-    """Yield a warning for each mode, band and tolerance that a train does not keep to."""
+    """Yield a warning for each mode at which a train exceeds the tolerance within the band."""
     for mode, band, tolerance in asked:
         parts = np.linspace(1.0 - band, 1.0 + band, _IN_BAND)
         left = [
@@ -199,8 +199,8 @@ def designed(
 ) -> Shaper:
     """Return the shaper of a kind for ``modes``.
 
-    ``si``, ``um-si``, ``direct`` and ``um-direct`` are designed for all modes at once; of the other
-    kinds one shaper per mode and kind is designed, and all are convolved.
+    ``si``, ``um-si``, ``direct`` and ``um-direct`` are designed for all modes at once. Of the other
+    kinds, one shaper per mode and kind is designed, and all are convolved.
 
     Raises
     ------
@@ -281,9 +281,9 @@ def price_content(made: Realised) -> list[dict[str, float]]:
 
 
 def suspicions(modes: Sequence[FlexibleMode]) -> Iterator[str]:
-    """Yield a warning for every damping ratio that may be the real part of an eigenvalue instead.
+    """Yield a warning for each damping ratio that may be the real part of an eigenvalue instead.
 
-    A mode so slow that it would hardly ring with that real part gives no warning.
+    A mode that would hardly ring with that real part gives no warning.
     """
     for m in modes:
         modulus = 2.0 * np.pi * m.frequency_hz
@@ -324,29 +324,29 @@ _HEADER = "[input_shaper]\n"
 
 
 DEFAULT_DAMPING = 0.1
-"""Klipper's default damping ratio: no warning is given where a mode repeats it."""
+"""Klipper's default damping ratio: modes that use it give no warning."""
 
 
-def doubted(modes: Sequence[FlexibleMode]) -> list[str]:
-    """Return warnings of suspicious damping ratios; Klipper's default is none."""
+def damping_warnings(modes: Sequence[FlexibleMode]) -> list[str]:
+    """Return warnings for suspicious damping ratios, except Klipper's default."""
     own = [mode for mode in modes if mode.damping_ratio != DEFAULT_DAMPING]
     return list(suspicions(tuple(own)))
 
 
 def shape_two_axes(
     kind: str,
-    asked: Sequence[Asked],
+    asked: Sequence[GivenMode],
     tolerances: Sequence[float],
     bands: Sequence[float],
     others: Sequence[object],
     json: bool,
 ) -> None:
-    """Print one section of Klipper's for both axes: the first mode is of X, the second of Y.
+    """Print Klipper's section for both axes: the first mode is X's, the second Y's.
 
     Parameters
     ----------
     others
-        Values of the options that need one train of impulses; each must be None.
+        Values of options that need a single impulse train; each must be None.
 
     Raises
     ------
@@ -375,7 +375,7 @@ def shape_two_axes(
         notes = {axis: export.explanation for axis, export in found.items()}
         print_json({"klipper": whole or None, "klipper_note": notes})
         return
-    for said in doubted([one.mode for one in asked]):
+    for said in damping_warnings([one.mode for one in asked]):
         warning(said)
     for axis, export in found.items():
         say(f"{axis.upper()}: {export.explanation}")

@@ -1,4 +1,4 @@
-"""``threadline size``: from the demands of the product to gear, motor and encoder."""
+"""``threadline size``: gear, motor and encoder from the demands of the product."""
 
 from __future__ import annotations
 
@@ -24,37 +24,38 @@ def size(
     needle_speed: Annotated[str | None, _quantity('Stitches a second: "75 stitch/s".')] = None,
     stitch_length: Annotated[str | None, _quantity('"0.1 in".')] = None,
     speed: Annotated[
-        str | None, _quantity('Speed of the head, where nothing is stitched: "7.5 in/s".')
+        str | None, _quantity('Speed of the head if nothing is stitched: "7.5 in/s".')
     ] = None,
     ramp_stitches: Annotated[
         float, _quantity("Stitches within which the head has to be at speed.")
     ] = 2.0,
-    placement: Annotated[
-        str | None, _quantity('How far a corner may be missed by: "0.5 mm".')
-    ] = None,
+    placement: Annotated[str | None, _quantity('Corner error allowed: "0.5 mm".')] = None,
     turn: Annotated[str, _quantity("Angle by which the seam turns in the corner.")] = "90 deg",
     acceleration: Annotated[
-        str | None, _quantity('Instead of the larger of the two rules: "546 in/s^2".')
+        str | None,
+        _quantity('Acceleration; default: from the two rules, "546 in/s^2".'),
     ] = None,
     load_mass: Annotated[str | None, _quantity('Mass that the motor drives: "111 kg".')] = None,
     load_damping: Annotated[str, _quantity("Damping of the load to the ground.")] = "0 N s/m",
     friction: Annotated[str, _quantity("Coulomb friction of the load.")] = "0 N",
-    pulley_radius: Annotated[str | None, _quantity('Of the belt drive: "29 mm".')] = None,
+    pulley_radius: Annotated[str | None, _quantity('Radius of the drive pulley: "29 mm".')] = None,
     gear_ratio: Annotated[
-        float | None, _quantity("Motor turns a pulley turn; without it the matched one.")
+        float | None, _quantity("Motor turns per pulley turn; default: the matched ratio.")
     ] = None,
     motor_inertia: Annotated[
-        str | None, _quantity('Inertia of the rotor and what turns with it: "4.75 kg cm^2".')
+        str | None, _quantity('Inertia of the rotor and all parts on its shaft: "4.75 kg cm^2".')
     ] = None,
     motor_damping: Annotated[str, _quantity("Viscous damping of the motor.")] = "0 N m s/rad",
     torque_constant: Annotated[str | None, _quantity('"0.5 N m/A".')] = None,
     back_emf: Annotated[str | None, _quantity('"60 V/krpm".')] = None,
     resistance: Annotated[str | None, _quantity('"0.8 ohm".')] = None,
-    current_limit: Annotated[str | None, _quantity('Of the amplifier: "27 A".')] = None,
+    current_limit: Annotated[
+        str | None, _quantity('Current limit of the amplifier: "27 A".')
+    ] = None,
     motor_torque: Annotated[str | None, _quantity('Peak torque of the motor: "38 N m".')] = None,
     torque_margin: Annotated[
         float | None,
-        _quantity("Motor torque wanted, over that of the motion; 6 to 10 for step tables."),
+        _quantity("Motor torque over the torque of the motion; 6 to 10 for step tables."),
     ] = None,
     move: Annotated[str | None, _quantity('Distance of a repeated move: "50 mm".')] = None,
     move_time: Annotated[str | None, _quantity('Duration of --move: "80 ms".')] = None,
@@ -68,17 +69,17 @@ def size(
         ),
     ] = 1.0 / 3.0,
     encoder_lines: Annotated[
-        float | None, _quantity("Lines a motor turn; four counts each.")
+        float | None, _quantity("Encoder lines per motor turn; four counts each.")
     ] = None,
     count_rate: Annotated[
-        str | None, _quantity('What the counter can follow: "1e6 count/s".')
+        str | None, _quantity('Highest rate of the counter: "1e6 count/s".')
     ] = None,
     json: JsonOption = False,
 ) -> None:
     """Size a machine: speed, acceleration, gear, motor and encoder from the product's demands.
 
-    Every line has its formula and the source of the formula; a line is left out where a value for
-    it is missing. Exit status: 0, or 2 for wrong input.
+    Every line has its formula and source; a line is left out if one of its values is missing.
+    Exit status: 0, or 2 for wrong input.
 
     Example: threadline size --needle-speed "75 stitch/s" --stitch-length "0.1 in"
     --placement "0.02 in"

@@ -1,7 +1,7 @@
 """Start of the program, before its commands are imported.
 
-Interrupts are handled before the commands are imported, which takes seconds: an interrupt ends in
-one line then, too.
+Importing the commands takes seconds. Interrupts are handled before, so that one then also ends in
+a single line.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def run() -> None:
     _silence_libraries()
     _calculate_on_one_thread()
     _draw_into_files()
-    with leaving_on_interrupt():  # behind the command, too, while the interpreter ends
+    with leaving_on_interrupt():  # also after the command, while the interpreter ends
         from threadline.cli.main import main
 
         main()
@@ -32,14 +32,14 @@ def run() -> None:
 def _open_streams() -> None:
     """Open standard streams that were closed, and let each of them take any text.
 
-    The next file that is opened would otherwise get the number of a closed stream, and with it
-    what is printed there.
+    Otherwise the next opened file would get the descriptor of a closed stream, and printed text
+    would land in that file.
     """
     for number in range(_STREAMS):
         try:
             os.fstat(number)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free descriptor: this one
     if sys.stdout is None:
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
     if sys.stderr is None:
@@ -50,7 +50,7 @@ def _open_streams() -> None:
 
 
 def _silence_libraries() -> None:
-    """Keep what libraries say to programmers off standard error, unless ``python -W`` asks."""
+    """Keep libraries' warnings for programmers off standard error, unless ``python -W`` asks."""
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
     logging.lastResort = None
@@ -59,16 +59,16 @@ def _silence_libraries() -> None:
 def _calculate_on_one_thread() -> None:
     """Let BLAS multiply numpy's matrices on one thread, unless the environment says otherwise.
 
-    The matrices are small: threads wait for each other longer than they calculate, and a sum that
-    is split among cores is rounded differently for each number of cores. BLAS reads the variable
-    when numpy is imported.
+    The matrices are small: several threads wait longer than they calculate. A sum split among
+    cores is rounded differently for each number of cores. BLAS reads the variable when numpy is
+    imported.
     """
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
 
 
 def _draw_into_files() -> None:
-    """Let matplotlib draw into files alone; it fails of the name of a backend that it lacks."""
+    """Let matplotlib draw into files only; it fails if it is set to a backend that it lacks."""
     os.environ["MPLBACKEND"] = "agg"
 
 

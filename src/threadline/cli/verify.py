@@ -1,4 +1,4 @@
-"""``threadline verify``: whether a proof still holds for its files as they are now."""
+"""``threadline verify``: check that a proof still matches its files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadline.verdict.types import Level
 
 _SIGNED = {
     "none": "Not signed: the measured values are those in the file, whoever wrote it.",
-    "not checked": "Signed: --key KEY says whether with your key.",
+    "not checked": "Signed; give --key KEY to check the signature.",
     "good": "Signed with this key, and unchanged since.",
 }
 
@@ -25,12 +25,12 @@ def verify(
     key: KeyOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Plan again from the files that PROOF names, and say whether it is still a proof of them.
+    """Plan again from the files that PROOF names, and check that the proof still matches them.
 
     Job, machine, options, specification, the rows of the commands and the version of the program
-    must be what they were, and the verdict must follow from the criteria. Nothing is simulated
-    again: hashes do not show who wrote the measured values. --key does, or prove the job again,
-    which gives the same bytes.
+    must be unchanged, and the verdict must follow from the criteria. Nothing is simulated again,
+    and hashes do not show who wrote the measured values: check a signature with --key, or prove the
+    job again, which gives the same bytes.
 
     Exit status: 0 when nothing has changed and the work is in spec, 1 when it is out of spec, 2
     when something has changed or cannot be read.
@@ -42,7 +42,7 @@ def verify(
     differences = verify_proof(known)
     if differences:
         raise ProofError(
-            f"it is no proof of what there is now: {'; '.join(map(str, differences))}",
+            f"the proof does not match its files any more: {'; '.join(map(str, differences))}",
             place=Place(str(proof)),
             remedy="Prove the job again.",
         )

@@ -1,4 +1,4 @@
-"""Warnings of every command: of its machine, its job, and more."""
+"""Warnings of every command: about its machine, its job, and its options."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from threadline.machine import Machine
 
 
 def warn(machine: Machine, job: Job, more: Iterable[str] = (), *, own_feed: bool) -> None:
-    """Warn of suspicious values of ``machine`` and ``job``, and of ``more``.
+    """Warn of suspicious values of ``machine`` and ``job``, and print the warnings in ``more``.
 
-    The feeds of the job itself matter with ``own_feed`` alone, where no other is asked for.
+    ``own_feed``: the job runs at its own feeds, which are then checked too.
     """
     tell([*suspicions(machine), *job.suspicions(own_feed=own_feed), *more])
 
 
 def tell(warnings: Iterable[str]) -> None:
-    """Tell warnings once the command has answered."""
+    """Print warnings once the command has answered."""
     for said in warnings:
         warning(said)

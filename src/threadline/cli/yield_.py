@@ -1,4 +1,4 @@
-"""``threadline yield``: which share of the machines within the tolerances is in specification."""
+"""``threadline yield``: the share of machines within the tolerances that are in specification."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from threadline.cli.found import command_line
 from threadline.cli.output import check_outputs, print_json, print_table, progress_bar, say
 from threadline.cli.warn import tell, warn
 from threadline.cli.yield_tables import (
-    Why,
+    Sensitivities,
     counted,
+    sensitivities_of,
+    sensitivity_content,
     set_content,
+    show_sensitivities,
     show_set,
-    show_why,
-    why_content,
-    why_of,
     yield_words,
 )
 from threadline.commands.plan import Plan
@@ -60,25 +60,25 @@ from threadline.verdict.types import Level
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
-    """How many machines ``threadline yield`` draws, and what it says and keeps of them."""
+    """Options of ``threadline yield``: sample size, seed, sensitivity, wanted yield, files."""
 
     variants: Annotated[
         int, typer.Option(min=1, max=10_000_000, help="How many machines are drawn.")
     ] = 10_000
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the drawn machines.")] = 1
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the drawn machines.")] = 1
     why: Annotated[
         bool,
         typer.Option(
             "--why",
-            help="Also tell what the yield depends on: the share of each number in the variance, "
-            "and the yield with its tolerance halved.",
+            help="Also print what the yield depends on: the share of each tolerance in the "
+            "variance, and the yield with that tolerance halved.",
         ),
     ] = False
     at_least: Annotated[
         str | None,
         typer.Option(
-            help='The yield wanted, "99 %": where the lower end of the interval is below it, the '
-            "cheapest set of tolerances that reaches it is searched."
+            help='The yield wanted, "99 %": if the lower end of the confidence interval is below '
+            "it, the cheapest set of tolerances that reaches it is searched."
         ),
     ] = None
     worst: Annotated[
@@ -87,9 +87,7 @@ class Drawing:
     ] = None
     resume: Annotated[
         Path | None,
-        typer.Option(
-            help="Keep the results of the machines in this file, and go on from those it has."
-        ),
+        typer.Option(help="Keep the results of the machines in this file, and resume from it."),
     ] = None
 
 
@@ -103,11 +101,11 @@ def yield_(
 ) -> None:
     """Draw machines within the tolerances of the machine file, and say how many are in spec.
 
-    All get the commands of JOB as planned for the machine as its file says. Encoders, friction and
-    supply are nominal but for their own tolerances.
+    All machines get the commands of JOB as planned for the nominal machine. Encoders, friction and
+    supply vary only within their own tolerances.
 
-    Exit status: 0 when every machine that was drawn is in spec (with --at-least: when so many are),
-    1 when not, 2 wrong input.
+    Exit status: 0 when every drawn machine is in spec (with --at-least: when enough are), 1 when
+    not, 2 wrong input.
 
     Example: threadline yield examples/x-180.prg -m lathe-winder --variants 1000
     """
@@ -130,14 +128,14 @@ def yield_(
             variants, seed, counted(progress, "simulating and judging machines", variants), state
         )
         bad = judged.worst(found, counted(progress, "looking for the worst machine"))
-        hangs = why_of(judged, variants, seed, progress) if drawing.why else None
+        sensitivities = sensitivities_of(judged, variants, seed, progress) if drawing.why else None
         enough = found.passed == variants if wished is None else found.interval[0] >= wished
         better = None
         if wished is not None and not enough:
             told_set = counted(progress, "looking for the cheapest set of tolerances")
             machines = MACHINES if judged.together else min(MACHINES, variants)
             better = cheapest_set(judged, wished, seed, machines=machines, done=told_set)
-        level = Level.TOLERANCES if wished is None else Level.YIELD
+        level = Level.DRAWN
         title = f"{plan.job.name} on {chosen.name}: {_words(found, level)}"
         drawn = None
         with together(worst):
@@ -152,9 +150,9 @@ def yield_(
         more: dict[str, Any] = {} if drawn is None else {"report": str(drawn)}
         more |= {} if worst is None else {"command": again}
         more |= {} if better is None else {"cheapest": set_content(better, judged)}
-        print_json(_content(found, bad, judged, hangs, level) | more)
+        print_json(_content(found, bad, judged, sensitivities, level) | more)
     else:
-        _show(found, bad, judged, hangs, title)
+        _show(found, bad, judged, sensitivities, title)
         say(_words(found, level))
         if better is not None:
             show_set(better, judged, at_least or "")
@@ -184,14 +182,14 @@ def _check_files(
 
 
 def _drawn(found: Yield, title: str, folder: Path) -> Path:
-    """Draw a yield into a folder; return the path of the picture."""
+    """Draw the histograms of a yield into a folder; return the path of the picture."""
     from threadline.report.searches import write_yield  # slow to import: it draws
 
     return write_yield(found, title, folder)
 
 
 def _check_reachable(variants: int, wished: float, text: str) -> None:
-    """Refuse a wish that so few machines cannot prove, even if all of them are in spec."""
+    """Refuse a wanted yield that so few machines cannot prove, even if all are in spec."""
     best = clopper_pearson(variants, variants)[0]
     if best < wished:
         tail = 0.5 * (1.0 - CONFIDENCE)
@@ -203,15 +201,15 @@ def _check_reachable(variants: int, wished: float, text: str) -> None:
 
 
 def _opened(file: Path, plan: Plan, spec: Spec, seed: int) -> YieldState:
-    """Return the results that ``file`` has already; warn if its last line was cut short."""
+    """Return the results already in ``file``; warn if its last line was cut short."""
     state = YieldState(file, _identity(plan, spec, seed))
     if state.cut:
-        tell([f"{file.name}: its last line was cut short, and is worked out again"])
+        tell([f"{file.name}: its last line was cut short; that machine is simulated again"])
     return state
 
 
 def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:
-    """Return all that the results depend on: a file with other values is refused."""
+    """Return everything that the results depend on: a file with other values is refused."""
     return {
         "job": plan.job.sha256,
         "machine": plan.machine.sha256,
@@ -223,13 +221,13 @@ def _identity(plan: Plan, spec: Spec, seed: int) -> dict[str, str]:
 
 
 def _words(found: Yield, level: Level) -> str:
-    """Return how many machines are in spec, between which shares all are, and the level of it."""
+    """Return the count in spec, its confidence interval and the level, in words."""
     text = f"{found.passed} of {found.found.runs} machines in spec, {yield_words(found.interval)}"
     return f"{text} of all ({level}: one run of each)"
 
 
 def grouped(reasons: dict[str, str]) -> dict[str, list[str]]:
-    """Return names by their reason.
+    """Return names grouped by their reason.
 
     >>> grouped({"a": "exact", "b": "far", "c": "exact"})
     {'exact': ['a', 'c'], 'far': ['b']}
@@ -252,17 +250,17 @@ def _show(
     found: Yield,
     bad: Worst,
     judged: MachineYield,
-    hangs: Why | None,
+    sensitivities: Sensitivities | None,
     title: str,
 ) -> None:
     header = ["criterion", "half up to", "99 % up to", "most", "limit", "failed"]
     print_table(title, header, [_row(row) for row in limited_rows(found)])
-    if hangs is not None:
-        show_why(hangs, judged)
+    if sensitivities is not None:
+        show_sensitivities(sensitivities, judged)
     how = "of all corners" if bad.of_corners else "found by steps from the worst drawn"
     say(f"worst machine, {how}: {bad.used}")
     if judged.left_out:
-        say(f"not judged, for it compares runs of one machine: {', '.join(judged.left_out)}")
+        say(f"not judged, because it compares runs of one machine: {', '.join(judged.left_out)}")
     for why, names in grouped(not_drawn(judged.plan.machine)).items():
         say(f"the same in every machine, {why}: {', '.join(names)}")
 
@@ -271,7 +269,7 @@ def _content(
     found: Yield,
     bad: Worst,
     judged: MachineYield,
-    hangs: Why | None,
+    sensitivities: Sensitivities | None,
     level: Level,
 ) -> dict[str, Any]:
     low, high = found.interval
@@ -311,8 +309,8 @@ def _content(
             "numbers": bad.numbers,
         },
     }
-    if hangs is not None:
-        content["why"] = why_content(hangs, judged)
+    if sensitivities is not None:
+        content["why"] = sensitivity_content(sensitivities, judged)
     return content
 
 

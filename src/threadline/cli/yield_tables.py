@@ -1,4 +1,4 @@
-"""What a yield depends on, and the cheapest tolerances, as tables and as JSON content."""
+"""Sensitivities of a yield, and the cheapest tolerances, as tables and as JSON content."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from threadline.search.machine_yield import Done, MachineYield, shares_of
 
 _MACHINES = MACHINES
 _SAMPLES = 256
-_SAMPLES_ALONE = 16  # where machines go one by one
+_SAMPLES_ALONE = 16  # where machines are simulated one by one
 
 
 def counted(progress: Progress, what: str, total: int | None = None) -> Done:
-    """Return what tells the progress of a stage from the machines that it has judged.
+    """Return a callback that reports progress from the number of machines judged.
 
-    Of a search nobody knows how many it will take: it tells how many it took so far.
+    A search has no known total: it reports how many machines it has tried.
     """
     through = 0
 
@@ -39,17 +39,17 @@ def counted(progress: Progress, what: str, total: int | None = None) -> Done:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Why:
-    """What the yield depends on.
+class Sensitivities:
+    """Sensitivity of the yield to each tolerance.
 
     Parameters
     ----------
     indices
         Sobol indices of the largest share of a limit.
     halved
-        (n,) yield of ``machines`` machines, with the tolerance of one of the n numbers halved.
+        (n,) yield of ``machines`` machines, with one of the n tolerances halved.
     own
-        Yield of the same machines with every tolerance as it is in the file.
+        Yield of the same machines with every tolerance as in the file.
     """
 
     indices: Influence
@@ -58,8 +58,10 @@ class Why:
     machines: int
 
 
-def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -> Why:
-    """Return what the yield depends on; of no more machines than drawn where they go one by one."""
+def sensitivities_of(
+    judged: MachineYield, variants: int, seed: int, progress: Progress
+) -> Sensitivities:
+    """Return the sensitivities; use at most ``variants`` machines if simulated one by one."""
     normal = [number.normal for number in judged.numbers]
     machines = _MACHINES if judged.together else min(_MACHINES, variants)
     samples = _SAMPLES if judged.together else _SAMPLES_ALONE
@@ -73,24 +75,24 @@ def why_of(judged: MachineYield, variants: int, seed: int, progress: Progress) -
     indices = influence(result, normal, samples, seed)
     own = judged.drawn(machines, seed, done).share
     halved = judged.halved(machines, seed, done)
-    return Why(indices=indices, halved=halved, own=own, machines=machines)
+    return Sensitivities(indices=indices, halved=halved, own=own, machines=machines)
 
 
-def show_why(hangs: Why, judged: MachineYield) -> None:
-    """Print what the yield depends on, the number with the largest total index first."""
-    indices = hangs.indices
+def show_sensitivities(sensitivities: Sensitivities, judged: MachineYield) -> None:
+    """Print the sensitivities, the number with the largest total index first."""
+    indices = sensitivities.indices
     rows = [
         [
             number.name,
             _within(indices.first[k], indices.first_interval[:, k]),
             _within(indices.total[k], indices.total_interval[:, k]),
-            f"{100.0 * hangs.halved[k]:.2f} %",
+            f"{100.0 * sensitivities.halved[k]:.2f} %",
         ]
         for k, number in enumerate(judged.numbers)
     ]
     rows = [rows[k] for k in np.argsort(-indices.total, kind="stable")]
     head = ["number", "alone", "with others", "yield if halved"]
-    own = f"of {hangs.machines} machines {hangs.own:.2%} in spec"
+    own = f"of {sensitivities.machines} machines {sensitivities.own:.2%} in spec"
     print_table(f"what the yield depends on; {own}", head, rows)
 
 
@@ -101,12 +103,12 @@ def _within(share: float, ends: FloatArray) -> str:
     return f"{round(float(share), 2) + 0.0:.2f} ({low} to {high})"
 
 
-def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
-    """Return what the yield depends on as JSON content."""
-    indices = hangs.indices
+def sensitivity_content(sensitivities: Sensitivities, judged: MachineYield) -> dict[str, Any]:
+    """Return the sensitivities as JSON content."""
+    indices = sensitivities.indices
     return {
-        "machines": hangs.machines,
-        "yield": hangs.own,
+        "machines": sensitivities.machines,
+        "yield": sensitivities.own,
         "numbers": [
             {
                 "name": number.name,
@@ -114,7 +116,7 @@ def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
                 "first_interval": indices.first_interval[:, k].tolist(),
                 "total": float(indices.total[k]),
                 "total_interval": indices.total_interval[:, k].tolist(),
-                "yield_if_halved": float(hangs.halved[k]),
+                "yield_if_halved": float(sensitivities.halved[k]),
             }
             for k, number in enumerate(judged.numbers)
         ],
@@ -122,7 +124,7 @@ def why_content(hangs: Why, judged: MachineYield) -> dict[str, Any]:
 
 
 def yield_words(interval: tuple[float, float]) -> str:
-    """Return between which shares a yield lies, rounded outwards: it never reads better than it is.
+    """Return a confidence interval in words, rounded outwards: never better than it is.
 
     >>> yield_words((0.989979, 0.99742)), yield_words((0.025 ** (1 / 10_000), 1.0))
     ('98.99 to 99.75 %', 'at least 99.963 %')
@@ -154,7 +156,7 @@ def show_set(found: CheapestSet, judged: MachineYield, wished: str) -> None:
 
 
 def set_content(found: CheapestSet, judged: MachineYield) -> dict[str, Any]:
-    """Return the tolerances to halve and the yield they give as JSON content."""
+    """Return the tolerances to halve and the resulting yield as JSON content."""
     return {
         "reached": found.reached,
         "halvings": found.halvings,

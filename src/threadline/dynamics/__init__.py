@@ -1,4 +1,4 @@
-"""Equations of motion of a machine, their analysis, and the control that is designed from them."""
+"""Equations of motion of a machine, their analysis, and control design."""
 
 from __future__ import annotations
 

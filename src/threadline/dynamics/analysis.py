@@ -1,4 +1,4 @@
-"""A motor with its amplifier on its own, as identified before a load is connected."""
+"""Analysis of an axis: its motor without load, its loop's margins and poles, and its modes."""
 
 from __future__ import annotations
 
@@ -31,19 +31,18 @@ _SINGULAR = 1e-12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Actuator:
-    """The response from the controller's voltage to the motor's speed, with every link removed.
+    """Response of the motor's speed to the controller's voltage, with every link removed.
 
     Parameters
     ----------
     dc_gain
-        Steady speed per volt, rad/s/V (m/s/V for a linear motor); None where the speed never
-        settles.
+        Steady speed per volt, rad/s/V (m/s/V for a linear motor); None if the speed never settles.
     loaded_dc_gain
-        Steady speed per volt with the load of the axis moving along, in the same unit.
+        Steady speed per volt with the load of the axis, in the same unit.
     poles
         (n,) rad/s, without the integrator from speed to position.
     natural_rad_s, damping
-        Natural frequency and damping ratio of the complex pole pair; None where all poles are real.
+        Natural frequency and damping ratio of the complex pole pair; None if all poles are real.
     delay_s
         Dead time between a voltage and its effect.
     """
@@ -82,9 +81,9 @@ def actuator_of(machine: Machine, axis: str) -> Actuator:
 
 
 def fastest(machine: Machine, axis: str) -> float | None:
-    """Return the speed of an axis that its motor reaches alone at full output, in m/s or rad/s.
+    """Return the steady speed of an axis at full output of the motor without load, m/s or rad/s.
 
-    Nothing behind a belt can hurry it further for long. None where that speed never settles.
+    A load behind a belt cannot exceed it for long. None if the speed never settles.
     """
     dc_gain, amplifier = actuator_of(machine, axis).dc_gain, machine.drive_of(axis).amplifier
     if dc_gain is None:
@@ -119,23 +118,23 @@ _LEAST_GAIN, _MOST_GAIN = 1e-100, 1e100  # V/count: their squares are still fini
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LoopFigures:
-    """Figures of a loop by one of its two models.
+    """Stability figures of a loop, from one of its two models.
 
     Parameters
     ----------
     model
         The model: ``"sampled"`` or ``"continuous"``.
     grid_rad_s, response
-        (k,) frequencies, fine enough to follow the open-loop response, and the response there.
+        (k,) frequencies, fine enough to follow the open-loop response, and that response.
     margins
         Crossovers and margins of the open loop.
     poles
-        Closed-loop poles in the s plane, rad/s, the rightmost first.
+        Closed-loop poles in the s plane, rad/s, rightmost first.
     unstable
-        Number of closed-loop poles that are unstable.
+        Number of unstable closed-loop poles.
     bandwidth_hz
-        Frequency at which the closed loop, seen at the sensor, has fallen by 3 dB; None where it
-        never does.
+        Frequency at which the closed loop, at the sensor, has fallen by 3 dB; None if it never
+        falls.
     """
 
     model: Model
@@ -153,7 +152,7 @@ class LoopFigures:
 
     @property
     def gain_margin(self) -> float | None:
-        """Factor on the gain at which stability changes; None where it never does."""
+        """Factor on the gain at which stability changes; None if it never changes."""
         return self.margins.gain_margin(self.stable)
 
     def as_json(self) -> dict[str, Any]:
@@ -185,19 +184,18 @@ class AxisAnalysis:
     axis, loop
         Name of the axis, and its loop.
     sampled, continuous
-        Figures of the true sampled loop, and of the continuous one with its exact dead time.
+        Figures of the sampled loop, and of the continuous loop with exact dead time.
     routh_gains
-        Intervals of factors on the gain that keep the loop stable, by the textbook's method:
-        Routh's array with Pade's first-order approximation of the dead time. None where loops share
-        bodies.
+        Intervals of gain factors with a stable loop, by the textbook method: Routh's array with
+        Pade's first-order approximation of the dead time. None where loops share bodies.
     locked, free
-        Modes with the motors held still, and with the motors turning freely.
+        Modes with locked motors, and with free motors.
     actuator
-        The motor on its own.
+        The motor without load.
     plant_poles, plant_zeros
         Poles and zeros of the plant from this axis' voltage to its sensor, rad/s.
     steps
-        Step responses by output, ``"measured"`` and ``"load"``; without those that have none.
+        Step responses by output, ``"measured"`` and ``"load"``, as far as they exist.
     """
 
     axis: str
@@ -214,7 +212,7 @@ class AxisAnalysis:
 
     @property
     def stable(self) -> bool:
-        """Whether the true sampled loop is stable."""
+        """Whether the sampled loop is stable."""
         return self.sampled.stable
 
     def verdict(self) -> str:
@@ -222,7 +220,7 @@ class AxisAnalysis:
         return _verdict(self.axis, self.sampled)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the analysis as JSON content, with the figures of the sampled loop at its top."""
+        """Return the analysis as JSON content, with the sampled loop's figures at top level."""
         motor = self.actuator
         return {
             **self.sampled.as_json(),
@@ -279,14 +277,14 @@ def analyse_axis(machine: Machine, axis: str) -> AxisAnalysis:
 
 
 def _check_gain(machine: Machine, loop: Loop) -> None:
-    """Refuse a loop whose controller puts out nothing, or more than numbers can hold."""
+    """Refuse a loop whose controller has a gain of zero, or a gain outside numerical range."""
     most = float(np.abs(loop.filters[loop.index].numerator).max())
     if _LEAST_GAIN <= most <= _MOST_GAIN:
         return
     what = (
-        "gives 0 V whatever the error, so there is no loop to analyse"
+        "gives 0 V for any error, so there is no loop to analyse"
         if most == 0.0
-        else f"gives {most:.3g} V for an error of a count, which is beyond "
+        else f"gives {most:.3g} V for an error of a count, outside "
         f"{_LEAST_GAIN:g} ... {_MOST_GAIN:g}"
     )
     raise MachineError(
@@ -302,7 +300,7 @@ def analyse(machine: Machine) -> dict[str, AxisAnalysis]:
 
 
 def loop_figures(loop: Loop, model: Model) -> LoopFigures:
-    """Return the figures of a loop by one of its two models.
+    """Return the figures of a loop from one of its two models.
 
     Raises
     ------
@@ -316,7 +314,7 @@ def loop_figures(loop: Loop, model: Model) -> LoopFigures:
         closed_loop = loop.closed()
         z = closed_loop.eigenvalues()
         unstable = len(off_the_circle(closed_loop.A))
-        # The motion of a pole within a tenth of the origin decays in a tick: its s says nothing.
+        # A pole within 0.1 of the origin decays within a tick, so its s has no meaning.
         poles = np.asarray(np.log(z[np.abs(z) > 0.1]) / loop.period_s, dtype=np.complex128)
     else:
         try:
@@ -363,8 +361,8 @@ def _verdict(axis: str, figures: LoopFigures) -> str:
 def unstable_loops(machine: Machine) -> list[str]:
     """Return one sentence, with the margin, for every axis whose sampled loop is unstable.
 
-    The continuous loop is not computed: with a clock a thousand times too slow, its half tick of
-    dead time turns the response thousands of times.
+    The continuous loop is not computed: if a clock is a thousand times too slow, its dead time of
+    half a tick turns the phase thousands of times.
     """
     found = []
     for axis, loop in axis_loops(machine).items():
@@ -375,7 +373,7 @@ def unstable_loops(machine: Machine) -> list[str]:
 
 
 def _routh(loop: Loop) -> tuple[tuple[float, float], ...]:
-    """Return the stable gains by Routh's array with Pade's dead time; s is in 100 rad/s."""
+    """Return the stable gains by Routh's array with a Pade dead time; s is in 100 rad/s."""
     own, digital = loop.own(), loop.filters[loop.index]
     chain, zeros, poles = chain_of(own), zeros_of(own), own.poles()
     degree = len(poles) - len(zeros)

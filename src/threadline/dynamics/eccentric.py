@@ -1,9 +1,9 @@
-"""An axis with rigid links: the motion of its bodies, and the force and current that it takes.
+"""An axis with rigid links: motion, force and current; and play that varies with an eccentric.
 
-The full width is ``play + width cos(angle)``. A piecewise linear system has no cosine, so each turn
-is divided into 80 straight pieces, which differ from it by at most 2e-4 of ``width``. On a piece
-the edge of the band is ``level + slope angle``. The force of the contact acts along the stretch, as
-without eccentricity; its moment on the gear itself, ``slope`` times as large, is neglected.
+The full width of the play is ``play + width cos(angle)``. A piecewise linear system has no cosine,
+so 80 straight pieces per turn approximate it to within 2e-4 of ``width``. On a piece the edge of
+the band is ``level + slope angle``. The contact force acts along the stretch, as without
+eccentricity; its moment on the gear, ``slope`` times as large, is neglected.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from threadline.machine import Machine
 from threadline.machine.parts import Eccentric
 from threadline.machine.quantity import LEAST_SI
 
-_CREEP = 1e-12  # m/s or rad/s: sliding, and nothing else
+_CREEP = 1e-12  # m/s or rad/s: slow enough for friction only
 
 
 def current_needed(
@@ -35,7 +35,7 @@ def current_needed(
     Raises
     ------
     MachineError
-        If the axis moves without its drive.
+        If the drive does not turn with the axis.
     """
     rates = rigid_motion(machine, axis)
     drive = machine.drive_of(axis)
@@ -45,13 +45,13 @@ def current_needed(
 
 
 def drive_needs(machine: Machine, axis: str) -> tuple[FloatArray, FloatArray]:
-    """Return what an axis needs of its motor, all links rigid: current in A, voltage in V.
+    """Return the current in A and voltage in V that an axis needs, all links rigid.
 
     Returns
     -------
     tuple
-        Two (3,): to overcome sliding friction, more for 1 m/s or rad/s, and more for 1 m/s^2 or
-        rad/s^2; the voltage is that across the winding.
+        Two arrays (3,): for sliding friction, additionally per m/s or rad/s, and additionally per
+        m/s^2 or rad/s^2. The voltage is across the winding.
     """
     drive = machine.drive_of(axis)
     turning = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
@@ -66,15 +66,15 @@ def drive_needs(machine: Machine, axis: str) -> tuple[FloatArray, FloatArray]:
 def drive_limits(
     machine: Machine, axis: str, current: FloatArray, winding: FloatArray
 ) -> list[tuple[float, FloatArray, str]]:
-    """Return the limits of an axis' drive, each beside the needs that it is a limit of.
+    """Return the limits of an axis' drive, each with the needs to compare with it.
 
-    They are those of the controller's output and of the winding's voltage in V, and of the current
-    in A; infinite where the file has none. ``current`` and ``winding`` are as from ``drive_needs``.
+    Limits are the controller's output and the winding's voltage in V, and the current in A;
+    infinite where the file gives none. ``current`` and ``winding`` come from ``drive_needs``.
 
     Returns
     -------
     list
-        Limit, (3,) needs in its unit, and what the limit is called.
+        Limit, (3,) needs in its unit, and a format string with the name of the limit.
     """
     amplifier = machine.drive_of(axis).amplifier
     told = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
@@ -110,7 +110,7 @@ def drive_unit(machine: Machine, axis: str) -> str:
 
 
 def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
-    """Return the angle of an axis's drive, in rad (m), for 1 m or rad of the axis.
+    """Return the motion of an axis's drive, in rad (m), per m or rad of the axis.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
     Raises
     ------
     MachineError
-        If the drive does not turn, or too little for a division by it.
+        If the drive does not turn, or turns too little for a division.
     """
     source = machine.source_of(axis)
     if source is not None:
@@ -129,16 +129,16 @@ def drive_rate(machine: Machine, axis: str, rates: dict[str, float]) -> float:
         turning = sum(q.si * rates[b] for b, q in machine.drive_of(axis).acts_on.items())
     if abs(turning) < LEAST_SI:
         raise MachineError(
-            f"axes.{axis}: its load moves, and its drive does not turn with it",
-            remedy="Look at the links between them, and at what the drive acts on.",
+            f"axes.{axis}: its drive does not turn when its load moves",
+            remedy="Correct the links between them, or the bodies that the drive acts on.",
         )
     return turning
 
 
 def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
-    """Return the rate of every body when the axis moves at 1 m/s or rad/s and nothing stretches.
+    """Return the rate of every body when the axis moves at 1 m/s or rad/s, all links rigid.
 
-    Bodies that are not connected with the axis have the rate 0.
+    Bodies without connection to the axis have the rate 0.
     """
     bodies = list(machine.bodies)
     rows: list[FloatArray] = []
@@ -155,7 +155,7 @@ def rigid_motion(machine: Machine, axis: str) -> dict[str, float]:
         rows.append(_row(bodies, {b: q.si / part.counts.si for b, q in sensor.reads.items()}))
     wanted = np.zeros(len(rows))
     wanted[-1] = 1.0
-    # Lengths and angles differ by orders of magnitude: the least squares are scaled per body.
+    # Lengths and angles differ by orders of magnitude, so least squares are scaled per body.
     matrix = np.array(rows)
     scale = np.maximum(np.abs(matrix).max(axis=0), 1e-30)
     solution = np.linalg.lstsq(matrix / scale, wanted, rcond=None)[0] / scale
@@ -172,17 +172,16 @@ _MOST_PIECES = 20_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Band:
-    """A dead band of straight pieces, for V variants.
+    """A varying dead band of straight pieces, for V variants.
 
     Parameters
     ----------
     angle, angle_rate
-        (V, N) rows that give the gear's angle, counted from the start of the machine, and its rate.
+        (V, N) rows of the gear's angle, counted from the start of the machine, and of its rate.
     width, phase
         (V,) amplitude of the full width; angle of the gear at the start, rad.
     first, last
-        Number of the first piece, and one more than that of the last; piece j begins at j / 80
-        turns.
+        Range of pieces, ``last`` excluded; piece j begins at j / 80 turns.
     """
 
     angle: FloatArray
@@ -196,7 +195,7 @@ class Band:
 def pieces_needed(
     machine: Machine, link: str, eccentric: Eccentric, start: dict[str, float], phase: FloatArray
 ) -> tuple[int, int]:
-    """Return ``first`` and ``last`` of a band for all travels and a turn beyond on either side.
+    """Return ``first`` and ``last`` of a band that covers all travel and a turn on either side.
 
     Parameters
     ----------
@@ -234,7 +233,7 @@ def pieces_needed(
             f"links.{link}.eccentric: the gear makes {(last - first) / PIECES_A_TURN:.0f} turns "
             f"over the travel, limit {_MOST_PIECES // PIECES_A_TURN}",
             place=machine.place,
-            remedy="Correct its angle, or leave the eccentricity out.",
+            remedy="Correct its angle, or omit the eccentricity.",
         )
     return first, last
 
@@ -251,8 +250,8 @@ def eccentric_play(
 ) -> Element:
     """Return a spring and damper behind a dead band whose width varies with a gear's angle.
 
-    On every piece of the band it has the modes of ``elements.play``: free, touching above and below
-    and, where the contact is damped, separating above and below.
+    Every piece of the band has the modes of ``elements.play``: free, touching above and below and,
+    with damping, separating above and below.
 
     Parameters
     ----------
@@ -263,12 +262,12 @@ def eccentric_play(
     stiffness, damping, play
         (V,) stiffness and damping of the spring, and the mean full width of the band.
     band
-        How the width varies.
+        The variation of the width.
     """
     damped = bool((damping > 0).any())
     kinds = 5 if damped else 3
     begins = int(np.floor(float(band.phase.mean()) / (2.0 * np.pi) * PIECES_A_TURN))
-    # The simulation starts in mode 0, so pieces are numbered from the one that it starts on.
+    # The simulation starts in mode 0, so pieces are numbered from the piece at the start.
     order = [*range(begins, band.last), *range(band.first, begins)]
     number = {piece: at for at, piece in enumerate(order)}
     modes: list[Mode] = []
@@ -301,10 +300,9 @@ def eccentric_play(
 
 
 def _edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatArray]:
-    """Return half the width on a piece as a (V, N) row, and its slope (V,) against the angle."""
+    """Return half the width on a piece as (V, N) rows, and its slope (V,) over the angle."""
     step = 2.0 * np.pi / PIECES_A_TURN
-    # Chords lie inside a cosine; raised, they are as far outside it at their ends as inside it
-    # half way.
+    # Chords of a cosine lie inside it; raised chords have equal errors at their ends and middle.
     raised = 2.0 / (1.0 + np.cos(0.5 * step))
     begin = np.full(len(play), raised * np.cos(piece * step))
     end = np.full(len(play), raised * np.cos((piece + 1) * step))
@@ -317,7 +315,7 @@ def _edge(band: Band, play: FloatArray, piece: int) -> tuple[FloatArray, FloatAr
 
 
 def _turned(band: Band, piece: int, number: dict[int, int], kinds: int, kind: int) -> Guard:
-    """Return the guard that leads to the pieces next to this one, in the same kind of mode."""
+    """Return the guard that leads to the adjacent pieces, in the same kind of mode."""
     step = 2.0 * np.pi / PIECES_A_TURN
     before, after = number.get(piece - 1), number.get(piece + 1)
     return Guard(

@@ -1,10 +1,10 @@
 """Elements with several force laws (limits, belts, play, friction), as modes with linear guards.
 
-An element adds ``direction * (law . z)`` to the derivative of the state, where
-``z = [states, held inputs, 1]`` and the law depends on the element's mode. A mode lasts while
-every guard ``low <= row . z <= high`` is true; the guard that is first violated names the next
-mode. A mode may also hold one state constant (of a sticking body, of a limited current); the guard
-of such a mode may watch the force that would change that state.
+An element adds ``direction * (law . z)`` to the derivative of the state, where ``z = [states, held
+inputs, 1]`` and the law depends on the element's mode. A mode lasts while every guard ``low <= row
+. z <= high`` is true; the first violated guard names the next mode. A mode may also hold one state
+constant (velocity of a sticking body, limited current); a guard of such a mode may watch the force
+that would change that state.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from threadline.base.arrays import FloatArray
 
 INFINITE = np.inf
 STAY = -1
-"""The next mode of a guard that cannot be left, because its bound is infinite."""
+"""Next mode of a guard with an infinite bound, which cannot be violated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Guard:
-    """The condition ``low <= row . z <= high``, and the modes that follow its violation.
+    """The condition ``low <= row . z <= high``, and the modes after its violation.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ class Guard:
     low, high
         (variants,) or one number for all variants.
     low_to, high_to
-        Mode that follows a value below ``low``, and one above ``high``.
+        Next mode after a value below ``low``, and after a value above ``high``.
     switch
-        Index of the limit switch that this guard stands for, -1 for none.
+        Index of the limit switch of this guard, -1 for none.
     """
 
     row: FloatArray | None
@@ -48,22 +48,22 @@ class Guard:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mode:
-    """One law of an element, and the guards that end it.
+    """A force law of an element, and the guards that end it.
 
     Parameters
     ----------
     name
-        Name of the mode, for people.
+        Name of the mode, for display.
     law
         (variants, N): the element's force (or current) is ``law . z``.
     guards
-        Conditions while which the mode lasts.
+        The mode lasts while all guards are true.
     holds
         Index of the state that is held constant, -1 for none.
     held_at
-        (variants,) value that the held state is given when the mode begins.
+        (variants,) value of the held state, set at the beginning of the mode.
     net_scale
-        (variants,) factor from the derivative of the held state to the force that guards watch.
+        (variants,) factor from the derivative of the held state to the force watched by guards.
     """
 
     name: str
@@ -76,18 +76,18 @@ class Mode:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Element:
-    """A force or current with several laws.
+    """A force or current with several modes.
 
     Parameters
     ----------
     name
         Path of its part in the machine file, such as ``"links.belt"``.
     direction
-        (variants, n): what a force (or current) of 1 adds to the derivative of each state.
+        (variants, n): contribution of a force (or current) of 1 to the derivative of each state.
     modes
-        Its laws; a simulation starts in the first.
+        Its modes; a simulation starts in the first one.
     working_mode
-        Mode in which the element is in a linear model.
+        Mode of the element in a linear model.
     """
 
     name: str
@@ -99,7 +99,7 @@ class Element:
 def working_rates(base: FloatArray, elements: Sequence[Element]) -> FloatArray:
     """Return (variants, n, N) ``base`` with every element in its working mode.
 
-    Constant parts of their laws are left out, as for small motions about a working point.
+    Constant parts of the laws are omitted, as for small motions about a working point.
     """
     rates = base.copy()
     for element in elements:
@@ -160,23 +160,23 @@ def belt(
     preload: FloatArray,
     first: FloatArray,
 ) -> Element:
-    """Return a preloaded belt of two runs, each of which pulls only while it is tight.
+    """Return a preloaded belt of two runs; each run pulls only while it is tight.
 
     The force is ``max(0, P + a s) - max(0, P - (1 - a) s)``, where ``s`` is the force of the linear
-    spring and damper. It is continuous, and once one run is slack the stiffness is that of the
-    other. Appendix C of the stitcher thesis calls the stiffnesses of the runs ``k1`` (the short
-    one) and ``k2`` (the long one).
+    spring and damper. It is continuous; when one run is slack, only the stiffness of the other
+    remains. Appendix C of the stitcher thesis calls the stiffnesses of the runs ``k1`` (the short
+    run) and ``k2`` (the long run).
 
     Parameters
     ----------
     name, direction
         As in ``Element``.
     spring
-        (variants, N): the linear law ``k stretch + c stretch'`` of both runs together.
+        (variants, N): the linear law ``k stretch + c stretch'`` of both runs.
     preload
         (variants,) tension P of each run at rest, N.
     first
-        (variants,) share ``a`` that the run which a positive stretch tightens has in the stiffness.
+        (variants,) share ``a`` of the stiffness of the run that a positive stretch tightens.
     """
     upper, lower = first[:, None] * spring, (1.0 - first)[:, None] * spring
     upper[:, -1] += preload
@@ -206,17 +206,17 @@ def play(
     width: FloatArray,
     damped: bool,
 ) -> Element:
-    """Return a spring and damper behind a dead band; a contact pushes and never pulls.
+    """Return a spring and damper behind a dead band; the contact pushes but never pulls.
 
     The force of a damped contact falls to 0 while the spring is still compressed. From then until
-    the stretch is back inside the band the mode is ``separating``.
+    the stretch re-enters the band the mode is ``separating``.
 
     Parameters
     ----------
     name, direction
         As in ``Element``.
     stretch, spring
-        (variants, N): the stretch, and the force of spring and damper without the band.
+        (variants, N): rows of the stretch, and of the force of spring and damper without the band.
     stiffness, width
         (variants,) stiffness of the spring, and full width of the band.
     damped
@@ -277,7 +277,7 @@ def motor(
     net_scale: FloatArray,
     switches: tuple[Guard, ...],
 ) -> Element:
-    """Return a motor's current: free, limited, or cut off for good by a limit switch.
+    """Return a motor's current: free, limited, or permanently cut off by a limit switch.
 
     Parameters
     ----------
@@ -288,15 +288,15 @@ def motor(
     current_limit
         (variants,) in A; None without a limit.
     voltage_modes
-        For a current amplifier with a limited supply: the currents at the upper and at the lower
-        limit of the supply, each with its sign (+1, -1). Empty for every other motor.
+        For a current amplifier with a limited supply: the currents at the upper and lower limit of
+        the supply, each with its sign (+1, -1). Otherwise empty.
     state
-        Index of the current in the state. It is -1 where the motor has no inductance, or where the
-        limit acts on the amplifier's output while the state goes on without limit.
+        Index of the current in the state; -1 for a motor without inductance, or if the limit clips
+        the amplifier's output while the state is unlimited.
     net_scale
         (variants,) factor from the derivative of that state to volts.
     switches
-        Guards of the limit switches that cut the supply; the modes that follow are set here.
+        Guards of the limit switches that cut the supply; this function sets their next modes.
     """
     none = np.zeros_like(free)
     limits = (1.0, -1.0) if current_limit is not None else ()
@@ -330,7 +330,7 @@ def motor(
             clipped[:, -1] = sign * current_limit
             towards = {"low": 0.0, "low_to": 0} if sign > 0 else {"high": 0.0, "high_to": 0}
             if state >= 0:
-                # The current is held at its limit until its voltage drives it back inside.
+                # The current stays at its limit until the voltage drives it back.
                 guard = Guard(row=None, **towards)  # type: ignore[arg-type]
             else:
                 excess = free.copy()

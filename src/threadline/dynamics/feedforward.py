@@ -1,17 +1,17 @@
-"""Exact moving averages of a piecewise polynomial: motions smooth enough for an inverse.
+"""Feed-forward: smooth a motion by moving averages, and invert the machine's dynamics.
 
-A moving average over ``w`` makes a motion once more differentiable. The average of averages of a
-piecewise polynomial is a divided difference of its repeated integral,
-``y_n(t) = prod(delta_i / w_i) I^n y(t)``, so every derivative is exact and none is taken by
-differences of samples. The averages are centred, so the motion is not delayed. Axes with the same
-widths round a corner alike, and a straight path stays straight.
+A moving average over ``w`` makes a motion differentiable once more. A repeated moving average of a
+piecewise polynomial is a divided difference of its repeated integral, ``y_n(t) = prod(delta_i /
+w_i) I^n y(t)``, so every derivative is exact, without differences of samples. The averages are
+centred, so the motion is not delayed. Axes with the same widths round a corner in the same way, and
+a straight path stays straight.
 
-A motion chip accepts nothing but position references, so the voltage of the exact inverse has to
-come out of the chip's own filter. At tick k the filter must put out the voltage that the plant
-needs one dead time and half a hold later, ``v = u(t + tau + T/2)``. The inverse of the filter's
-difference equation gives the error that produces this voltage; the reference is the predicted
-reading of the sensor plus that error. A reference holds for one reference tick, so each is
-computed for the instant half a reference tick after it is due.
+A motion chip accepts only position references, so the chip's filter must produce the voltage of the
+exact inverse. At tick k the filter must output the voltage that the plant needs one dead time and
+half a hold later, ``v = u(t + tau + T/2)``. The inverse of the filter's difference equation gives
+the error that produces this voltage; the reference is the predicted sensor reading plus that error.
+A reference holds for one reference tick, so each is computed for the instant half a reference tick
+after it is due.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class SmoothMotion(Locked):
     widths_s
         (n,) widths of the moving averages, in s.
     start_s, end_s
-        The averaged motion rests before the one and after the other.
+        The averaged motion is at rest before ``start_s`` and after ``end_s``.
     """
 
     source: PPoly
@@ -54,7 +54,7 @@ class SmoothMotion(Locked):
     end_s: float
 
     def __call__(self, time_s: FloatArray, order: int = 0) -> FloatArray:
-        """Return the (k,) derivative of an order at (k,) times."""
+        """Return the (k,) derivative of order ``order`` at (k,) times."""
         t = np.asarray(time_s, dtype=np.float64)
         n = len(self.widths_s)
         whole = (
@@ -68,7 +68,7 @@ class SmoothMotion(Locked):
         total = np.zeros_like(t)
         for signs in product((-1.0, 1.0), repeat=n):
             at = t + 0.5 * float(np.dot(signs, self.widths_s))
-            # Beyond its ends the source rests; its integrals go on as it does there.
+            # Beyond its ends the source is at rest, and its integrals are polynomials.
             total += np.prod(signs) * _beyond(whole, self.source, at, low, high, n - order)
         scale = float(np.prod(self.widths_s)) if n else 1.0
         return np.asarray(total / scale)
@@ -82,10 +82,10 @@ def smooth_motion(
     Parameters
     ----------
     break_s
-        (m + 1,) rising times.
+        (m + 1,) increasing times.
     coefficients
-        (degree + 1, m) of the position on each interval, highest power first, in the time since
-        its beginning (scipy's ``PPoly``).
+        (degree + 1, m) coefficients of the position on each interval, highest power first, in the
+        time since the start of the interval (scipy's ``PPoly``).
     widths_s
         (n,) widths of the moving averages, in s.
 
@@ -120,16 +120,16 @@ def smooth_motion(
 def _beyond(
     whole: PPoly, source: PPoly, at: FloatArray, low: float, high: float, integrals: int
 ) -> FloatArray:
-    """Return ``whole``, an integral or derivative of ``source``, which rests beyond its ends.
+    """Return ``whole``, an integral or derivative of ``source``, extended beyond its ends at rest.
 
-    ``integrals`` is the number of integrations; below 0 it is that of derivatives.
+    ``integrals`` is the number of integrations; a negative number means derivatives.
     """
     inside = np.asarray(whole(np.clip(at, low, high)), dtype=np.float64)
     if integrals <= 0:
         if integrals < 0:
             inside = np.where((at < low) | (at > high), 0.0, inside)
         return inside
-    # Taylor's series about the end: the source is constant there, its integrals are polynomials.
+    # Taylor series at the end: beyond it the source is constant and its integrals are polynomials.
     for end, out in ((low, at < low), (high, at > high)):
         if not out.any():
             continue
@@ -147,23 +147,23 @@ def _beyond(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FeedForward:
-    """References for one axis, and what they ask of its drive.
+    """References for one axis, and the voltage and current that they need.
 
     Parameters
     ----------
     reference_si
         (k,) position to command at each reference tick, m or rad, from ``start_s`` on.
     start_s
-        Time of the first reference, on the clock of the motion: earlier than the start of the
-        motion, since references act late.
+        Time of the first reference, on the clock of the motion: before the start of the motion,
+        because references act with a delay.
     period_s
         Time from reference to reference.
     followed
         Load, sensor, voltage and current at each tick of the controller.
     peak_volts, peak_current_a
-        Largest magnitudes at the controller's output and in the motor (None without a coil).
+        Largest magnitudes of the controller's output and the motor's current (None without a coil).
     volt_limit, current_limit_a
-        Largest voltage of the DAC and current of the amplifier (infinite where it has no limit).
+        Largest voltage of the DAC and current of the amplifier (infinite without a limit).
     """
 
     reference_si: FloatArray
@@ -183,7 +183,7 @@ class FeedForward:
 
     @property
     def bound_by(self) -> str:
-        """Name of the limit that the motion comes closest to: ``"current"`` or ``"voltage"``."""
+        """The limit with the least reserve: ``"current"`` or ``"voltage"``."""
         current = 0.0 if self.peak_current_a is None else self.peak_current_a / self.current_limit_a
         return "current" if current >= self.peak_volts / self.volt_limit else "voltage"
 
@@ -198,26 +198,27 @@ def feed_forward(
     settle_s: float | None = None,
     model: Values | None = None,
 ) -> FeedForward:
-    """Return the references with which the loop of ``axis`` follows ``motion``.
+    """Return the references with which the load of ``axis`` follows ``motion``.
 
     Parameters
     ----------
     motion
-        Position of the load, m or rad, with as many derivatives as there are integrations from
-        voltage to load (5 for a belt behind a motor with a coil).
+        Position of the load, m or rad, with as many derivatives as integrations from voltage to
+        load (5 for a belt behind a motor with a coil).
     start_s, end_s
-        The load rests before the one and after the other, on the clock of the motion.
+        The load is at rest before ``start_s`` and after ``end_s``, on the clock of the motion.
     settle_s
-        How long references go on after ``end_s``. By default until a swing inside the plant (of
-        the frame, say) has decayed to a thousandth: the motor has to yield to it until then.
+        Duration of references after ``end_s``. By default until an internal oscillation (of the
+        frame, for example) has decayed to a thousandth, because the motor must compensate it until
+        then.
     model
-        Numbers from which the inverse is made; those of ``machine`` when None.
+        Numbers for the inverse; None: the numbers of ``machine``.
 
     Raises
     ------
     MachineError
-        If the axis or its filter has no stable inverse, or the controller generates its own
-        positions (a ``ProfileController``).
+        If the axis or its filter has no stable inverse, or the controller generates positions
+        itself (a ``ProfileController``).
     """
     from scipy.signal import lfilter
 
@@ -231,7 +232,7 @@ def feed_forward(
     tick, step, held, early = timing.tick_s, timing.step_s, timing.held_s, timing.early_s
     lead = timing.lead_s
     begin = start_s - lead
-    # Twice as fine as the ticks: the volts are wanted in the middle of a hold.
+    # The volts are needed in the middle of a hold, hence the shift by ``early``.
     count = int(np.ceil((end_s + settle_s + lead - begin) / tick)) + 2
     ticks: FloatArray = np.asarray(begin + tick * np.arange(count))
     sensed = inverse.follow(motion, ticks)

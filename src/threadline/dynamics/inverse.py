@@ -1,21 +1,21 @@
-"""Exact steps of linear states under a force that is known at some instants of each step.
+"""Exact inverse of an axis: from the motion of its load to the controller's voltage.
 
-The solution of ``x' = Q x + f(t)`` after a step T is
-``x(T) = e^(QT) x(0) + int e^(Q(T-s)) f(s) ds``. The force is replaced by the polynomial through its
-known values, and the integral of that is exact, by the phi functions of Q T (Hochbruck and
-Ostermann, Exponential integrators, Acta Numerica 2010). Quadrature of the whole integrand would be
-far off wherever ``|Q| T`` is not small, as for the zero k/c of a damped belt.
+The solution of ``x' = Q x + f(t)`` after a step T is ``x(T) = e^(QT) x(0) + int e^(Q(T-s)) f(s)
+ds``. The force is replaced by the polynomial through its known values, whose integral is exact, by
+the phi functions of Q T (Hochbruck and Ostermann, Exponential integrators, Acta Numerica 2010).
+Quadrature of the whole integrand would be inaccurate unless ``|Q| T`` is small, for instance with
+the zero k/c of a damped belt.
 
 From the controller's voltage u to the load y there are r integrations: ``y^(r) = C A^r x + g u``.
-The states are the load's position and derivatives and, where the plant has zeros (the Y frame of
-the stitcher), inner states that follow from the motion alone, ``eta' = Q eta + R (y ... y^(r-1))``.
-The eigenvalues of Q are the zeros of the plant, and an inverse exists only where all of them decay.
-The inverse holds belt, load damping, frame, motor and coil, but no dead time: the caller sends the
-voltage that much earlier.
+The states are the load's position and derivatives and, if the plant has zeros (the Y frame of the
+stitcher), inner states that depend only on the motion, ``eta' = Q eta + R (y ... y^(r-1))``. The
+eigenvalues of Q are the zeros of the plant; an inverse exists only if all of them decay. The
+inverse includes belt, load damping, frame, motor and coil, but not the dead time: the caller sends
+the voltage earlier by it.
 
-The references of feed-forward are the inverse ``1 / T0`` of the machine as its file says, applied
-to the intended motion of the load. A machine whose closed loop is ``T`` answers with ``T / T0``.
-Dead time, the hold of the references and their grid are the same in both and cancel.
+The references of feed-forward are the inverse ``1 / T0`` of the nominal machine, applied to the
+intended motion of the load. A machine with the closed loop ``T`` responds with ``T / T0``. Dead
+time, the hold of the references and their grid are the same in both and cancel.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def decay_and_moments(Q: FloatArray, step_s: float, count: int) -> tuple[FloatAr
     step_s
         Length T of the step, in s.
     count
-        Number of powers z^k: one more than the degree of the force's polynomial.
+        Number of powers z^k: the degree of the force's polynomial + 1.
 
     Returns
     -------
@@ -66,8 +66,8 @@ def decay_and_moments(Q: FloatArray, step_s: float, count: int) -> tuple[FloatAr
 
 
 _GAUSS_AT = 0.5 + 0.5 * np.array([-np.sqrt(0.6), 0.0, np.sqrt(0.6)])
-# Coefficients, from the constant up, of the three parabolas that are 1 at one of Gauss's points and
-# 0 at the other two.
+# Coefficients, constant first, of the three parabolas that are 1 at one Gauss point and 0 at the
+# others.
 _GAUSS_BASIS = np.linalg.inv(np.vander(_GAUSS_AT, increasing=True)).T
 
 
@@ -81,7 +81,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Followed:
-    """What an axis does while its load follows a motion exactly.
+    """Sensor, voltage and current of an axis whose load follows a motion exactly.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ class Followed:
     measured_counts
         (k,) reading of the controller's sensor, in counts.
     volts
-        (k,) voltage that acts on the plant at these instants; dead time is not in it.
+        (k,) voltage that acts on the plant at these instants, without dead time.
     current_a
-        (k,) current of the motor, in A; None where the plant has no such state.
+        (k,) current of the motor, in A; None if it is not a state of the plant.
     """
 
     time_s: FloatArray
@@ -111,14 +111,14 @@ class Inverse:
     Parameters
     ----------
     axis, loop
-        Name of the axis that is inverted, and its loop.
+        Name of the axis, and its loop.
     plant
         State space, with n states, from the controller's voltage to the load in m or rad.
     chain
         The r integrations from that voltage to the load.
     from_load, from_inner
-        (n, r) and (n, n - r): the states of the plant from the load's position and derivatives, and
-        from the inner states.
+        (n, r) and (n, n - r) matrices from the load's position and derivatives, and from the inner
+        states, to the states of the plant.
     Q, R
         (n - r, n - r) and (n - r, r): ``eta' = Q eta + R (y ... y^(r-1))``.
     """
@@ -134,11 +134,11 @@ class Inverse:
 
     @property
     def degree(self) -> int:
-        """Number r of derivatives of the motion that the inverse reads; only the r-th may jump."""
+        """Number r of derivatives of the motion that the inverse needs; only the r-th may jump."""
         return self.chain.degree
 
     def follow(self, motion: Motion, time_s: FloatArray) -> Followed:
-        """Return what the axis does while the load follows ``motion`` from rest.
+        """Return sensor, voltage and current while the load follows ``motion`` from rest.
 
         Parameters
         ----------
@@ -155,7 +155,7 @@ class Inverse:
     def outputs(
         self, time_s: FloatArray, ladder: FloatArray, inner: FloatArray, start_si: float
     ) -> Followed:
-        """Return what the axis does, from the motion of its load and from its inner states.
+        """Return sensor, voltage and current, from the motion of the load and the inner states.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class Inverse:
         inner
             (k, n - degree) inner states, 0 at rest.
         start_si
-            Position at which the load rested before the motion, m or rad.
+            Position of the load before the motion, m or rad.
         """
         r = self.degree
         states = ladder[:, :r] @ self.from_load.T + inner @ self.from_inner.T
@@ -182,7 +182,7 @@ class Inverse:
         )
 
     def _rest(self, start_si: float) -> FloatArray:
-        # Inner states are counted from their value at rest, which depends on where the load rests.
+        # Inner states are counted from their values at rest, which depend on the load's position.
         if not len(self.Q) or start_si == 0.0:
             return np.zeros(len(self.plant.A))
         still = np.zeros(self.degree)
@@ -214,7 +214,7 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
     Parameters
     ----------
     values
-        Numbers from which the inverse is made; those of ``machine`` when None.
+        Numbers for the inverse; None: the numbers of ``machine``.
 
     Raises
     ------
@@ -228,12 +228,12 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
         raise MachineError(
             f"axis {axis} shares bodies with the drives of other axes",
             place=machine.place,
-            remedy="An inverse is made for axes that move on their own.",
+            remedy="Only an axis whose bodies no other drive moves has an inverse.",
         )
     plant = loop.plant.select([loop.plant.inputs[loop.index]], [f"{axis}.load"])
     chain = chain_of(plant)
     r, n = chain.degree, len(plant.A)
-    # The inner states are such combinations W x that the voltage does not act on them: W b = 0.
+    # The inner states are combinations W x on which the voltage does not act: W b = 0.
     ladder = chain.rows[:r]
     scale = np.linalg.norm(ladder, axis=1)[:, None]
     others = null_space(plant.B.T / np.linalg.norm(plant.B)).T
@@ -246,9 +246,9 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
     if len(standing):
         worst = standing[0]
         raise MachineError(
-            f"axis {axis}: its inverse does not decay, a zero lies at {worst:.4g} rad/s",
+            f"axis {axis}: its inverse is unstable, the plant has a zero at {worst:.4g} rad/s",
             place=machine.place,
-            remedy="Give the frame damping, or let the load be what its motor moves first.",
+            remedy="Give the frame damping, or define the load as the body next to the motor.",
         )
     return Inverse(
         axis=axis,
@@ -263,10 +263,10 @@ def inverse_of(machine: Machine, axis: str, values: Values | None = None) -> Inv
 
 
 def _independent(candidates: FloatArray, taken: FloatArray, count: int) -> FloatArray:
-    """Return ``count`` combinations of rows that are independent of those ``taken``."""
+    """Return ``count`` combinations of the candidates that are independent of ``taken``."""
     if count == 0:
         return np.empty((0, candidates.shape[1]))
-    # What of the candidates' space is orthogonal to the part that the taken rows fill.
+    # The part of the candidates' space that is orthogonal to the taken rows.
     inside = taken @ candidates.T @ candidates
     _, _, vectors = np.linalg.svd(inside @ candidates.T)
     rank = candidates.shape[0] - count
@@ -275,14 +275,14 @@ def _independent(candidates: FloatArray, taken: FloatArray, count: int) -> Float
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CornerResponse:
-    """The load and the motor of one machine, by frequency.
+    """Frequency response of the load and the motor of a machine.
 
     Parameters
     ----------
     load
-        (k,) velocity of the load over the intended one.
+        (k,) velocity of the load / intended velocity.
     current_s_a_m
-        (k,) current of the motor over the intended velocity, A s/m or A s/rad; None without a coil.
+        (k,) current of the motor / intended velocity, A s/m or A s/rad; None without a coil.
     """
 
     load: NDArray[np.complex128]
@@ -292,7 +292,7 @@ class CornerResponse:
 def corner_responses(
     machine: Machine, axis: str, corners: Sequence[Machine], omega_rad_s: FloatArray
 ) -> list[CornerResponse]:
-    """Return the response of each of ``corners`` to references that are planned for ``machine``.
+    """Return the response of each of ``corners`` to references planned for ``machine``.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ def corner_responses(
 def _closed(
     loop: Loop, omega: FloatArray
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128] | None]:
-    """Return the loop from its reference to its load, and the current over the load's velocity."""
+    """Return the closed loop from reference to load, and the current / the load's velocity."""
     plant = loop.plant
     coil = [k for k, name in enumerate(plant.states) if name.endswith(".i")]
     rows = [f"{loop.axis}.load", loop.sensors[loop.index]]

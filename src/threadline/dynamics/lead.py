@@ -1,10 +1,9 @@
-"""Lead filters for a crossover and a phase margin, from the exact frequency response.
+"""Design of lead filters for a crossover and a phase margin, from the exact frequency response.
 
-The filter ``K (z - A) / (z + B)`` has three numbers, and crossover and phase margin fix two of
-them. B is therefore chosen beforehand: by default 1/256, the least that the motion chip holds. At
-``z = exp(i w T)`` the phase of the zero must be
-``psi = phase margin - 180 - arg G + arg(z + B)``, which one A gives:
-``A = cos(w T) - sin(w T) / tan(psi)``. K then makes the gain of the loop 1 there.
+The filter ``K (z - A) / (z + B)`` has three numbers, of which crossover and phase margin determine
+two. B is therefore chosen in advance: by default 1/256, the smallest value of the motion chip. At
+``z = exp(i w T)`` the phase of the zero must be ``psi = phase margin - 180 - arg G + arg(z + B)``,
+which determines ``A = cos(w T) - sin(w T) / tan(psi)``. K then makes the loop gain 1 there.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from threadline.machine.controllers import COEFFICIENT_HIGH, COEFFICIENT_LOW
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LeadDesign:
-    """A lead filter ``gain (z - zero) / (z + pole)`` and what it was designed for.
+    """A lead filter ``gain (z - zero) / (z + pole)`` with its design values.
 
     Parameters
     ----------
@@ -45,7 +44,7 @@ class LeadDesign:
 
     @property
     def continuous(self) -> tuple[float, float, float]:
-        """Gain in V/count, zero and pole in 1/s of ``k (s + a) / (s + b)``, by Tustin's rule."""
+        """Gain k in V/count, a and b in 1/s of ``k (s + a) / (s + b)``, by Tustin's rule."""
         return (
             self.gain * self.volt_per_level * (1 + self.zero) / (1 - self.pole),
             2.0 / self.period_s * (1 - self.zero) / (1 + self.zero),
@@ -53,7 +52,7 @@ class LeadDesign:
         )
 
     def replaced(self, controller: str) -> dict[str, float]:
-        """Return the numbers of ``controller`` by this design, for ``machine.with_numbers``."""
+        """Return this design as numbers of ``controller``, for ``machine.with_numbers``."""
         return {
             f"controllers.{controller}.{key}": value
             for key, value in (("gain", self.gain), ("zero", self.zero), ("pole", self.pole))
@@ -68,7 +67,7 @@ def lead_deg(response: ComplexArray, phase_margin_deg: FloatArray | float) -> Fl
     response
         (k,) complex response of the plants at the crossovers of their loops.
     phase_margin_deg
-        (k,) or one number: wanted phase margins, in degrees.
+        (k,) or one number: required phase margins, in degrees.
     """
     wanted = phase_margin_deg - 180.0 - np.degrees(np.angle(response))
     return np.asarray((wanted + 180.0) % 360.0 - 180.0)
@@ -88,7 +87,7 @@ def lead_from_response(
     response
         (k,) complex response of the plants at ``omega_rad_s``, in counts per volt.
     omega_rad_s, phase_margin_deg
-        (k,) or one number: wanted crossovers in rad/s and phase margins in degrees.
+        (k,) or one number: required crossovers in rad/s and phase margins in degrees.
     period_s
         Tick of the controllers.
     pole
@@ -96,8 +95,8 @@ def lead_from_response(
 
     Notes
     -----
-    A zero outside 1/256 ... 255/256, which the motion chip cannot hold, is returned all the same.
-    It is NaN where no zero turns the phase that far.
+    A zero outside the range of the motion chip, 1/256 ... 255/256, is returned, too. It is NaN
+    where no zero gives the required phase.
     """
     z = np.exp(1j * np.asarray(omega_rad_s) * period_s)
     lead = np.radians(lead_deg(np.asarray(response), phase_margin_deg))
@@ -111,27 +110,27 @@ def lead_from_response(
 def design_lead(
     loop: Loop, crossover_hz: float, phase_margin_deg: float, pole: float = COEFFICIENT_LOW
 ) -> LeadDesign:
-    """Return the lead filter that gives an axis a crossover and a phase margin.
+    """Return the lead filter for a crossover and a phase margin of an axis.
 
     Parameters
     ----------
     loop
-        The axis, with any controller on it; the other loops of its piece stay closed.
+        Loop of the axis, with any controller; the other loops of its network piece stay closed.
     crossover_hz, phase_margin_deg
-        Wanted crossover and phase margin of the sampled loop.
+        Required crossover and phase margin of the sampled loop.
     pole
         B of the filter.
 
     Raises
     ------
     OptionError
-        If a number is out of range, or no zero that the motion chip can hold gives that margin.
+        If a number is out of range, or no zero of the motion chip gives that margin.
     """
     period = loop.period_s
     if not 0 < crossover_hz < 0.5 / period:
         raise OptionError(
             f"crossover {crossover_hz:g} Hz is outside 0 ... {0.5 / period:g} Hz",
-            remedy="Half the controller's rate is the most.",
+            remedy="Give at most half the controller's rate.",
         )
     if not 0 < phase_margin_deg < 180:
         raise OptionError(f"phase margin {phase_margin_deg:g} deg is outside 0 ... 180 deg")
@@ -162,7 +161,7 @@ def design_lead(
 
 
 def _range_deg(angle: float, pole: float) -> tuple[float, float]:
-    """Return the least and the most lead of the filter at ``z = exp(i angle)``."""
+    """Return the smallest and largest lead of the filter at ``z = exp(i angle)``, degrees."""
     z = np.exp(1j * angle)
     turns = [
         np.angle(z - zero) - np.angle(z + pole) for zero in (COEFFICIENT_LOW, COEFFICIENT_HIGH)

@@ -1,4 +1,4 @@
-"""The linear model of every connected piece of the network, and its natural frequencies."""
+"""Linear models of the connected pieces of the network, and their natural frequencies."""
 
 from __future__ import annotations
 
@@ -16,21 +16,20 @@ from threadline.machine import Machine
 
 
 def linear_model(machine: Machine, values: Values | None = None) -> tuple[StateSpace, ...]:
-    """Return the linear model of every connected piece, one for each group of the network.
+    """Return the linear model of every connected piece of the network.
 
-    Limits and friction are left out, play is closed and a preloaded belt is tight, as in small
+    Limits and friction are omitted, play is closed and a preloaded belt is tight, as for small
     motions about a working point. Inputs are the drives, ``"drives.x"``, in volts of the
-    controller;
-    outputs are ``"sensors.x"`` in counts and, per axis, ``"X.measured"``, ``"X.load"`` and
-    ``"X.frame"`` in m or rad. The dead time of each drive is in ``delay_s``.
+    controller; outputs are ``"sensors.x"`` in counts and, per axis, ``"X.measured"``, ``"X.load"``
+    and ``"X.frame"`` in m or rad. ``delay_s`` holds the dead time of each drive.
 
     Raises
     ------
     MachineError
-        If a combination of parts has no equations here.
+        If a combination of parts has no equations.
     """
     used = Values.of(machine) if values is None else values
-    # A piece whose drives are given positions has no input in volts: see ``prescribed``.
+    # A piece with position-commanded drives has no input in volts: see ``prescribed``.
     return tuple(
         _linear(machine, piece, used)
         for piece in piecewise_linear(machine, used)
@@ -55,8 +54,8 @@ def _linear(machine: Machine, piece: PiecewiseLinear, values: Values) -> StateSp
             names.append(f"{axis}.frame")
     if not rows:
         raise MachineError(
-            f"bodies.{group.bodies[0]}: no drive, sensor or axis has to do with it",
-            remedy="Take it out, or connect it by a link.",
+            f"bodies.{group.bodies[0]}: no drive, sensor or axis is connected with it",
+            remedy="Remove it, or connect it by a link.",
         )
     delays = [
         float(np.atleast_1d(values.at(f"drives.{d}.delay", machine.motors[d].delay))[0])
@@ -86,7 +85,7 @@ class Oscillation:
     frequency_hz
         Undamped natural frequency.
     damping
-        Damping ratio of the pole pair of the mode; 1 where its poles are real.
+        Damping ratio of the mode's pole pair; 1 if its poles are real.
     """
 
     frequency_hz: float
@@ -94,14 +93,14 @@ class Oscillation:
 
 
 def locked_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
-    """Return the modes of an axis' piece of the network with its driven bodies held still."""
+    """Return the modes of an axis' network piece with locked motors."""
     group, model = _piece(machine, axis)
     held = {b for d in group.drives for b in machine.motors[d].acts_on}
     return _modes(model, [b for b in group.bodies if b not in held])
 
 
 def free_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
-    """Return the modes of an axis' piece with its motors turning freely, without current."""
+    """Return the modes of an axis' network piece with free motors, without current."""
     group, model = _piece(machine, axis)
     return _modes(model, list(group.bodies))
 
@@ -131,9 +130,9 @@ def _modes(model: StateSpace, bodies: list[str]) -> tuple[Oscillation, ...]:
 
 
 def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float) -> float:
-    """Return the damping ratio of the pole pair that belongs to an undamped mode.
+    """Return the damping ratio of the pole pair of an undamped mode.
 
-    The damping is raised from 0 in 64 steps, and the pair is followed from one to the next.
+    The damping is increased from 0 in 64 steps, and the pair is followed from step to step.
     """
     n = len(place)
     whole = np.zeros((2 * n, 2 * n))
@@ -145,5 +144,5 @@ def _damping(model: StateSpace, place: list[int], rate: list[int], omega: float)
         whole[n:, n:] = share * damping
         poles = np.linalg.eigvals(whole)
         at = poles[int(np.argmin(np.abs(poles - at)))]
-    # A pair that met on the real axis has a ratio of 1, also where one of it is lost in rounding.
+    # A pair that met on the real axis has the ratio 1, even if rounding lost one of its poles.
     return float(-at.real / abs(at)) if at else 1.0

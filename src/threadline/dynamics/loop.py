@@ -1,9 +1,9 @@
 """The control loop of an axis: its plant, its controllers, and their open-loop response.
 
-Where axes share a piece of the network, the loop of one is opened while those of the others stay
-closed. There are two models of a loop. In ``"sampled"`` the controller acts tick by tick, as it
-does. In ``"continuous"`` it is the continuous form of its filter, with half a tick of dead time for
-its held output.
+If axes share a piece of the network, the loop of one axis is opened while the others stay closed.
+There are two models of a loop. In ``"sampled"`` the controller acts tick by tick, like the real
+one. In ``"continuous"`` it is the continuous form of its filter, with a dead time of half a tick
+for its held output.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class Loop:
     axis
         Name of the axis.
     plant
-        The connected piece, from the voltages of all its controllers to all its outputs.
+        The connected network piece, from the voltages of all its controllers to all its outputs.
     controllers, sensors, filters
-        Names of the controllers of the piece, the outputs in counts that they read, and their
-        difference equations.
+        Names of the controllers of the piece, their sensor outputs in counts, and their difference
+        equations.
     index
-        Index of this axis' controller among them.
+        Index of this axis' controller in ``controllers``.
     counts_per_unit
         Counts of the axis' sensor per m or rad.
     hold
@@ -82,7 +82,7 @@ class Loop:
         return np.asarray(self.plant.delay_s + np.array(held))
 
     def sampled_plant(self) -> SampledPlant:
-        """Return the plant of ``measured`` behind held outputs, from tick to tick."""
+        """Return the plant of ``measured`` with held inputs, from tick to tick."""
         return sample(self.measured(), self.period_s)
 
     def closed(self, gain: float = 1.0) -> ClosedLoop:
@@ -114,8 +114,8 @@ class Loop:
     def responder(self, model: Model = "sampled") -> Callable[[FloatArray], ComplexArray]:
         """Return the open-loop response ``L = D G`` as a function of (k,) rad/s, dead time exact.
 
-        The sampled plant is computed once, for all calls of the function. None of its frequencies
-        may be a pole on the imaginary axis (0 is one).
+        The sampled plant is computed once for all calls. No frequency may be a pole on the
+        imaginary axis, such as 0.
         """
         sampled = self.sampled_plant() if model == "sampled" else None
 
@@ -140,12 +140,12 @@ def _filter(digital: DigitalFilter, omega: FloatArray, model: Model) -> ComplexA
 def axis_loops(
     machine: Machine, values: Values | None = None, *, hold: bool = True
 ) -> dict[str, Loop]:
-    """Return the loop of every axis of ``machine`` that has one, in its order.
+    """Return the loop of every axis with a controller, in the order of the axes.
 
     Parameters
     ----------
     values
-        Replaced numbers, of which the first variant is used.
+        Numbers that replace the machine's; the first variant is used.
     hold
         Whether the continuous model has half a tick of dead time for the held output.
 
@@ -167,7 +167,7 @@ def axis_loops(
                 f"controllers {', '.join(names)} share bodies but run on the clocks "
                 f"{', '.join(clocks)}",
                 place=machine.place,
-                remedy="The loops of one piece can be analysed on one clock only.",
+                remedy="Put the controllers of connected bodies on one clock.",
             )
         driven = plant.select([f"drives.{p.drive}" for p in parts], list(plant.outputs))
         for axis in group.axes:
@@ -202,8 +202,8 @@ def axis_loop(machine: Machine, axis: str, values: Values | None = None) -> Loop
     loops = axis_loops(machine, values)
     if axis not in loops:
         raise OptionError(
-            f"axis {axis} of {machine.name!r} has no loop: drives.{machine.axes[axis].drive} is "
-            "told positions",
-            remedy="Ask this of an axis with a controller.",
+            f"axis {axis} of {machine.name!r} has no loop: drives.{machine.axes[axis].drive} "
+            "takes positions",
+            remedy="Choose an axis with a controller.",
         )
     return loops[axis]

@@ -1,12 +1,11 @@
-"""Loops tick by tick, as their DACs make them: changed references, lost ticks, and the inverse.
+"""Control loops tick by tick, with DACs that lose a tick at each reversal.
 
-Such a DAC loses the voltage of one tick at each change of sign. Where the voltage passes through 0
+Such a DAC loses the voltage of one tick at each change of sign. If the voltage passes through 0
 between two ticks, the phase of the encoder decides which of the two ticks is lost, so that the
-motion differs from run to run. ``Levels`` decides it beforehand: the tick with the smaller voltage
-is the lost one. That tick is given the new sign and a magnitude as large as its neighbours', so
-that noise of the sensor cannot move the change of sign. Each neighbour receives half of the lost
-voltage, which leaves the sum of the voltages and their first moment as they were
-(decision 14).
+motion differs from run to run. ``Levels`` decides it in advance: the tick with the smaller voltage
+is lost. That tick gets the new sign and the magnitude of its neighbours, so that sensor noise
+cannot move the change of sign. Each neighbour receives half of the lost voltage, which preserves
+the sum of the voltages and their first moment (decision 14).
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -24,15 +23,15 @@ from threadline.dynamics.inverse import Inverse
 from threadline.dynamics.sampled import sample
 from threadline.machine import Machine
 
-_SETTLES = 1e-4  # share of the slowest pole's motion at which a change is followed no more
+_SETTLES = 1e-4  # share of the slowest pole's motion at which the response to a change ends
 _MOST_TICKS = 600
 _SPARE_TICKS = 20
-_NOTHING_V = 1e-9  # far above the rounding of levels, far below what a count of a sensor makes
+_NOTHING_V = 1e-9  # far above rounding errors of levels, far below the effect of a sensor count
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Changes:
-    """What changes of the references change, (k, columns) at k ticks.
+    """Response to changes of the references, (k, columns) at k ticks.
 
     Parameters
     ----------
@@ -41,7 +40,7 @@ class Changes:
     levels
         Output of the controller, V.
     current_a
-        Current of the motor, as of a winding without a coil; before the amplifier limits it.
+        Current of the motor without inductance, before the amplifier limits it.
     """
 
     load_si: FloatArray
@@ -50,7 +49,7 @@ class Changes:
 
 
 class LoopTicks:
-    """The loop of one axis that moves on its own."""
+    """The loop of one axis that is not coupled to others."""
 
     def __init__(self, machine: Machine, axis: str, inverse: Inverse) -> None:
         loop = inverse.loop
@@ -72,19 +71,18 @@ class LoopTicks:
         self.memory += _SPARE_TICKS
 
     def current_a(self, acts: FloatArray, counts: FloatArray) -> FloatArray:
-        """Return the (k, ...) currents at voltages that act and counts that are read."""
+        """Return the (k, ...) currents in A from the DAC's voltages and the sensor's counts."""
         return self._per_volt * acts - self._per_count * np.gradient(counts, axis=0)
 
     def changed(
         self, more_si: FloatArray, effect: Callable[[int, FloatArray], FloatArray]
     ) -> Changes:
-        """Return what (k, columns) changes of the references change, from no change on.
+        """Return the response to (k, columns) changes of the references, from an unchanged state.
 
         Parameters
         ----------
         effect
-            From the number of a tick and the (columns,) changes of the level to those of the
-            voltage that acts.
+            Maps a tick and the (columns,) changes of the level to the changes of the DAC's voltage.
         """
         b, a = self._filter.numerator, self._filter.denominator
         plant, late = self._plant, self._plant.ticks[0]
@@ -109,7 +107,7 @@ class LoopTicks:
 
 
 def acting(levels: FloatArray) -> FloatArray:
-    """Return (k,) levels as a DAC puts them out that loses the first tick after a reversal."""
+    """Return the (k,) outputs of a DAC that loses the first tick after a reversal."""
     acts, before = levels.copy(), 0.0
     for k, level in enumerate(levels.tolist()):
         acts[k] = before = acts_after(before, level)
@@ -117,46 +115,46 @@ def acting(levels: FloatArray) -> FloatArray:
 
 
 def acts_after(before: float, level: float) -> float:
-    """Return what such a DAC puts out for a level, by what it put out at the tick before, V.
+    """Return the DAC's output in V for a level, given its output at the preceding tick.
 
-    A level at rest is 0, which rounding gives a sign: below ``_NOTHING_V`` it has none.
+    A level below ``_NOTHING_V`` is rounding noise and has no sign.
     """
     signed = min(abs(level), abs(before)) >= _NOTHING_V
     return 0.0 if signed and level * before < 0.0 else level
 
 
 AHEAD = 3
-"""Number of voltages after a tick on which its level depends."""
+"""Number of following voltages on which a level depends."""
 _NOISE_COUNTS = 2.0
-_LEAST = 0.5  # share of its level that a tick beside a lost one keeps at least
+_LEAST = 0.5  # minimum share of its level that a neighbour of a lost tick keeps
 
 
 class Levels:
-    """Turns the voltages that a plant needs into the levels that its controller has to put out.
+    """Converts the voltages that a plant needs into the controller's output levels.
 
-    Levels are in volts, too.
+    Levels are also in volts.
 
     Parameters
     ----------
     numerator
         (n,) numerator of the controller's filter, in volts per count: the sum of its magnitudes is
-        the change of output that one count of the sensor can make.
+        the largest effect of one sensor count on the output.
     skips
-        Whether the DAC puts out nothing at the first tick after a change of sign; otherwise the
-        levels equal the voltages.
+        Whether the DAC outputs 0 at the first tick after a change of sign; if not, the levels equal
+        the voltages.
     """
 
     def __init__(self, numerator: FloatArray, *, skips: bool) -> None:
         self._skips = skips
         self._band = _NOISE_COUNTS * float(np.abs(numerator).sum())
         self._volts: FloatArray = np.zeros(0)
-        # The level of the tick before ``_volts``, and what is added to the level of the next one.
+        # The level of the tick before ``_volts``, and the voltage to add to the next level.
         self._level = np.zeros(2)
         self._sign = 0.0
         self._begun = False
 
     def feed(self, volts: FloatArray) -> FloatArray:
-        """Return the next levels for the next (k,) voltages; the last ``AHEAD`` of them wait."""
+        """Return levels for the next (k,) voltages, delayed by ``AHEAD`` ticks."""
         if not self._skips:
             held = np.concatenate([self._volts, volts])
             self._volts = held[-AHEAD:]
@@ -164,7 +162,7 @@ class Levels:
         held = np.concatenate([self._volts, volts])
         levels, self._sign = _levels(held, self._level, self._sign, self._band)
         self._volts = held[1 - AHEAD :]
-        # The first level is that of the tick before: before any tick there is none.
+        # The first level belongs to the preceding tick; in the first call there is none.
         levels = levels if self._begun else levels[1:]
         self._begun = True
         return np.asarray(levels)
@@ -172,21 +170,20 @@ class Levels:
 
 @njit()
 def _levels(volts, held, sign, band):
-    """Return the levels of the tick before ``volts`` and of all but their last three, and a sign.
+    """Return the levels of the tick before ``volts`` and of all ``volts`` except three; and a sign.
 
     Parameters
     ----------
     volts
         (k,) voltages that the plant needs.
     held
-        (2,) the level of the tick before ``volts``, and what is added to the level of the first of
-        them; both are overwritten with those of the next call.
+        (2,) the level of the tick before ``volts``, and the voltage to add to the first level of
+        ``volts``; both are overwritten with the values for the next call.
     sign
-        Sign of the output at the tick before ``volts``. The sign that is returned is that of the
-        last tick whose level is returned or held.
+        Sign of the output at the tick before ``volts``. The returned sign belongs to the last tick
+        whose level is returned or held.
     band
-        Smallest magnitude of a level, in volts: noise of the sensor can change the sign of a
-        smaller one.
+        Smallest magnitude of a level, in volts; sensor noise can change the sign of smaller levels.
     """
     count = len(volts) - 2
     out = np.empty(count)
@@ -196,8 +193,8 @@ def _levels(volts, held, sign, band):
         level = now + given
         given = 0.0
         away = sign * now < 0.0
-        # The tick before a reversal may have less to lose. Where the sign changes for one tick
-        # alone, either that tick is lost, or the tick before it and the tick after it are.
+        # The tick before a reversal may have the smaller voltage. If the sign changes for one tick
+        # only, either that tick is lost, or the ticks before and after it.
         back = abs(volts[k + 2]) if after * volts[k + 2] < 0.0 else 0.0
         soon = sign * now > 0.0 and now * after < 0.0 and abs(now) + back < abs(after)
         if away or soon:
@@ -219,7 +216,7 @@ def _levels(volts, held, sign, band):
 
 @njit()
 def _kept(level, change):
-    """Return ``change``, cut so that at least half of ``level`` is left with its sign."""
+    """Return ``change``, limited so that at least half of ``level`` remains."""
     if level * change >= 0.0:
         return change
     return -np.sign(level) * min(abs(change), _LEAST * abs(level))
@@ -227,16 +224,16 @@ def _kept(level, change):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Told:
-    """What an inverse makes of the motion of one axis at consecutive ticks of its controller.
+    """Output of the exact inverse for one axis at consecutive ticks of its controller.
 
     Parameters
     ----------
     references_si
-        (k,) what the controller is told, m or rad.
+        (k,) references of the controller, m or rad.
     levels
-        (k,) what it puts out, V, before its DAC loses any of it.
+        (k,) output of the controller, V, before its DAC loses ticks.
     counts
-        (k,) what its sensor reads.
+        (k,) predicted readings of its sensor.
     """
 
     references_si: FloatArray
@@ -248,11 +245,11 @@ class Told:
 
     @classmethod
     def none(cls) -> Told:
-        """Return what is told at no ticks."""
+        """Return an empty object."""
         return cls(references_si=np.zeros(0), levels=np.zeros(0), counts=np.zeros(0))
 
     def joined(self, other: Told) -> Told:
-        """Return this and the ticks behind it."""
+        """Return this followed by the ticks of ``other``."""
         return Told(
             references_si=np.concatenate([self.references_si, other.references_si]),
             levels=np.concatenate([self.levels, other.levels]),
@@ -260,7 +257,7 @@ class Told:
         )
 
     def part(self, first: int, stop: int) -> Told:
-        """Return the ticks from one to before another."""
+        """Return the ticks from ``first`` to before ``stop``."""
         some = slice(first, stop)
         return Told(
             references_si=self.references_si[some],
@@ -269,7 +266,7 @@ class Told:
         )
 
     def held(self, more: int) -> Told:
-        """Return the same with ``more`` ticks at rest behind it."""
+        """Return this followed by ``more`` ticks at rest."""
         return Told(
             references_si=np.pad(self.references_si, (0, more), mode="edge"),
             levels=np.pad(self.levels, (0, more)),

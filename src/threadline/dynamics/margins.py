@@ -1,20 +1,20 @@
-"""Margins of rounding for decisions that depend on which side of a boundary an eigenvalue lies.
+"""Stability margins of loops, and stability decisions that do not depend on rounding.
 
-A simple eigenvalue is known to a small multiple of the machine's rounding times the norm of its
-matrix; one of a coinciding pair is known to the square root of that rounding. The digits beyond
-depend on the processor, so no decision may depend on them: an eigenvalue that is nearer to its
-boundary than the margins here counts as lying on it. Norms are those of the balanced matrix, in
-which states of different units have equal weight.
+A simple eigenvalue is accurate to a small multiple of the rounding error times the norm of its
+matrix; an eigenvalue of a coinciding pair is accurate to the square root of the rounding error.
+Further digits depend on the processor, so no decision may depend on them: an eigenvalue nearer to a
+boundary than these errors counts as lying on it. Norms are taken after balancing, which gives
+states of different units equal weight.
 
-Margins by polynomials need a rational approximation of the dead time (Pade), and the polynomial of
-a sampled loop has one power of z for every tick of it. Here the exact response is evaluated on a
-grid that is refined until neighbours differ by less than 0.1 rad in phase and 0.2 in the logarithm
-of the magnitude; every crossing on it is then found by bisection.
+Polynomial methods need a rational approximation of the dead time (Pade), and the polynomial of a
+sampled loop has one power of z per tick of dead time. This module evaluates the exact response on a
+grid, refined until neighbours differ by less than 0.1 rad in phase and 0.2 in the logarithm of the
+magnitude; bisection then finds every crossing.
 
-With ``n`` open-loop poles, the closed loop's characteristic function ``prod(s - p_i) (1 + L)``
-turns by ``(n - 2 Z) pi / 2`` as ``s`` runs up the imaginary axis from 0, where Z is the number of
-its zeros in the right half plane (the argument principle in Mikhailov's form). The dead time of a
-strictly proper loop adds no turn at infinity, and poles at 0 need no detour.
+With ``n`` open-loop poles, the phase of the closed loop's characteristic function ``prod(s - p_i)
+(1 + L)`` changes by ``(n - 2 Z) pi / 2`` as ``s`` runs up the imaginary axis from 0, where Z is the
+number of its zeros in the right half plane (the argument principle in Mikhailov's form). The dead
+time of a strictly proper loop adds no phase at infinity, and poles at 0 need no detour.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from threadline.base.arrays import ComplexArray, FloatArray
 from threadline.dynamics.loop import Loop, Model
 
 SIMPLE = 1e-11
-"""Share of the norm to which a simple eigenvalue is known: 5e4 roundings."""
+"""Accuracy of a simple eigenvalue as a share of the norm: 5e4 rounding errors."""
 DOUBLE = 1e-7
-"""Share of the norm to which one of a coinciding pair is known: 7 square roots of a rounding."""
+"""Accuracy of a double eigenvalue as a share of the norm: 7 square roots of rounding."""
 
 _CIRCLE = 1e-9
 
@@ -46,7 +46,7 @@ def size_of(matrix: FloatArray) -> float:
 
 
 def not_decaying(matrix: FloatArray) -> ComplexArray:
-    """Return the eigenvalues of ``matrix`` that do not decay, those on the imaginary axis included.
+    """Return the eigenvalues of ``matrix`` on the imaginary axis or to its right.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def not_decaying(matrix: FloatArray) -> ComplexArray:
     Returns
     -------
     ComplexArray
-        (k,) rad/s, the rightmost first: real parts above ``-SIMPLE`` times the norm.
+        (k,) rad/s, rightmost first: real parts above ``-SIMPLE`` times the norm.
     """
     if not matrix.size:
         return np.empty(0, dtype=np.complex128)
@@ -66,10 +66,10 @@ def not_decaying(matrix: FloatArray) -> ComplexArray:
 
 
 def swinging(matrix: FloatArray) -> ComplexArray:
-    """Return the complex eigenvalues of ``matrix``, of each pair the one in the upper half plane.
+    """Return the complex eigenvalues of ``matrix`` in the upper half plane.
 
-    Rounding can give a critically damped pair a small imaginary part; up to ``DOUBLE`` times the
-    norm the pair counts as real.
+    Rounding can give a critically damped pair a small imaginary part; a pair with an imaginary part
+    up to ``DOUBLE`` times the norm counts as real.
     """
     if not matrix.size:
         return np.empty(0, dtype=np.complex128)
@@ -80,7 +80,7 @@ def swinging(matrix: FloatArray) -> ComplexArray:
 def off_the_circle(matrix: FloatArray) -> ComplexArray:
     """Return the eigenvalues of ``x[k+1] = matrix x[k]`` outside the unit circle, beyond rounding.
 
-    The position under a velocity loop has the eigenvalue 1, which is no instability. An eigenvalue
+    The position in a velocity loop has the eigenvalue 1, which is not an instability. An eigenvalue
     outside the circle by up to 1e-9, or by up to ``SIMPLE`` times the norm, counts as on it.
     """
     found = np.asarray(np.linalg.eigvals(matrix), dtype=np.complex128)
@@ -94,13 +94,13 @@ _ROUNDS = 14
 _MOST_POINTS = 400_000
 _START_POINTS = 600
 _NEGLIGIBLE = 1e-3
-_HALVINGS = 48  # of an interval of the grid: to the last digits of a double
-_SILENT = 1e-9  # a gain below is the rounding of its parts: it has neither phase nor slope
+_HALVINGS = 48  # halvings of a grid interval: to the last digits of a double
+_SILENT = 1e-9  # smaller gains are rounding errors, without a meaningful phase or slope
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GainCrossover:
-    """A frequency at which the loop's gain is 1, and the phase there less -180 degrees."""
+    """A frequency at which the loop's gain is 1, and its phase there + 180 degrees."""
 
     omega_rad_s: float
     phase_margin_deg: float
@@ -108,7 +108,7 @@ class GainCrossover:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PhaseCrossover:
-    """A frequency at which the loop's phase is -180 degrees, and the reciprocal of its gain."""
+    """A frequency at which the loop's phase is -180 degrees, and 1 / gain there."""
 
     omega_rad_s: float
     gain_factor: float
@@ -116,7 +116,7 @@ class PhaseCrossover:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Margins:
-    """Every crossover of a loop, in the order of frequency.
+    """All crossovers of a loop, in order of frequency.
 
     Parameters
     ----------
@@ -130,39 +130,39 @@ class Margins:
 
     @property
     def worst_phase(self) -> GainCrossover | None:
-        """The gain crossover with the phase nearest to -180 degrees; None when the gain is never 1.
+        """The gain crossover with the phase nearest to -180 degrees; None if the gain is never 1.
 
-        A conditionally stable loop may have a negative margin there: that much phase lead, rather
-        than lag, would bring it to its limit.
+        A conditionally stable loop may have a negative margin there: that phase lead, instead of
+        lag, would bring it to its stability limit.
         """
         return min(self.gain_crossovers, key=lambda c: abs(c.phase_margin_deg), default=None)
 
     @property
     def raise_to(self) -> float | None:
-        """Smallest factor above 1 on the gain that puts the loop on its limit; None for none."""
+        """Smallest gain factor above 1 that puts the loop on its stability limit; None for none."""
         return min(
             (c.gain_factor for c in self.phase_crossovers if c.gain_factor > 1), default=None
         )
 
     @property
     def lower_to(self) -> float | None:
-        """Largest factor below 1 on the gain that puts the loop on its limit; None for none."""
+        """Largest gain factor below 1 that puts the loop on its stability limit; None for none."""
         return max(
             (c.gain_factor for c in self.phase_crossovers if c.gain_factor <= 1), default=None
         )
 
     def gain_margin(self, stable: bool) -> float | None:
-        """Return the factor on the gain at which stability changes; None where it never does.
+        """Return the factor on the gain at which stability changes; None if it never changes.
 
-        For a stable loop it is above 1 (a conditionally stable one has a limit below 1, too, which
-        is ``lower_to``). For an unstable loop that a lower gain would make stable it is below 1.
+        For a stable loop it is above 1 (a conditionally stable loop also has a limit below 1,
+        ``lower_to``). For an unstable loop that a lower gain stabilises it is below 1.
         """
         first, second = (self.raise_to, self.lower_to) if stable else (self.lower_to, self.raise_to)
         return first if first is not None or stable else second
 
     @property
     def delay_margin_s(self) -> float | None:
-        """Smallest additional dead time in s that brings a stable loop to its limit, or None."""
+        """Smallest additional dead time in s that puts a stable loop on its limit, or None."""
         return min(
             (np.radians(c.phase_margin_deg % 360.0) / c.omega_rad_s for c in self.gain_crossovers),
             default=None,
@@ -174,14 +174,14 @@ def refined_grid(
 ) -> FloatArray:
     """Return (n,) rad/s from ``low`` to ``high``, dense where ``response`` changes fast.
 
-    Where it is below 1e-9 it is rounding, which changes from point to point however near they are.
+    A response below 1e-9 is rounding noise and is not refined.
 
     Parameters
     ----------
     response
         Function from (k,) rad/s to (k,) complex values.
     also
-        Frequencies that the grid is to have, such as those of resonances.
+        Additional frequencies of the grid, such as resonances.
     """
     inside = [w for w in also if low < w < high]
     grid = np.unique(np.concatenate([np.geomspace(low, high, _START_POINTS), inside]))
@@ -206,7 +206,7 @@ def refined_grid(
 def margins_of(response: Response, grid: FloatArray) -> Margins:
     """Return every crossover of ``response`` on ``grid`` (rad/s), each refined to 1e-12.
 
-    A phase crossover below a gain of 1e-9 is none: there the response is rounding.
+    A phase crossover with a gain below 1e-9 is rounding noise and is ignored.
     """
     values = response(grid)
     size = _log(np.abs(values))
@@ -233,7 +233,7 @@ def margins_of(response: Response, grid: FloatArray) -> Margins:
 
 
 def _log(size: FloatArray) -> FloatArray:
-    """Return the logarithm of (n,) magnitudes; of what is silent that of the least told."""
+    """Return the logarithm of (n,) magnitudes; magnitudes below ``_SILENT`` are clamped to it."""
     return np.asarray(np.log(np.maximum(size, _SILENT)))
 
 
@@ -243,9 +243,8 @@ def _roots(
     """Return a root of ``function`` between each pair of (n,) ``low`` and ``high``, by bisection.
 
     All pairs are halved together: a loop with dead time and a high gain has tens of thousands of
-    crossings, which would take minutes one by one. A pair without a change of sign has its root at
-    one end, or so close to it that rounding hides it: ``low`` where the function is 0 there, else
-    ``high``.
+    crossings, which would take minutes one by one. A pair without a change of sign has its root at,
+    or within rounding of, one end: ``low`` if the function is 0 there, else ``high``.
     """
     if not len(low):
         return low
@@ -263,11 +262,11 @@ def _roots(
 
 
 def loop_grid(loop: Loop, model: Model = "sampled") -> FloatArray:
-    """Return (n,) frequencies in rad/s on which a loop is analysed.
+    """Return (n,) frequencies in rad/s for the analysis of a loop.
 
-    They begin a thousand times below the slowest pole of the plant that is not 0 (or below
-    10 rad/s). They end at the Nyquist frequency of the controller (sampled), or where the gain has
-    fallen below one in a thousand (continuous).
+    They begin a thousand times below the plant's slowest pole other than 0 (at most 10 rad/s). They
+    end at the Nyquist frequency of the controller (sampled), or where the gain is below 1/1000
+    (continuous).
     """
     response = loop.responder(model)
     poles = np.abs(loop.plant.poles())
@@ -292,7 +291,7 @@ def loop_margins(loop: Loop, model: Model = "sampled") -> Margins:
 def bandwidth_rad_s(closed: Response, grid: FloatArray) -> float | None:
     """Return the lowest frequency at which ``closed`` falls 3 dB below its value at ``grid[0]``.
 
-    None when it never does.
+    None if it never falls so low.
     """
     values = np.abs(closed(grid))
     level = values[0] / np.sqrt(2.0)
@@ -308,7 +307,7 @@ _FARTHEST = 0.25
 
 
 def unstable_count(loop: Loop) -> int:
-    """Return the number of closed-loop poles with positive real part, continuous, delay exact.
+    """Return the number of unstable closed-loop poles of the continuous model, delay exact.
 
     Raises
     ------
@@ -316,7 +315,7 @@ def unstable_count(loop: Loop) -> int:
         If the count is not near a whole number, because a pole lies on the imaginary axis.
     """
     poles = open_loop_poles(loop)
-    # A zero of the filter at 0 (it acts on speed alone) cancels a pole of the plant at 0.
+    # A zero of the filter at 0 (a pure speed controller) cancels a pole of the plant at 0.
     numerator = loop.filters[loop.index].continuous_numerator
     hidden = len(numerator) - len(np.trim_zeros(numerator, "b"))
     poles = np.delete(poles, np.flatnonzero(poles == 0.0)[:hidden])
@@ -325,14 +324,14 @@ def unstable_count(loop: Loop) -> int:
 
 
 def unstable_from(response: ComplexArray, omega_rad_s: FloatArray, poles: ComplexArray) -> int:
-    """Return the count from (k,) values of L on a fine grid and the open loop's (n,) poles.
+    """Return the number of unstable poles, from (k,) values of L and the (n,) open-loop poles.
 
     Raises
     ------
     ValueError
         If the count is not near a whole number.
     """
-    # Each factor turns from its angle at the first frequency to straight up at infinity.
+    # The phase of each factor changes from its value at the first frequency to pi/2 at infinity.
     turned = float(np.angle(1j / (1j * omega_rad_s[0] - poles)).sum())
     around = np.concatenate([1.0 + response, [1.0]])
     turned += float(np.angle(around[1:] / around[:-1]).sum())

@@ -1,8 +1,8 @@
-"""Connected pieces of a machine: parts that act on, read or drive the same bodies.
+"""Equations of the network of a machine, for each connected piece.
 
 With coordinates q of the bodies, ``M q'' + C q' + K q = forces``: M is diagonal; a link with
 stretch ``s = w . q`` adds ``k w w^T`` to K and ``c w w^T`` to C; a motor acts with
-``Kt i`` along its own ``w`` and turns with ``w . q'``. What is not linear is an ``Element``.
+``Kt i`` along its vector ``w`` and turns with ``w . q'``. A nonlinear part is an ``Element``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from threadline.machine.quantity import Quantity
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Group:
-    """The parts of one connected piece of the network, each in the order of the machine file."""
+    """Names of the parts of a connected piece of the network, in the order of the machine file."""
 
     bodies: tuple[str, ...]
     links: tuple[str, ...]
@@ -111,7 +111,7 @@ def _check_shared(machine: Machine) -> None:
                 raise MachineError(
                     f"{owner} {seen[part]!r} and {name!r} share the {what} {part!r}",
                     place=machine.place,
-                    remedy=f"Give each its own {what}.",
+                    remedy=f"Give each a separate {what}.",
                 )
             seen[part] = name
 
@@ -123,23 +123,23 @@ class PiecewiseLinear:
     Parameters
     ----------
     group
-        Parts of the piece. Its inputs are the drives, in order: in volts behind a voltage
-        amplifier, in amperes behind a current amplifier, gain and fixed limits already applied.
+        Parts of the piece. Its inputs are the drives, in order: the output of a voltage amplifier
+        in volts, or of a current amplifier in amperes, with gain and fixed limits already applied.
     states
         (n,) names: ``"x"`` is a coordinate, ``"x'"`` its rate, ``"x.i"`` a motor's current.
     base
         (variants, n, N) linear part of the rates.
     elements
-        Parts that are not linear; each drive is one of them, called ``"drives.NAME"``.
+        Nonlinear parts; each drive is one of them, called ``"drives.NAME"``.
     sensor_rows
-        (variants, sensors, N) rows that give the readings in counts, from the start position.
+        (variants, sensors, N) rows of the readings in counts, from the start position.
     load_rows, frame_rows
-        (variants, axes, N) rows that give load and frame in m or rad, from the start position.
+        (variants, axes, N) rows of load and frame in m or rad, from the start position.
     has_frame
         (axes,) whether the axis has a frame.
     input_gain, input_limit
-        (variants, drives) gain from the controller's voltage to the input, and the fixed limit of
-        the input.
+        (variants, drives) gain from the controller's voltage to the input, and fixed limit of the
+        input.
     """
 
     group: Group
@@ -167,15 +167,15 @@ def piecewise_linear(
     Parameters
     ----------
     values
-        Replaced numbers; the machine's own when None.
+        Numbers that replace the machine's; None for the machine's numbers.
     start_si
-        (axes,) position of each axis at the start, m or rad, from which the distances to limit
-        switches follow. Zero when None.
+         (axes,) position of each axis at the start, m or rad, for the distances to limit switches;
+        None for 0.
 
     Raises
     ------
     MachineError
-        If a combination of parts has no equations here.
+         If a combination of parts has no equations.
     """
     used = Values.of(machine) if values is None else values
     start = np.zeros(len(machine.axes)) if start_si is None else start_si
@@ -242,7 +242,7 @@ class _Builder:
         )
 
     def _value(self, path: str, quantity: Quantity | None) -> FloatArray:
-        # A machine has a hundred numbers, and ``np.broadcast_to`` takes as long as ten of these.
+        # Called a hundred times per machine; ``np.broadcast_to`` would be ten times slower.
         found = np.empty(self.count)
         found[:] = self.values.at(path, quantity)
         return found
@@ -318,7 +318,7 @@ class _Builder:
         if link.preload is not None and link.play is not None:
             raise self._refuse(
                 f"{path} has both a preload and a play",
-                "Make two links of it with a body between them.",
+                "Split it into two links with a body between them.",
             )
         if link.preload is not None:
             preload = self._value(f"{path}.preload", link.preload)
@@ -378,7 +378,7 @@ class _Builder:
                 if drive.inductance is not None:
                     raise self._refuse(
                         f"{path}: a current amplifier with both a voltage limit and an inductance",
-                        "Leave one of them out; the loop inside the amplifier is not modelled.",
+                        "Omit one of them; the loop inside the amplifier is not modelled.",
                     )
                 supply = [
                     (sign * volts[:, None] * one - emf[:, None] * turning) / resistance[:, None]
@@ -400,7 +400,7 @@ class _Builder:
             if state < 0 or amps is None:
                 raise self._refuse(
                     f'{path}: limits = "output" without an inductance and a current limit',
-                    "Add them, or leave limits out.",
+                    "Add them, or omit limits.",
                 )
             state = -1
         scale = inductance if state >= 0 else np.ones(self.count)

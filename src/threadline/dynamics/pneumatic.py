@@ -1,14 +1,14 @@
 """Equations of a cylinder, and the ringing of the frame under it.
 
-With the stroke ``s = w - z`` (piston less housing), the flow speed ``v`` and the elongation ``e``
+With the stroke ``s = w - z`` (piston minus housing), the flow speed ``v`` and the elongation ``e``
 of the air between the flow and the piston::
 
     v' = (speed level(t - delay) - v) / lag
     e' = v - s'
     F  = k e + c (v - s') - friction,   on the piston; -F on the housing
 
-so that a shaper acts on the flow *speed*, from which the force follows. Bodies and links are
-those of the network that every other machine has.
+A shaper therefore acts on the flow *speed*, which determines the force. Bodies and links are part
+of the network, as in every other machine.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from threadline.machine.quantity import Quantity
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CylinderEquations:
-    """Linear equations of one cylinder and everything that it is connected with.
+    """Linear equations of one cylinder and its network piece.
 
     Parameters
     ----------
@@ -40,18 +40,18 @@ class CylinderEquations:
     matrix
         (variants, n, n) rates of the states without the force of the air on the bodies.
     level
-        (variants, n) part of the rates that a level of 1 adds.
+        (variants, n) contribution of a level of 1 to the rates.
     force
-        (variants, n) part of the rates that 1 N on the piston, with its reaction on the housing,
-        adds.
+        (variants, n) contribution of 1 N on the piston, with its reaction on the housing, to the
+        rates.
     stroke, stroke_rate
-        (n,) rows that give ``s`` and ``s'`` from the states.
+        (n,) rows of ``s`` and ``s'``.
     frame
-        (variants, n) row that gives the position of the frame.
+        (variants, n) row of the position of the frame.
     piston, housing
         Indices of the velocities of the two bodies.
     piston_share
-        (variants,) share of the piston in the inertia of both.
+        (variants,) piston inertia / (piston inertia + housing inertia).
     piston_inertia
         (variants,) in kg.
     air_stiffness, air_damping
@@ -74,7 +74,7 @@ class CylinderEquations:
     air_damping: FloatArray
 
     def air_force(self, ramp: float = 1.0) -> FloatArray:
-        """Return the (variants, n) row of the air's force in N; ``ramp`` multiplies its damping."""
+        """Return the (variants, n) row of the air force in N; ``ramp`` multiplies its damping."""
         damping = self.air_damping * ramp
         row = -damping[:, None] * self.stroke_rate
         row[:, self.states.index("air")] += self.air_stiffness
@@ -82,7 +82,7 @@ class CylinderEquations:
         return row
 
     def joined(self, row: FloatArray) -> FloatArray:
-        """Return the (variants, n) common acceleration of piston and housing moving as one.
+        """Return the (variants, n) row of the common acceleration of piston and housing when stuck.
 
         Parameters
         ----------
@@ -93,33 +93,33 @@ class CylinderEquations:
         return share * row[:, self.piston] + (1.0 - share) * row[:, self.housing]
 
     def sliding(self, ramp: float = 1.0) -> FloatArray:
-        """Return the (variants, n, n) rates while the piston slides on its air."""
+        """Return the (variants, n, n) rates while the piston slides, driven by the air."""
         return self.matrix + self.force[:, :, None] * self.air_force(ramp)[:, None, :]
 
     def standing(self) -> FloatArray:
-        """Return the (variants, n, n) rates while the piston stands in its housing."""
+        """Return the (variants, n, n) rates while the piston sticks in its housing."""
         rates = self.matrix.copy()
         together = self.joined(self.matrix)
         rates[:, self.piston] = rates[:, self.housing] = together
         return rates
 
     def holding(self) -> FloatArray:
-        """Return the (variants, n) row of the force in N that keeps the piston in its housing.
+        """Return the (variants, n) row of the force in N that holds the piston in its housing.
 
-        It is the piston's inertia times the acceleration by which its motion in common with the
-        housing differs from its motion alone. The force of the air is not in it.
+        It is the piston's inertia times the difference of its common acceleration with the housing
+        and its free acceleration. The air force is not included.
         """
         own = self.joined(self.matrix) - self.matrix[:, self.piston]
         return self.piston_inertia[:, None] * own
 
 
 def network_of(machine: Machine, axis: str, values: Values | None = None) -> PiecewiseLinear:
-    """Return the connected piece of the network on which the cylinder ``axis`` acts.
+    """Return the network piece on which the cylinder ``axis`` acts.
 
     Raises
     ------
     MachineError
-        If the piece has elements that are not linear, or the cylinder joins two pieces.
+        If the piece has nonlinear elements, or the cylinder connects two pieces.
     """
     cylinder = machine.cylinders[axis]
     for piece in piecewise_linear(machine, values):
@@ -133,7 +133,7 @@ def network_of(machine: Machine, axis: str, values: Values | None = None) -> Pie
             if piece.elements:
                 raise MachineError(
                     f"cylinders.{axis}: {piece.elements[0].name} is not linear",
-                    remedy="Leave friction, play and preload out of the bodies that it moves.",
+                    remedy="Omit friction, play and preload of the bodies that it moves.",
                 )
             return piece
     raise MachineError(f"cylinders.{axis} pushes a body that does not exist")
@@ -147,12 +147,12 @@ def cylinder_equations(
     Parameters
     ----------
     values
-        Replaced numbers; the machine's own when None.
+        Numbers that replace the machine's; None for the machine's numbers.
 
     Raises
     ------
     MachineError
-        If its piece of the network is not linear, or the cylinder joins two pieces.
+        If its network piece is not linear, or the cylinder connects two pieces.
     """
     used = Values.of(machine) if values is None else values
     cylinder, piece = machine.cylinders[axis], network_of(machine, axis, used)
@@ -205,7 +205,7 @@ def cylinder_equations(
 def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
     """Return undamped frequency in Hz and damping ratio of the slowest mode of the network.
 
-    The piston slides freely in it, as while it moves, and the air exerts no force.
+    The piston slides freely and the air exerts no force.
 
     Raises
     ------
@@ -215,22 +215,22 @@ def frame_mode(machine: Machine, axis: str) -> tuple[float, float]:
     piece = network_of(machine, axis)
     ringing = swinging(piece.base[0][:, : len(piece.states)])
     if not len(ringing):
-        raise MachineError(f"cylinders.{axis}: nothing under it rings, so there is no mode")
+        raise MachineError(f"cylinders.{axis}: its network has no vibration mode")
     slowest = min(ringing, key=abs)
     return abs(slowest) / (2.0 * math.pi), float(-slowest.real / abs(slowest))
 
 
 @dataclass(frozen=True, slots=True)
 class StepRinging:
-    """The ringing of the frame after a step of the valves by one level.
+    """Vibration of the frame after a step of the valve level.
 
     Parameters
     ----------
     pole
         Pole of the frame's slowest mode in 1/s, imaginary part positive.
     amplitude_m
-        Complex amplitude of the frame for a step of 1: from the step on, the mode moves the frame
-        by ``Re(amplitude exp(pole t))`` about its rest.
+        Complex amplitude of the frame for a step of 1: at time t after the step, the mode displaces
+        the frame by ``Re(amplitude exp(pole t))`` from its rest position.
     """
 
     pole: complex
@@ -241,20 +241,20 @@ def _alike(one: tuple[Machine, str], other: tuple[Machine, str]) -> bool:
     return one[0] is other[0] and one[1] == other[1]
 
 
-# Each run that a cycle is judged by asks for those of the machine that it was planned for.
+# Cached, because every run of a cycle needs the ringing of the same nominal machine.
 _RECENT: Recent[tuple[Machine, str], StepRinging] = Recent(8, _alike)
 
 
 def step_ringing(machine: Machine, axis: str) -> StepRinging:
-    """Return the ringing after a step of the level, by the eigenvectors of the sliding cylinder.
+    """Return the vibration after a step of the level, by eigenvectors of the sliding cylinder.
 
-    The delay of the valves, by which every step is shifted alike, is left out.
+    The delay of the valves, which shifts every step equally, is omitted.
 
     Raises
     ------
     MachineError
-        If the network has no mode that rings, or one so slow beside other rates that rounding
-        hides it.
+        If the network has no vibration mode, or a mode so slow, compared with other rates, that
+        rounding hides it.
     """
     return _RECENT.of((machine, axis), lambda: _step_ringing(machine, axis))
 
@@ -264,21 +264,21 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
     matrix = plant.sliding()[0]
     poles, modes = np.linalg.eig(matrix)
     wanted = 2.0 * math.pi * frame_mode(machine, axis)[0]
-    # The pole of a state that depends on no other, such as the lag of a valve, does not limit how
-    # well the other poles are known, however fast it is.
+    # A state that depends on no other state, such as the lag of a valve, does not affect the
+    # accuracy of the other poles, so its rate is excluded from the norm.
     fed = (matrix - np.diag(np.diag(matrix))).any(axis=1)
     ringing = np.flatnonzero(poles.imag > DOUBLE * size_of(matrix[np.ix_(fed, fed)]))
     if not len(ringing):
         raise MachineError(
-            f"cylinders.{axis}: its frame's {wanted / (2.0 * math.pi):.3g} Hz is lost "
-            "beside rates of the cylinder that are ten million times as fast",
+            f"cylinders.{axis}: rounding hides its frame's {wanted / (2.0 * math.pi):.3g} Hz "
+            "behind rates of the cylinder that are ten million times as fast",
             place=machine.place,
             remedy="Look for a mistyped number.",
         )
-    # The air spring shifts the mode a little: the nearest pole is that of the mode.
+    # The air spring shifts the mode a little, so take the nearest pole.
     index = int(ringing[np.argmin(np.abs(np.abs(poles[ringing]) - wanted))])
     # x = sum over modes; a step's share is (left vector . b) / pole. The zero poles of a free
-    # stroke make the matrix defective, which leaves this simple pole's own vectors exact.
+    # stroke make the matrix defective, but the vectors of this simple pole stay exact.
     left_poles, left = np.linalg.eig(matrix.T)
     match = left[:, int(np.argmin(np.abs(left_poles - poles[index])))]
     share = (match @ plant.level[0]) / (match @ modes[:, index]) / poles[index]
@@ -288,10 +288,10 @@ def _step_ringing(machine: Machine, axis: str) -> StepRinging:
 
 
 def flow_mode(machine: Machine, axis: str) -> tuple[float, float]:
-    """Return undamped frequency in Hz and damping ratio of the mode that the valves excite.
+    """Return undamped frequency in Hz and damping ratio of the mode excited by the valves.
 
-    The air couples the piston's mass to the frame, which therefore rings slower than under a free
-    piston (``frame_mode``).
+    The air couples the piston's mass to the frame, whose frequency is therefore lower than with a
+    free piston (``frame_mode``).
 
     Raises
     ------

@@ -1,13 +1,13 @@
 """Poles and zeros of a loop with its exact dead time: root locus, Routh's array, Newton's method.
 
-It applies to loops without dead time, or with Pade's approximation of it, as textbooks and the
-stitcher thesis use it. ``margins`` has the exact limits of a loop with dead time.
+Routh's array applies to loops without dead time, or with its Pade approximation, as in textbooks
+and the stitcher thesis. ``margins`` has the exact limits of a loop with dead time.
 
-Each delayed signal is carried by a transport equation on Chebyshev nodes (Breda, Maset and
-Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay differential
-equations", SIAM J. Sci. Comput. 27 (2005)); its eigenvalues converge faster than any power of the
-number of nodes. Newton's method on ``det(s I - A + B exp(-s tau) K(s) C) = 0`` then refines each of
-them to rounding; a guess from which it does not converge is dropped.
+For closed-loop poles, a transport equation on Chebyshev nodes models each delayed signal (Breda,
+Maset and Vermiglio, "Pseudospectral differencing methods for characteristic roots of delay
+differential equations", SIAM J. Sci. Comput. 27 (2005)); its eigenvalues converge faster than any
+power of the number of nodes. Newton's method on ``det(s I - A + B exp(-s tau) K(s) C) = 0`` then
+refines each eigenvalue to rounding; guesses without convergence are dropped.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def routh_array(coefficients: Sequence[float]) -> FloatArray:
     """Return the (n + 1, n // 2 + 1) Routh array of a polynomial, highest power first.
 
     A row of zeros is replaced by the derivative of the auxiliary polynomial of the row above. A
-    zero at the head of a row is replaced by a small number with the sign of the one above it.
+    zero in the first column is replaced by a small number with the sign of the number above it.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def routh_array(coefficients: Sequence[float]) -> FloatArray:
 
 
 def unstable_roots(coefficients: Sequence[float]) -> int:
-    """Return the number of roots with positive real part: sign changes of the first column."""
+    """Return the number of roots with positive real part: sign changes in the first column."""
     first = routh_array(coefficients)[:, 0]
     return int(np.count_nonzero(first[1:] * first[:-1] < 0))
 
@@ -131,21 +131,21 @@ class _Parts:
 
 
 def closed_poles(loop: Loop, gain: float = 1.0, within_rad_s: float | None = None) -> ComplexArray:
-    """Return the poles of the continuous closed loop, dead time exact, the rightmost first.
+    """Return the poles of the continuous closed loop, dead time exact, rightmost first.
 
     Parameters
     ----------
     gain
-        Factor on this axis' controller; the other loops of the piece stay as they are.
+        Factor on this axis' controller; the other loops of the piece are unchanged.
     within_rad_s
-        Largest magnitude of the poles; by default what the nodes resolve, ``16 / dead time``, or
-        no limit where there is no dead time.
+        Largest magnitude of the poles; by default the resolution of the nodes, ``16 / dead time``,
+        or no limit without dead time.
 
     Raises
     ------
     MachineError
-        If a controller differentiates the output of a plant whose input moves it at once (of
-        relative degree 1).
+        If a controller differentiates the output of a plant of relative degree 1, whose input acts
+        on its output at once.
     """
     plant = loop.measured()
     gains = [1.0] * len(loop.filters)
@@ -153,7 +153,7 @@ def closed_poles(loop: Loop, gain: float = 1.0, within_rad_s: float | None = Non
     parts = [_split(f, g) for f, g in zip(loop.filters, gains, strict=True)]
     if any(p.q1 for p in parts) and np.abs(plant.C @ plant.B).max() > 0:
         raise MachineError(
-            f"axis {loop.axis}: its controller differentiates a plant that answers at once",
+            f"axis {loop.axis}: its controller differentiates a plant of relative degree 1",
             remedy="Give the driven body an inertia between drive and sensor.",
         )
     delays = loop.delays_s()
@@ -199,7 +199,7 @@ def _generator(
     with_state = [i for i, p in enumerate(parts) if p.r]
     D = _chebyshev(_NODES)
     size = n + len(with_state) + _NODES * int(np.count_nonzero(delays))
-    rows = np.zeros((m, size))  # output of each controller from the whole state
+    rows = np.zeros((m, size))  # row of each controller's output
     for i, p in enumerate(parts):
         rows[i, :n] = -(p.q0 * C[i] + p.q1 * (C[i] @ A))
     generator = np.zeros((size, size))
@@ -240,12 +240,12 @@ def _newton(
     parts: list[_Parts],
     delays: FloatArray,
 ) -> complex | None:
-    """Return the root of the characteristic equation next to ``s``; None if there is none.
+    """Return the root of the characteristic equation near ``s``; None if Newton fails.
 
-    ``det M`` is multiplied by the controllers' own denominators, so that it has no poles.
+    ``det M`` is multiplied by the controllers' denominators, so that it has no poles.
     """
     eye = np.eye(len(A))
-    # Away from the controllers' own poles, at which the equation is not defined.
+    # Shifted off the controllers' poles, where the equation is undefined.
     s *= 1.0 + 1e-7
     start = s
     for _ in range(_NEWTON):
@@ -264,7 +264,7 @@ def _newton(
         change = 1.0 / step
         s = s - change
         if abs(change) <= 1e-12 * max(1.0, abs(s)):
-            # A root far from its guess is found from another guess.
+            # Ignore a root far from this guess; another guess finds it.
             return s if abs(s - start) < 0.3 * max(abs(start), 10.0) else None
     return None
 
@@ -274,14 +274,14 @@ _ZERO = 1e-11
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chain:
-    """The integrations between an input u and an output y: ``y^(degree) = rows[-1] . x + gain u``.
+    """Integrations from an input u to an output y: ``y^(degree) = rows[-1] . x + gain u``.
 
     Parameters
     ----------
     degree
-        Relative degree: the order of the lowest derivative of y that u enters.
+        Relative degree: the order of the lowest derivative of y on which u acts.
     rows
-        (degree + 1, n): row k is ``C A^k``, which gives the k-th derivative of y without u.
+        (degree + 1, n): row k, ``C A^k``, gives the k-th derivative of y without u.
     gain
         ``C A^(degree - 1) B``.
     """
@@ -315,13 +315,13 @@ def chain_of(plant: StateSpace) -> Chain:
 def zeros_of(plant: StateSpace) -> ComplexArray:
     """Return the zeros of a plant with one input and one output, in rad/s.
 
-    The input that holds the output constant makes the states move by the matrix
-    ``A - B C A^r / (C A^(r-1) B)``. Its eigenvalues are the zeros of the plant, and r times 0.
+    With the input that holds the output constant, the states have the matrix ``A - B C A^r / (C
+    A^(r-1) B)``. Its eigenvalues are the zeros of the plant, and 0 (r times).
     """
     chain = chain_of(plant)
     inner = plant.A - np.outer(plant.B[:, 0], chain.rows[chain.degree]) / chain.gain
-    # On the null space of the chain the matrix has the zeros alone: rounding would smear an r-fold
-    # eigenvalue 0.
+    # Restricted to the null space of the chain the matrix has only the zeros; rounding would spread
+    # an r-fold eigenvalue 0.
     scaled = chain.rows[: chain.degree]
     scaled = scaled / np.linalg.norm(scaled, axis=1)[:, None]
     units = np.maximum(np.abs(scaled).max(axis=0), _ZERO)
@@ -343,17 +343,17 @@ class RootLocus:
     Parameters
     ----------
     gains
-        (k,) factors on the gain that the controller has.
+        (k,) factors on the controller's gain.
     poles
         For each gain, the poles of magnitude up to ``within_rad_s``; with dead time there are
-        infinitely many beyond.
+        infinitely many others.
     now
         Poles at gain 1.
     open_poles, open_zeros
-        Poles at which the branches begin and zeros at which they end, those of the controller
-        included.
+        Open-loop poles, at which the branches begin, and zeros, at which they end, of plant and
+        controller.
     critical
-        Gain and frequency in rad/s of every crossing of the imaginary axis, rising in gain.
+        Gain and frequency in rad/s of every crossing of the imaginary axis, in increasing gain.
     within_rad_s
         Largest magnitude of the poles.
     """
@@ -370,13 +370,13 @@ class RootLocus:
 def root_locus(
     loop: Loop, gains: FloatArray | None = None, within_rad_s: float | None = None
 ) -> RootLocus:
-    """Return the root locus of an axis, the other loops of its piece closed.
+    """Return the root locus of an axis, with the other loops of its piece closed.
 
     Parameters
     ----------
     gains
         (k,) factors on the controller's gain; by default from 1/1000 to three times the first
-        critical one (10 where there is none), and at least to 3.
+        critical factor (10 if there is none), at least to 3.
     within_rad_s
         Largest magnitude of the poles; by default twice the larger of the plant's largest pole and
         five times the crossover.

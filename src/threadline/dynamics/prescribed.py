@@ -1,9 +1,9 @@
-"""Equations of a network whose motors' positions are prescribed: steppers, pulse-controlled servos.
+"""Equations of a network with prescribed motor positions: steppers, pulse-controlled servos.
 
-Positions p and velocities p' of the driven bodies are taken out of the state of the network
-``z' = F z``. The other states x obey ``x' = A x + B p + C p'`` exactly. The row of F for a
-prescribed velocity gives the acceleration by which the network would move that body, so the torque
-that keeps it on its course is ``J (p'' - row . z)`` plus its friction.
+Positions p and velocities p' of the driven bodies are removed from the state of the network ``z' =
+F z``. The remaining states x obey ``x' = A x + B p + C p'`` exactly. The row of F for a prescribed
+velocity gives the acceleration of that body by the network alone, so the torque of the drive is ``J
+(p'' - row . z)`` plus friction.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Tight:
     name
         Path of the link in the machine file.
     row
-        (n + 2 s,) row that gives its force from ``[x, p, p']``.
+        (n + 2 s,) row of its force over ``[x, p, p']``.
     low, high
-        Forces at which one of its runs falls slack.
+        Forces at which one of its runs goes slack.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Tight:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Prescribed:
-    """One connected piece of a machine whose s drives have prescribed positions p; n states x.
+    """A connected piece with n states x and s drives with prescribed positions p.
 
     Parameters
     ----------
@@ -51,17 +51,17 @@ class Prescribed:
     states
         (n,) names.
     rates
-        (n, n + 2 s) rates of the states from ``[x, p, p']``.
+        (n, n + 2 s) rates of the states over ``[x, p, p']``.
     loads, frames
-        (axes, n + 2 s) rows that give load and frame in m or rad, from the start position.
+        (axes, n + 2 s) rows of load and frame in m or rad, from the start position.
     has_frame
         (axes,) whether the axis has a frame.
     pulls
-        (s, n + 2 s) rows that give the force of the network on each drive's body, N m (N).
+        (s, n + 2 s) rows of the force of the network on each drive's body, N m (N).
     inertia, friction
         (s,) inertia and friction of the drives' bodies.
     belts
-        Preloaded belts, whose equations are linear while they are tight.
+        Preloaded belts; the equations hold while all of them are tight.
     """
 
     axes: tuple[str, ...]
@@ -83,13 +83,13 @@ class Prescribed:
 
 
 def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescribed, ...]:
-    """Return the equations of every piece of ``machine`` that has a prescribed drive.
+    """Return the equations of every piece of ``machine`` with a position-commanded drive.
 
     Raises
     ------
     MachineError
-        If such a piece also has a motor with a loop, or a part that is not linear: play, or
-        friction of another body than the drive's.
+        If such a piece also has a motor with a control loop, or a nonlinear part: play, or friction
+        of a body other than the drive's.
     """
     used = Values.of(machine) if values is None else values
     return tuple(
@@ -100,7 +100,7 @@ def prescribed(machine: Machine, values: Values | None = None) -> tuple[Prescrib
 
 
 def piece_of(machine: Machine, axis: str) -> Prescribed:
-    """Return the piece that an axis belongs to."""
+    """Return the piece of an axis."""
     return next(piece for piece in prescribed(machine) if axis in piece.axes)
 
 
@@ -109,10 +109,10 @@ def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescr
     sources = {name: machine.position_sources[name] for name in group.sources}
     if group.drives:
         raise MachineError(
-            f"drives.{group.sources[0]} is told positions and drives.{group.drives[0]} has a "
-            "loop, and both move one connected piece",
+            f"drives.{group.sources[0]} takes positions and drives.{group.drives[0]} has a "
+            "control loop, but both move one connected piece",
             place=machine.place,
-            remedy="Move each piece by drives of one sort.",
+            remedy="Use drives of one kind in each piece.",
         )
     bodies = [source.body for source in sources.values()]
     full, tight = piece.base[0][:, :n].copy(), []
@@ -125,9 +125,9 @@ def _without(machine: Machine, piece: PiecewiseLinear, values: Values) -> Prescr
             tight.append((element.name, law[:n], guard.low, guard.high))
         elif not (name[0] == "bodies" and name[1] in bodies):
             raise MachineError(
-                f"{element.name} is not linear, in a piece that drives.{group.sources[0]} moves",
+                f"{element.name} is not linear, and drives.{group.sources[0]} moves its piece",
                 place=machine.place,
-                remedy="Leave friction and play out, but for the friction of the drive's own body.",
+                remedy="Omit friction and play, except the friction of the drive's body.",
             )
     positions = [piece.states.index(body) for body in bodies]
     speeds = [piece.states.index(f"{body}'") for body in bodies]
@@ -169,10 +169,10 @@ def _first(bound: FloatArray | float) -> float:
 
 
 def resonance_hz(source: Source, inertia: float) -> float | None:
-    """Return the frequency in Hz at which a stepper swings about its step; None for a servo.
+    """Return the resonance in Hz of a stepper about its step; None for a servo.
 
-    The restoring torque is that of a small deflection: the torque of a stepper varies with the
-    sine of the electrical angle, of which a full step is a quarter turn.
+    It holds for small deflections: the torque of a stepper varies with the sine of the electrical
+    angle, and a full step is a quarter of an electrical turn.
     """
     if isinstance(source, PulseServo):
         return None

@@ -1,4 +1,4 @@
-"""References through the exact inverse, block by block: motions of any length in bounded memory."""
+"""References by the exact inverse, block by block, so that memory is bounded."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from threadline.errors import MachineError
 from threadline.machine import Machine
 from threadline.machine.controllers import ProfileController
 
-_LEFT = 1e-3  # share of an inner state's amplitude at which it counts as decayed
+_LEFT = 1e-3  # an inner state that falls to this share of its amplitude counts as decayed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
-    """When the references of an axis are due.
+    """Timing of the references of an axis.
 
     Parameters
     ----------
     tick_s, step_s
-        Tick of the controller's filter; time from reference to reference.
+        Tick of the controller's filter, and time from reference to reference.
     early_s
-        Time from the tick of a voltage to the instant for which it is computed: the dead time and
-        half a tick of hold.
+        Time from the tick of a voltage to the instant for which it is computed: the dead time plus
+        half a tick.
     held_s
-        Time from the tick of a reference to the instant for which it is computed: half of a step
-        where a step is longer than a tick, else 0.
+        Time from the tick of a reference to the instant for which it is computed: half a step if a
+        step is longer than a tick, else 0.
     lead_s
         Time from the first reference to the start of the motion, in whole steps.
     settle_s
-        Time from the end of the motion to the last reference: inner states and filter decay to a
-        thousandth in it.
+        Time from the end of the motion to the last reference, in which inner states and filter
+        decay to a thousandth.
     """
 
     tick_s: float
@@ -49,7 +49,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demand:
-    """Peak voltage and current that a motion asks of the drive of one axis, by the exact inverse.
+    """Peak voltage and current that a motion needs from the drive of an axis, by the exact inverse.
 
     Parameters
     ----------
@@ -58,10 +58,10 @@ class Demand:
     volts, volt_limit
         Largest voltage at the controller's output, and the range of its DAC.
     current_a, current_limit_a
-        Largest current in the motor (None where the model has no coil), and the limit of the
-        amplifier (infinite where it has none).
+        Largest current in the motor (None if the model has no coil), and the limit of the amplifier
+        (infinite for none).
     current_at_s
-        When the current is largest, on the clock of the motion.
+        Instant of the largest current, on the clock of the motion.
     """
 
     axis: str
@@ -73,33 +73,33 @@ class Demand:
 
     @property
     def share(self) -> float:
-        """Larger share of the two limits that is used; above 1 the machine cannot follow."""
+        """Larger ratio of demand to limit; above 1 the machine cannot follow."""
         return max(self.volts / self.volt_limit, (self.current_a or 0.0) / self.current_limit_a)
 
     def at_least(self, volts: float) -> Demand:
-        """Return the same with a peak voltage of at least ``volts``."""
+        """Return this demand with a peak voltage of at least ``volts``."""
         return replace(self, volts=max(self.volts, volts))
 
     @property
     def bound_by(self) -> str:
-        """Name of the limit of which most is used: ``"current"`` or ``"voltage"``."""
+        """The limit with the least reserve: ``"current"`` or ``"voltage"``."""
         current = (self.current_a or 0.0) / self.current_limit_a
         return "current" if current >= self.volts / self.volt_limit else "voltage"
 
 
 def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
-    """Return when the references of an axis are due.
+    """Return the timing of the references of an axis.
 
     Raises
     ------
     MachineError
-        If the filter has no stable inverse, or the controller generates its own positions.
+        If the filter has no stable inverse, or the controller generates positions itself.
     """
     controller = machine.controller_of(axis)
     if isinstance(controller, ProfileController):
         raise MachineError(
-            f"axis {axis}: a controller of kind {controller.kind!r} makes its positions itself and "
-            f"cannot be given those of feed-forward",
+            f"axis {axis}: a controller of kind {controller.kind!r} generates positions itself and "
+            f"cannot follow feed-forward references",
             place=machine.place,
             remedy='Give it kind "lead".',
         )
@@ -108,10 +108,10 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
     zeros = np.abs(np.roots(np.trim_zeros(digital.numerator, "b")))
     if (zeros >= 1.0).any():
         raise MachineError(
-            f"axis {axis}: its controller has no stable inverse, a zero lies at |z| = "
+            f"axis {axis}: its controller has no stable inverse, because of a zero at |z| = "
             f"{zeros.max():.4g}",
             place=machine.place,
-            remedy="Raise its proportional gain against the differential one.",
+            remedy="Raise its proportional gain relative to its differential gain.",
         )
     tick = digital.period_s
     step = float(machine.clock(controller.reference_clock or controller.clock).period_s)
@@ -131,21 +131,21 @@ def timing_of(machine: Machine, axis: str, inverse: Inverse) -> Timing:
 
 
 class AxisPreview:
-    """Turns the motion of one axis into the references of its controller, block by block.
+    """Computes the references of a controller from the motion of its axis, block by block.
 
-    At tick k the filter must put out the voltage that the plant needs ``early_s`` later. The
-    reference is the predicted reading of the sensor, plus the error that makes the filter put that
-    voltage out.
+    At tick k the filter must output the voltage that the plant needs ``early_s`` later. The
+    reference is the predicted sensor reading plus the error for which the filter outputs that
+    voltage.
 
     Parameters
     ----------
     model
-        Numbers from which the inverse is made; those of ``machine`` when None.
+        Numbers for the inverse; None: the numbers of ``machine``.
 
     Attributes
     ----------
     latest
-        What was told by the last call of ``feed``.
+        Output of the last call of ``feed``.
 
     Raises
     ------
@@ -173,21 +173,22 @@ class AxisPreview:
 
     @property
     def orders(self) -> int:
-        """Number of columns of a ladder: the position and all derivatives that are needed."""
+        """Number of columns of a ladder: the position and all required derivatives."""
         return self.inverse.degree + 1
 
     @property
     def ahead(self) -> int:
-        """Number of ticks by which ``early`` runs ahead of ``now`` in ``feed``."""
+        """Number of ticks by which ``early`` is ahead of ``now`` in ``feed``."""
         return AHEAD
 
     def feed(self, time_s: FloatArray, now: FloatArray, early: FloatArray) -> FloatArray:
-        """Return the (k,) position in m or rad that the controller should be told at each tick.
+        """Return the (k,) references of the controller in m or rad.
 
         Parameters
         ----------
         time_s
-            (k,) times of the next ticks of the controller; before the first of all, the load rests.
+            (k,) times of the next ticks of the controller; the load is at rest before the first
+            one.
         now
             (k, orders) ladder: position of the load and its derivatives at these ticks.
         early
@@ -214,7 +215,7 @@ class AxisPreview:
 
     @property
     def demand(self) -> Demand:
-        """Peak voltage and current of all that was fed so far."""
+        """Peak voltage and current of all blocks so far."""
         volts, current, at_s = self._peaks
         return Demand(
             axis=self._axis,
@@ -241,16 +242,17 @@ class AxisPreview:
 
 
 class _Inner:
-    """The inner states ``eta' = Q eta + R (y ... y^(r-1))`` along equally spaced instants.
+    """Inner states ``eta' = Q eta + R (y ... y^(r-1))`` at equally spaced instants.
 
-    Between two instants the push ``R ladder`` is the cubic with its values and slopes there, known
-    from the derivatives; its error is ``T^4 / 384`` of the push's fourth derivative.
+    Between two instants the input ``R ladder`` is approximated by the cubic with its values and
+    slopes at both, known from the derivatives; the error is ``T^4 / 384`` times its fourth
+    derivative.
     """
 
     def __init__(self, inverse: Inverse, step_s: float) -> None:
         self._Q, self._R = inverse.Q, inverse.R
         decay, (m0, m1, m2, m3) = decay_and_moments(inverse.Q, step_s, 4)
-        # Of one order always: a part of another array would have machine code of its own.
+        # Always contiguous: another memory layout would compile another version of ``_recur``.
         self._decay: FloatArray = np.ascontiguousarray(decay)
         # Hermite's four cubics: value and slope (times the step) at the start, then at the end.
         self._start = (m0 - 3.0 * m2 + 2.0 * m3, step_s * (m1 - 2.0 * m2 + m3))

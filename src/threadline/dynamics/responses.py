@@ -24,12 +24,12 @@ _BAND = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Step:
-    """The response to a step of 1 in the reference, in the unit of the reference.
+    """The response to a unit step of the reference, in the unit of the reference.
 
     Parameters
     ----------
     time_s, value
-        (k,) ticks of the controller and response at them; the step is at 0.
+        (k,) ticks of the controller in s, and the response; the step is at 0.
     final
         Steady state of the response.
     rise_s
@@ -37,11 +37,11 @@ class Step:
     settling_s
         Time until the response stays within 2 % of the final value.
     overshoot
-        Excess of the largest value over the final one, as a share of the final one; 0 for none.
+        (Largest value - final value) / final value; 0 for no overshoot.
     peak_s
         Time of the largest value.
     steady_state_error
-        1 less the final value.
+        1 - final value.
     """
 
     time_s: FloatArray
@@ -59,14 +59,14 @@ def step_response(
 ) -> Step | None:
     """Return the response of an axis to a unit step of its reference.
 
-    It is None where the loop is unstable, and where the output ends at 0.
+    None if the loop is unstable or the final value is 0.
 
     Parameters
     ----------
     output
         ``"measured"``, ``"load"`` or ``"frame"``.
     duration_s
-        By default until the slowest closed-loop pole has decayed to one in ten thousand.
+        By default until the slowest closed-loop pole has decayed to 1e-4.
     """
     closed = loop.closed()
     radius = closed.spectral_radius
@@ -83,13 +83,13 @@ def step_response(
     value = np.ascontiguousarray(closed.respond(reference)[:, row])
     final = float(closed.steady()[row, loop.index]) * loop.counts_per_unit
     if final == 0.0:
-        return None  # the figures are shares of the final value
+        return None  # the figures are relative to the final value
     time_s = np.asarray(np.arange(len(value)) * closed.period_s, dtype=np.float64)
     return read_step(time_s, value, final)
 
 
 def read_step(time_s: FloatArray, value: FloatArray, final: float) -> Step:
-    """Return the figures of a step response that ends at ``final``.
+    """Return the figures of a step response with the final value ``final``.
 
     Crossings are interpolated linearly between samples.
     """
@@ -130,7 +130,7 @@ def _between(time_s: FloatArray, share: FloatArray, k: int, level: float) -> flo
     return float(time_s[k] + part * (time_s[k + 1] - time_s[k]))
 
 
-_CLOSED_LOOP_DECAY = 1e-5  # share of the slowest pole's motion at which the response is cut off
+_CLOSED_LOOP_DECAY = 1e-5  # the response is truncated at this share of the slowest pole's motion
 _CLOSED_LOOP_MOST_TICKS = 50_000
 
 
@@ -145,7 +145,7 @@ class Answer(Locked):
     period_s
         Tick of its controller.
     taps
-        (n,) response of the load, 0 to n - 1 ticks after a unit impulse of the reference; their sum
+        (n,) response of the load, 0 to n - 1 ticks after a unit impulse of the reference; the sum
         is 1.
     """
 
@@ -158,14 +158,14 @@ class Answer(Locked):
 
     @property
     def memory_s(self) -> float:
-        """Time for which a reference acts on the load."""
+        """Duration of the effect of a reference on the load, s."""
         return len(self.taps) * self.period_s
 
     @cached_property
     def moments(self) -> tuple[float, float]:
-        """First and half of the second moment of the taps, s and s^2.
+        """First moment of the taps in s, and half of their second moment in s^2.
 
-        A load whose reference r changes slowly is at ``r - first r' + second r''``; ``first`` is
+        For a slowly changing reference r the load is at ``r - first r' + second r''``; ``first`` is
         the lag.
         """
         time_s = np.arange(len(self.taps)) * self.period_s
@@ -177,17 +177,17 @@ class Answer(Locked):
         Parameters
         ----------
         reference
-            (k,) m or rad, one at each tick of the controller; before them the load rests at the
-            first.
+            (k,) m or rad, one per tick of the controller; before them the load rests at the first
+            one.
         """
         start = reference[0]
         return np.asarray(start + _filtered(reference - start, self.taps))
 
 
 def _filtered(values: FloatArray, taps: FloatArray) -> FloatArray:
-    """Return (k,) values behind a filter of (n,) taps, by overlapped parts and their transforms.
+    """Return (k,) values filtered by (n,) taps, by the overlap-add method.
 
-    scipy.signal has the same (``oaconvolve``) and takes a second to import: a fifth of a short job.
+    ``scipy.signal.oaconvolve`` does the same but takes a second to import: a fifth of a short job.
     """
     size = 1 << (4 * len(taps) - 1).bit_length()
     step = size - len(taps) + 1
@@ -195,7 +195,7 @@ def _filtered(values: FloatArray, taps: FloatArray) -> FloatArray:
     parts.ravel()[: len(values)] = values
     answers = np.fft.irfft(np.fft.rfft(parts, size) * np.fft.rfft(taps, size), size)
     found = np.ascontiguousarray(answers[:, :step])
-    found[1:, : size - step] += answers[:-1, step:]  # what a part leaves to the next one
+    found[1:, : size - step] += answers[:-1, step:]  # overlap with the next part
     return found.ravel()[: len(values)]
 
 
@@ -203,18 +203,18 @@ _RECENT: Recent[Machine, dict[str, Answer]] = Recent(8, lambda a, b: a is b or a
 
 
 def answers_of(machine: Machine, values: Values | None = None) -> dict[str, Answer]:
-    """Return the response of every axis of ``machine`` that has a loop, by name.
+    """Return the response of every axis of ``machine`` with a controller, by name.
 
-    Where axes share bodies, the references of the other axes are 0.
+    If axes share bodies, the references of the other axes are 0.
 
     Parameters
     ----------
     values
-        Replaced numbers, of which the first variant is used.
+        Numbers that replace the machine's; the first variant is used.
     """
     if values is not None:
         return _answers(machine, values)
-    # Each start of a run and each plan of a search asks for those of the same machine.
+    # Cached, because every run and every plan of a search needs the same machine's response.
     return dict(_RECENT.of(machine, lambda: _answers(machine, None)))
 
 
@@ -231,7 +231,7 @@ def _answer(loop: Loop) -> Answer:
     reference = np.zeros((ticks, len(loop.filters)))
     reference[0, loop.index] = loop.counts_per_unit
     taps = closed.respond(reference)[:, closed.outputs.index(f"{loop.axis}.load")]
-    # The load comes to its reference: what was cut off is made up for by the scale.
+    # The load reaches its reference, so the truncated taps are scaled to the sum 1.
     return Answer(axis=loop.axis, period_s=closed.period_s, taps=taps / taps.sum())
 
 
@@ -242,12 +242,12 @@ _MAX_POINTS = 200_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredResponse:
-    """Motor speed per volt as a frequency response analyser measures it.
+    """Motor speed per volt, measured by a frequency response analyser.
 
     Parameters
     ----------
     frequency_hz, magnitude_db, phase_deg
-        (k,), rising in frequency; the magnitude may have any reference.
+        (k,), in increasing frequency; the magnitude may have any reference.
     """
 
     frequency_hz: FloatArray
@@ -255,9 +255,9 @@ class MeasuredResponse:
     phase_deg: FloatArray
 
     def against(self, loop: Loop) -> tuple[float, float]:
-        """Return the root mean square distances from the model in dB and in degrees.
+        """Return the root mean square differences from the model in dB and in degrees.
 
-        Magnitudes are compared after both were normalised to the first point.
+        Magnitudes are compared relative to the first point.
         """
         magnitude, phase = speed_response(loop, 2 * np.pi * self.frequency_hz)
         level = magnitude - magnitude[0] + self.magnitude_db[0]
@@ -269,9 +269,9 @@ class MeasuredResponse:
 
 
 def speed_response(loop: Loop, omega_rad_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return magnitude, in (k,) dB relative to zero frequency, and (k,) phase of speed per volt.
+    """Return (k,) magnitude of speed per volt in dB relative to zero frequency, and (k,) phase.
 
-    It is the continuous response of amplifier and plant, without the sampling of the controller.
+    It is the continuous response of amplifier and plant, without sampling.
     """
     own = loop.own()
 
@@ -292,7 +292,8 @@ def read_response(path: Path) -> MeasuredResponse:
     Raises
     ------
     RecordingError
-        If a column is missing, or a line doesn't hold three finite numbers, rising in frequency.
+        If a column is missing, a line does not hold three finite numbers, or frequencies do not
+        increase.
     """
     name = str(path)
     text = read_text(path, _MAX_BYTES, RecordingError, "measured response", "utf-8-sig")
@@ -313,7 +314,7 @@ def read_response(path: Path) -> MeasuredResponse:
         points.append(_numbers(row, places, Place(name, number)))
         if len(points) > 1 and points[-1][0] <= points[-2][0]:
             raise RecordingError(
-                f"frequency {points[-1][0]:g} Hz does not rise",
+                f"frequency {points[-1][0]:g} Hz does not increase",
                 place=Place(name, number),
                 remedy="Sort the lines by frequency.",
             )

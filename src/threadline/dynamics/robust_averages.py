@@ -1,24 +1,25 @@
-r"""Answers of machines to steps of speed that a spline smooths, shifted by each of many weights.
+r"""Robust moving averages: smoothing weights with little vibration over all tolerances.
 
-Feed-forward plans for the machine as its file says. One with other masses or stiffnesses leaves the
-load ringing after each change of speed, by as much as the intended motion excites its mode. The
-average over time that smooths a motion for the inverse has many weights, and only their sum and
-first moment are needed to keep straight lines and times. The rest is free, and linear: the answer
-of every machine to a change of speed is a weighted sum of its answers to one shifted spline.
+Feed-forward plans for the nominal machine. On a machine with other masses or stiffnesses the load
+vibrates after each change of speed, as far as the intended motion excites its mode. The moving
+average that smooths a motion for the inverse has many weights, and only their sum and first moment
+are fixed, to preserve straight lines and times. The others are free, and the problem is linear: the
+response of every machine to a change of speed is a weighted sum of its responses to shifted
+splines.
 
-.. math:: \min_w \epsilon, \quad |S_k(t) - 1| \le \epsilon \text{ from the time on at which the
-          speed has to be even}, \quad S_k(t) = \sum_i w_i B_k(t - i h)
+.. math:: \min_w \epsilon, \quad |S_k(t) - 1| \le \epsilon \text{ once the speed must be constant},
+          \quad S_k(t) = \sum_i w_i B_k(t - i h)
 
-over all machines k, where ``B_k`` is the answer to a step of speed at 0 that the spline alone has
-smoothed. A stop is a start backwards in time. The speed is there soon enough after the load
-departed (:data:`STILL`, :data:`THERE`), the load does not stray while another axis moves, and the
-current stays within that of the amplifiers. The linear program is solved on the instants that bind:
-those that its result violates are added.
+over all machines k, where ``B_k`` is the response to a step of speed at 0 smoothed only by the
+spline. A stop is a start in reversed time. Further constraints: the load reaches its speed in time
+after its departure (:data:`STILL`, :data:`THERE`), it stays near its position while another axis
+moves, and the current stays within the amplifiers' limits. The linear program contains only the
+binding instants: instants that its result violates are added, and it is solved again.
 
-Every program has a solution: what is not an error has to be kept, and one excess by which all of it
-may be left is so dear that it is 0 where that is possible. There are no weights where it is more
-than a stated margin. A program that may have no solution is one that HiGHS often ends without an
-answer, here where neighbouring rows are alike; and it does so, too, with some that have one.
+Every program is feasible: all constraints share an excess variable whose cost is so high that it is
+0 if possible. If it exceeds a margin, there are no weights. The reason is that HiGHS often fails on
+programs that may be infeasible, here with nearly equal neighbouring rows; it also fails on some
+feasible ones.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ from threadline.dynamics.inverse import CornerResponse
 from threadline.errors import PlanError
 
 Answers = dict[CornerResponse, tuple[FloatArray, FloatArray | None]]
-"""(samples, count) answers of each machine to steps of speed, one for each weight: of its load over
-the speed, and of its current in A s/m or A s/rad, None without a coil."""
+"""(samples, count) responses of each machine to a step of speed, one per weight: load speed / step,
+and current / step in A s/m or A s/rad (None without a coil)."""
 
 
 def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
-    """Return the frequencies of ``count`` samples; 0 is replaced by next to nothing."""
+    """Return the frequencies of ``count`` samples; 0 is replaced by a very low frequency."""
     omega = 2.0 * np.pi * np.fft.rfftfreq(count, period_s)
     omega[0] = 1e-3 * omega[1]
     return np.asarray(omega)
@@ -56,16 +57,17 @@ def answer_steps(
     grid_s: float,
     samples: int,
 ) -> None:
-    """Put the answers of those of ``machines`` that have none yet into ``answers``.
+    """Add the missing responses of ``machines`` to ``answers``.
 
     Parameters
     ----------
     shift_s
-        (count,) by which each weight shifts the step.
+        (count,) shift of the step by each weight.
     step_s, degree
-        Of the uniform B-spline, its knots so far apart.
+        Knot spacing and degree of the uniform B-spline.
     grid_s, samples
-        Instants about the step; ``machines`` are given at ``frequencies_rad_s(grid_s, samples)``.
+        Spacing and number of instants around the step; ``machines`` are sampled at
+        ``frequencies_rad_s(grid_s, samples)``.
     """
     new = [one for one in machines if one not in answers]
     if not new:
@@ -83,54 +85,54 @@ def answer_steps(
 
 
 STILL, THERE, ACROSS = 0.0065, 0.953, 0.1
-"""Largest share of its speed with which the planned load stands, least share of the wanted speed
-that every machine has where it has its speed, and largest share with which a load moves while
-another axis has its speed: 1 % and 95 % are asked of seams, and a tenth across adds 0.5 %."""
-_SPARE = 0.012  # of the wanted speed: so much more is there where it costs little
-_FIRST_ROWS = 2048  # every so many instants are in the first program; the next ones find theirs
+"""Speeds as shares of the intended speed: largest speed of the nominal load at rest; smallest speed
+of every machine when its speed is reached; largest speed of a load while another axis moves. Seams
+require 1 % and 95 %; a tenth across the path adds 0.5 %."""
+_SPARE = 0.012  # share of the speed that is added to THERE if it costs little
+_FIRST_ROWS = 2048  # every n-th instant is in the first program; violated ones are added
 _MOST_ROUNDS = 100
-_CLOSE = 1e-6  # of the step: no instant is violated by more
-_RISES = 1e-9  # of the cost
-_NEAR = 0.01  # of the step: instants that are further within are left out of the next program
+_CLOSE = 1e-6  # of the step: largest violation at any instant
+_RISES = 1e-9  # of the cost: smaller increases do not count
+_NEAR = 0.01  # of the step: instants with more reserve are dropped from the next program
 MEAN_S = 0.0021
-"""Time over which a speed is taken, and a little more."""
-_SEEN = 16.0  # times the time for a change: so long after it a load is looked at
-_LOOKED = 4.0  # times it: so long before and after it a current is
+"""Time over which a speed is measured, with a small reserve, s."""
+_SEEN = 16.0  # times the time of a change: the load is checked so long after it
+_LOOKED = 4.0  # times the time of a change: the current is checked so long before and after it
 _ERROR, _SHARE, _LATE, _EXCESS = 0, 1, 2, 4
-"""Slacks: of the even speed, of the current, of what is there; 3 is the size of the largest weight;
-of all that has to be kept."""
-_LATE_COSTS = 0.1  # worth of what is not there against the largest error
-_DRIVEN = 0.05  # worth of the share of the current against the largest error
-_SPIKES = 1e-4  # worth of the largest weight against the largest error
+"""Indices of slacks: constant speed, current, reached speed, (3: the largest weight), all hard
+constraints."""
+_LATE_COSTS = 0.1  # cost of a speed not yet reached, relative to the largest error
+_DRIVEN = 0.05  # cost of the share of the current, relative to the largest error
+_SPIKES = 1e-4  # cost of the largest weight, relative to the largest error
 _SIZE = 1e-5
-"""Worth of the size of a weight, twice that of the last, against the largest error: where many
-weights leave the same error and spikes alike these are definite ones, whatever the last digits."""
+"""Cost of the size of a weight, up to twice this for the last one, relative to the largest error.
+It makes the optimum unique and independent of rounding if many weights have the same error."""
 _EXCESS_COSTS = 1000.0
-"""Worth of what is left of bands that have to be kept: with an excess of the margin at this price
-the least error without it is a tenth of the speed larger, which serves nobody."""
-_MARGIN = 1e-4  # of speed, room or current: bands that are left by no more are kept
-_LARGEST = 10.0  # weight; those that are found are below 0.3
+"""Cost of the excess of hard constraints: an excess of the margin costs as much as an error of a
+tenth of the speed, which would be useless."""
+_MARGIN = 1e-4  # of speed, room or current: a smaller violation of a hard constraint is allowed
+_LARGEST = 10.0  # bound of weights; actual weights are below 0.3
 _DEAREST = 1.0 + _DRIVEN + _LATE_COSTS * _SPARE + _EXCESS_COSTS * _MARGIN
-"""Cost above which a program is given up: the error is all of the speed, or the margin is left. The
-weights have next to no part in it."""
-_KEPT = 0.5 * _CLOSE  # a solution that leaves a row of its own program by more is none
+"""Cost above which a program is abandoned: the error equals the speed, or the excess exceeds the
+margin. The cost of the weights is negligible."""
+_KEPT = 0.5 * _CLOSE  # a solution that violates a row of its program by more is rejected
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepOfSpeed:
-    """The largest change of speed of one axis, and the machines that are to follow it.
+    """The largest change of speed of one axis, and the machines that must follow it.
 
     Parameters
     ----------
     speed
         m/s or rad/s.
     room
-        How far a load may go while the path is along another axis, before a start and after a
+        Allowed motion of the load while the path is along another axis, before a start and after a
         stop, m or rad.
     current_limit_a
-        That may be used; infinite where there is no limit.
+        Available current; infinite for no limit.
     machines
-        The first is the one for which is planned.
+        The first one is the nominal machine of the plan.
     """
 
     speed: float
@@ -141,26 +143,26 @@ class StepOfSpeed:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ChangeOfSpeed:
-    """What is asked of a start, a step of speed at the time 0; of a stop the same backwards.
+    """Requirements on a start, a step of speed at time 0, or on a stop, in reversed time.
 
     Parameters
     ----------
     stop
         Whether it is a stop.
     early_s, still_s
-        How long before 0 the planned load may depart, and from when on it stands until then; before
-        that it may swing back.
+        The nominal load may depart ``early_s`` before 0, and must be at rest from ``still_s``
+        before 0 until then; earlier it may swing back.
     within_s
-        Time from its departure in which every machine has the speed.
+        Time from the departure until every machine has the speed.
     even_s
-        From then on the speed is even.
+        Time from which the speed must be constant.
     aside_s
-        Until so long before 0 another axis moves, and the load must not stray.
+        Another axis moves until ``aside_s`` before 0; the load must stay in its room until then.
     share
-        Least and largest of the speeds that are planned, in parts of the wanted one.
+        Smallest and largest planned speed, as shares of the intended speed.
     mean_s
-        Time over which the mean of the speed is to be even, 0 where the speed itself is. With it
-        nothing is asked of when the speed is there, nor that the load stands before.
+        Time over which the mean speed must be constant, 0 for the speed itself. If above 0, the
+        time to reach the speed and the rest before the start are not constrained.
     """
 
     stop: bool
@@ -175,19 +177,19 @@ class ChangeOfSpeed:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobustWeights:
-    """The weights that were found.
+    """Optimal weights of a moving average.
 
     Parameters
     ----------
     weights
-        (count,) of samples ``step_s`` apart, the one that acts first first, with the sum 1.
+        (count,) weights of samples ``step_s`` apart, in order of time, with the sum 1.
     error
-        Largest error of the speed of any machine where it has to be even, in parts of the wanted
+        Largest speed error of any machine while the speed must be constant, as a share of the
         speed.
     cost
-        What was made least: the error, and a little of what drives and weights are asked for.
+        Objective: the error, plus small terms for current and weights.
     slack
-        By which bands were left, in the order of the program's unknowns.
+        Slacks of the constraints, in the order of the program's unknowns.
     """
 
     weights: FloatArray
@@ -198,7 +200,7 @@ class RobustWeights:
 
 @dataclass(slots=True)
 class _Band:
-    """Rows ``low - slack <= R w <= high + slack``, the slack being the sum of those unknowns."""
+    """Constraints ``low - slack <= R w <= high + slack``; slack is the sum of some unknowns."""
 
     R: FloatArray
     low: FloatArray
@@ -219,34 +221,34 @@ def robust_weights(
     dearest: float = np.inf,
     kept: Answers | None = None,
 ) -> RobustWeights | None:
-    """Return the weights of which all machines leave the least error; None where there are none.
+    """Return the weights with the smallest error over all machines; None if infeasible.
 
-    There are none where the current is too little for the change of speed in its time.
+    It is infeasible if the current is too low for the change of speed in the given time.
 
     Parameters
     ----------
     changes
-        That the weights are to serve: a start, a stop or both.
+        The changes that use the weights: a start, a stop or both.
     count, step_s
         Number of weights, and the time between samples.
     degree
-        Of the uniform B-spline whose control points the averages are.
+        Degree of the uniform B-spline whose control points are the averages.
     grid_s, samples
-        Instants at which the answers are looked at; ``machines`` are given at
+        Spacing and number of the instants of responses; ``machines`` are sampled at
         ``frequencies_rad_s(grid_s, samples)``.
     near
-        Weights of a problem that is much like this one: the first program has the instants that
-        bind them, and fewer programs are solved. The result is the same.
+        Weights of a similar problem: the first program contains their binding instants, so fewer
+        programs are needed. The result is the same.
     dearest
-        Cost from which on weights are of no use, so that none are returned.
+        Return None if the cost reaches this value.
     kept
-        Answers of machines from calls with the same ``count``, ``step_s``, ``degree``, ``grid_s``
-        and ``samples``; this call's are put there.
+        Cache of responses from calls with the same ``count``, ``step_s``, ``degree``, ``grid_s``
+        and ``samples``; this call adds to it.
 
     Raises
     ------
     PlanError
-        If a program has no answer, or too many are needed.
+        If the solver fails, or too many programs are needed.
     """
     shift_s: FloatArray = np.asarray((np.arange(count) - 0.5 * (count - 1)) * step_s)
     middle = samples // 2
@@ -268,12 +270,12 @@ def robust_weights(
 def _least(
     bands: Sequence[_Band], shift: FloatArray, near: RobustWeights | None, dearest: float
 ) -> RobustWeights | None:
-    """Return the weights, of the moment 0 about ``shift``, with the least error over all bands.
+    """Return the weights, of first moment 0 over ``shift``, with the smallest error over all bands.
 
-    None where bands that have to be kept cannot be, or at a cost of ``dearest`` and more.
+    None if hard constraints cannot be met, or if the cost reaches ``dearest``.
     """
-    # Unknowns: what weights are above 0, what they are below it, then the slacks, and among them
-    # the size of the largest weight.
+    # Unknowns: positive parts of the weights, negative parts, then the slacks, including the
+    # magnitude of the largest weight.
     count = len(shift)
     size = _SIZE * (1.0 + np.arange(count) / count)
     cost = np.concatenate([size, size, [1.0, _DRIVEN, _LATE_COSTS, _SPIKES * count, _EXCESS_COSTS]])
@@ -307,7 +309,7 @@ def _least(
         weights, slacks = found[:count] - found[count:first], found[first:]
         reached = float(cost @ found)
         if reached >= dearest:
-            return None  # more instants make it dearer still
+            return None  # more instants can only raise the cost
         over = [_over(band, weights, slacks) for band in bands]
         peaks = [np.flatnonzero(_peaks(one)) for one in over]
         if not any(len(new) for new in peaks):
@@ -316,8 +318,8 @@ def _least(
             return RobustWeights(
                 weights=weights, error=float(slacks[_ERROR]), cost=reached, slack=slacks
             )
-        # What is left out may come back: the least cost rises from program to program, so that
-        # none is met twice.
+        # Dropped instants may return, but only while the cost rises, so that no program is
+        # repeated.
         rises = reached > least + _RISES
         least = max(reached, least)
         chosen = [
@@ -325,8 +327,8 @@ def _least(
             for at, one, new in zip(chosen, over, peaks, strict=True)
         ]
     raise PlanError(
-        f"averages for machines within their tolerances: {_MOST_ROUNDS} linear programs do not "
-        "settle",
+        f"averages for machines within their tolerances: no convergence in {_MOST_ROUNDS} linear "
+        "programs",
         remedy="Give another --smoothing.",
     )
 
@@ -338,9 +340,9 @@ def _solved(
     sums: FloatArray,
     bounds: Sequence[tuple[float, float]],
 ) -> FloatArray:
-    """Return the unknowns of the least cost, whose rows are checked here.
+    """Return the optimal unknowns, after checking all rows.
 
-    The program has a solution; where one algorithm has none, another is asked.
+    The program is feasible; if one algorithm fails, another is tried.
     """
     from scipy.optimize import linprog
 
@@ -353,26 +355,26 @@ def _solved(
             if max(off, abs(float(sums[1] @ unknowns))) <= _KEPT:
                 return unknowns
     raise PlanError(
-        "averages for machines within their tolerances: a linear program that has a solution was "
-        f"not solved ({found.message})",
+        "averages for machines within their tolerances: the solver failed on a feasible "
+        f"linear program ({found.message})",
         remedy="Give another --smoothing.",
     )
 
 
 def _both(of_weights: FloatArray) -> FloatArray:
-    """Return the columns of what weights are above 0, and of what they are below it."""
+    """Return the columns of the positive and of the negative parts of the weights."""
     return np.hstack([of_weights, -of_weights])
 
 
 def _over(band: _Band, weights: FloatArray, slack: FloatArray) -> FloatArray:
-    """Return by how much a band is left at each instant, negative within it."""
+    """Return the violation of a band at each instant, negative inside the band."""
     value = band.R @ weights
     allowed = float(slack[list(band.slacks)].sum())
     return np.maximum(value - band.high, band.low - value) - allowed
 
 
 def _peaks(over: FloatArray, above: float = _CLOSE) -> NDArray[np.bool_]:
-    """Say at which instants a band is left by more than elsewhere in their neighbourhood."""
+    """Return a mask of the local maxima of a band's violation that exceed ``above``."""
     before, after = np.append(-np.inf, over[:-1]), np.append(over[1:], -np.inf)
     return np.asarray((over > above) & (over >= before) & (over >= after))
 
@@ -385,21 +387,21 @@ def _bands(
     change: ChangeOfSpeed,
     answer: tuple[FloatArray, FloatArray | None],
 ) -> list[_Band]:
-    """Return what is asked of one machine, with its answer to steps of speed."""
+    """Return the constraints of one machine, from its response to steps of speed."""
     S, current = answer
     if change.stop:
-        # Backwards in time a stop is a start. The weights have the sum 1.
-        last = len(t) - 1  # its opposite would be one further
+        # In reversed time a stop is a start. The weights have the sum 1.
+        last = len(t) - 1  # the opposite of instant 0 would be one instant further
         S = 1.0 - S[np.concatenate([[last], np.arange(last, 0, -1)])]
     least, most = change.share
-    # A speed is seen as a mean: it has to last as long.
+    # A speed is measured as a mean, so it must last for that time.
     due = change.within_s - change.early_s
     there = np.flatnonzero((t >= due - MEAN_S) & (t <= due))
     even = np.flatnonzero((t >= change.even_s) & (t <= _SEEN * change.within_s))
     asked = np.ones(len(even))
     seen = S[even]
     if change.mean_s:
-        # From a sample after each instant on; what lasts beyond the samples is not looked at.
+        # Means begin one sample after each instant; means beyond the samples are ignored.
         lasts = max(round(change.mean_s / (t[1] - t[0])), 1)
         until = np.minimum(even + lasts, len(t) - 1)
         run = np.cumsum(S, axis=0)
@@ -416,17 +418,17 @@ def _bands(
     if planned and not change.mean_s:
         still = np.flatnonzero((t >= -change.still_s) & (t <= -change.early_s))
         bands.append(_Band(S[still], *_within(STILL, len(still))))
-    # While another axis has its even speed, what this one adds across makes the load faster.
+    # While another axis has its constant speed, motion across the path makes the load faster.
     across = S[t <= -(change.aside_s + change.within_s)]
     bands.append(_Band(across, *_within(ACROSS, len(across))))
     way = np.cumsum(S[t <= -change.aside_s], axis=0) * ((t[1] - t[0]) * axis.speed / axis.room)
     bands.append(_Band(way, *_within(1.0, len(way))))
     limited = np.isfinite(axis.current_limit_a) and axis.speed > 0.0
     if one.current_s_a_m is not None and current is not None and limited:
-        # In parts of the limit, so that all rows are of one size.
+        # As a share of the limit, so that all rows have similar magnitudes.
         near = np.abs(t) <= _LOOKED * change.within_s
         share = current[near] * (axis.speed / axis.current_limit_a)
-        # A stop takes away what the motion needed, which is at the limit's side already.
+        # A stop removes the current of the motion, which already uses part of the limit.
         cruise = float(one.current_s_a_m[0].real) * axis.speed if change.stop else 0.0
         level = np.full(int(near.sum()), cruise / axis.current_limit_a)
         bands.append(_Band(share, level, level, (_SHARE, _EXCESS)))

@@ -1,4 +1,4 @@
-"""Linear models: state space with a dead time at every input.
+"""Linear models, sampled and continuous: state space with dead time, digital filters, closed loops.
 
 The difference equation is ``u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''`` in DAC levels, where each
 prime means one tick earlier. In its continuous form a sum over ticks is an integral and a
@@ -86,12 +86,12 @@ class StateSpace(Locked):
         return np.asarray(np.linalg.eigvals(self.A), dtype=np.complex128)
 
     def select(self, inputs: list[str], outputs: list[str]) -> StateSpace:
-        """Return the same states seen from some inputs and outputs only.
+        """Return the model with a selection of its inputs and outputs.
 
         Raises
         ------
         OptionError
-            If one of them does not exist.
+            If a name does not exist.
         """
         columns = [_index(name, self.inputs, "input") for name in inputs]
         rows = [_index(name, self.outputs, "output") for name in outputs]
@@ -182,7 +182,7 @@ def difference_equation(
     name
         Name of the controller.
     values
-        Replaced numbers, one of each for every variant.
+        Replaced numbers of every variant.
     """
     controller, path = machine.controllers[name], f"controllers.{name}"
     numerator, denominator = np.zeros((values.count, 3)), np.zeros((values.count, 2))
@@ -214,7 +214,7 @@ def difference_equation(
 
 
 def digital_filter(machine: Machine, name: str, values: Values | None = None) -> DigitalFilter:
-    """Return the controller ``name`` with the DAC behind it, in volts per count.
+    """Return the controller ``name`` with its DAC, in volts per count.
 
     ``values`` may replace numbers; its first variant is used.
     """
@@ -250,7 +250,7 @@ def digital_filter(machine: Machine, name: str, values: Values | None = None) ->
 
 
 _ROUNDING = 1e-9
-_MOST_TICKS = 4000  # of dead time: as many states, whose eigenvalues take 20 s
+_MOST_TICKS = 4000  # of dead time; each is a state, and eigenvalues of so many take 20 s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -262,8 +262,7 @@ class SampledPlant:
     transition
         (n, n) matrix of the states over a tick.
     newer, older
-        (n, inputs) effect over a tick of the held value with d ticks of delay, and of the one
-        before it.
+        (n, inputs) effect over a tick of the value delayed by d ticks, and of the value before it.
     ticks
         Whole ticks d of dead time of each input.
     C
@@ -318,7 +317,7 @@ class ClosedLoop:
         """Return the (k, outputs) response to (k, inputs) references in counts, from rest."""
         given = np.asarray(reference, dtype=np.float64)
         states = np.zeros((len(given) + 1, len(self.A)))
-        # What does not need the state before it is multiplied for all ticks at once.
+        # The product with B is computed for all ticks at once.
         for k, push in enumerate(given @ self.B.T):
             states[k + 1] = self.A @ states[k] + push
         return np.asarray(states[:-1] @ self.C.T + given @ self.D.T)
@@ -330,12 +329,12 @@ class ClosedLoop:
 
 
 def sample(plant: StateSpace, period_s: float) -> SampledPlant:
-    """Return the sampled model of ``plant`` behind outputs that are held for a tick.
+    """Return the sampled model of ``plant`` with inputs that are held for a tick.
 
     Raises
     ------
     ValueError
-        If the plant passes an input straight to an output.
+        If the plant has direct feedthrough.
     """
     if np.any(plant.D):
         raise ValueError("a plant with direct feedthrough cannot be sampled here")
@@ -366,20 +365,20 @@ def close_loop(
     names: tuple[str, ...],
     gains: tuple[float, ...] | None = None,
 ) -> ClosedLoop:
-    """Return the closed loop of ``plant`` with one controller for each of its inputs.
+    """Return the closed loop of ``plant`` with one controller per input.
 
     Parameters
     ----------
     filters, sensors, names
-        For each input: the difference equation of its controller, the output in counts that the
-        controller reads, and the controller's name.
+        Per input: the difference equation of its controller, the controller's sensor output in
+        counts, and its name.
     gains
         Factors on the controllers' gains; 1 when None.
 
     Raises
     ------
     MachineError
-        If the dead times last too many ticks: each is a state.
+        If the dead times last too many ticks; each tick is a state.
     """
     period = filters[0].period_s
     sampled = sample(plant, period)
@@ -390,7 +389,7 @@ def close_loop(
     if sum(lines) > _MOST_TICKS:
         raise MachineError(
             f"{', '.join(f'controllers.{name}' for name in names)}: {sum(sampled.ticks):.6g} ticks "
-            f"of {period:.4g} s are under way in the dead time, and a loop is analysed with up to "
+            f"of {period:.4g} s fit into the dead time, but the analysis of a loop allows up to "
             f"{_MOST_TICKS}",
             remedy="Give the controller a longer clock, or its drive a shorter delay.",
         )

@@ -1,4 +1,4 @@
-"""Warnings about numbers of a machine that contradict each other or are improbable."""
+"""Warnings about contradictory or improbable numbers of a machine."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ _CONSTANTS_APART = 0.05
 _SCALES_APART = 0.01
 _DEAD_COUNTS = 5.0
 _SPARE = 1.0 + 1e-9
-_BEYOND = 1.05  # an axis limit may be so much above its drive: data sheets are rounded
+_BEYOND = 1.05  # allowed ratio of an axis limit to its drive's limit: data sheets are rounded
 
 
 def suspicions(machine: Machine) -> list[str]:
-    """Return one sentence for every suspicious number; empty when there is none.
+    """Return one sentence for every suspicious number.
 
     Suspicious are
 
-    - torque and back-emf constants that differ by more than 5 % (in SI they are one number),
-    - counts of an axis that differ from those of its sensor over belt and gear by more than 1 % and
-      the tolerances,
-    - friction that takes half of a motor's current or more at the axis' working speed,
-    - a velocity or acceleration limit of an axis that is more than 5 % above the most that its
-      motor and amplifier reach,
-    - a working speed and an allowed acceleration that together need more current, or more torque of
-      a stepper or pulse servo, than the drive has,
-    - a controller that rounds an error of several counts at rest to no DAC level.
+    - torque and back-emf constants that differ by more than 5 % (in SI they are equal),
+    - counts of an axis that differ from its sensor's counts through belt and gear by more than 1 %
+      plus tolerances,
+    - friction that takes at least half of a motor's current at the axis' working speed,
+    - a velocity or acceleration limit of an axis more than 5 % above the capability of its motor
+      and amplifier,
+    - a working speed and an acceleration limit that together need more current, or more torque of a
+      stepper or pulse servo, than the drive has,
+    - a controller that rounds a static error of several counts to zero DAC levels.
     """
     if machine.without_dynamics:
         return []
@@ -60,7 +60,7 @@ def _constants(machine: Machine, name: str) -> list[str]:
     drive = machine.motors[name]
     torque, emf = drive.torque_constant, drive.back_emf
     if emf.si <= 0 and drive.amplifier.mode == "current":
-        return []  # such an amplifier makes the current whatever the motor gives back
+        return []  # a current amplifier compensates the back-emf
     apart = emf.si / torque.si - 1.0
     if abs(apart) <= _CONSTANTS_APART:
         return []
@@ -71,12 +71,12 @@ def _constants(machine: Machine, name: str) -> list[str]:
 
 
 def _scale(machine: Machine, name: str) -> list[str]:
-    """Return a warning where the counts of an axis are not those of its sensor over belt and gear.
+    """Return a warning if an axis' counts disagree with its sensor's through belt and gear.
 
-    Forgotten quadrature (four counts a line) and a slipped decimal point are found by it.
+    It finds forgotten quadrature (four counts per line) and misplaced decimal points.
     """
     axis = machine.axes[name]
-    if axis.load is None:  # the load is then what the encoder reads
+    if axis.load is None:  # the load is then the position of the encoder
         return []
     sensor_name = machine.controllers[axis.controller].sensor
     rates = rigid_motion(machine, name)
@@ -88,12 +88,12 @@ def _scale(machine: Machine, name: str) -> list[str]:
     if abs(given / axis.counts.si - 1.0) <= allowed:
         return []
     goes = (
-        f"would go {axis.counts.si / given:.4g} times as far as it is told"
+        f"would move {axis.counts.si / given:.4g} times as far as commanded"
         if given
-        else "is not moved at all"
+        else "would not move"
     )
     return [
-        f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but over belt and gear "
+        f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but through belt and gear "
         f"sensors.{sensor_name} gives {given:.6g}: the load {goes}"
     ]
 
@@ -121,7 +121,7 @@ def _viscous(machine: Machine, name: str) -> list[str]:
     return [
         f"axes.{name}: at its working speed of {_speed(axis, speed)} the motor's damping of {said} "
         f"N m s/rad takes {own:.1f} A of the {limit.si:g} A of drives.{drive_name}, all friction "
-        f"{whole:.1f} A; is it that large?"
+        f"{whole:.1f} A; check the damping"
     ]
 
 
@@ -147,10 +147,10 @@ def _beyond_current(machine: Machine, name: str) -> list[str]:
 
 
 def _beyond_drive(machine: Machine, name: str) -> list[str]:
-    """Return a warning for each limit of an axis that is far above what its drive can do.
+    """Return a warning for each limit of an axis far above the capability of its drive.
 
-    Its speed is the one that it reaches in the end with nothing left to accelerate, its
-    acceleration the one that it has from rest; sliding friction is taken from both.
+    The speed is the final speed without acceleration, and the acceleration is from rest, both with
+    sliding friction.
     """
     axis = machine.axes[name]
     drive = machine.controllers[axis.controller].drive
@@ -170,22 +170,22 @@ def _beyond_drive(machine: Machine, name: str) -> list[str]:
         )
         if limit > _BEYOND * reached:
             found.append(
-                f"axes.{name}: {said} is {_shown(axis, limit)}{unit} by the machine file, and "
-                f"drives.{drive} reaches {_shown(axis, reached)}{unit} at most, with the {why}: "
-                f"the machine falls behind a plan that asks for more; lower axes.{name}.{said}"
+                f"axes.{name}: {said} is {_shown(axis, limit)}{unit} in the machine file, but "
+                f"drives.{drive} reaches at most {_shown(axis, reached)}{unit}, with the {why}: "
+                f"the machine would lag behind a faster plan; lower axes.{name}.{said}"
             )
     return found
 
 
 def _shown(axis: Axis, value_si: float) -> str:
-    """Return a length in m, or an angle in degrees, without the end of its unit."""
+    """Return a value in m or degrees, without the time part of its unit."""
     return f"{value_si:.4g} m" if axis.kind == "linear" else f"{np.degrees(value_si):.4g} deg"
 
 
 def _beyond_torque(machine: Machine, name: str) -> list[str]:
-    """Return warnings about an axis that asks its stepper or pulse servo for too much torque.
+    """Return warnings about an axis that needs more torque than its stepper or pulse servo has.
 
-    Its counts are checked, too.
+    Also check its counts.
     """
     axis, source = machine.axes[name], machine.source_of(name)
     assert source is not None
@@ -201,7 +201,7 @@ def _beyond_torque(machine: Machine, name: str) -> list[str]:
     if axis.load is not None and abs(given - 1.0) > allowed:
         found.append(
             f"axes.{name}: counts is {axis.counts.si:.6g} per m or rad, but drives.{drive} gives "
-            f"{source.counts * rates[source.body]:.6g} over belt and gear"
+            f"{source.counts * rates[source.body]:.6g} through belt and gear"
         )
     speed = axis.velocity.si
     force = rigid_force(machine, name, speed, axis.acceleration.si)
@@ -212,14 +212,14 @@ def _beyond_torque(machine: Machine, name: str) -> list[str]:
         unit = "m/s^2" if axis.kind == "linear" else "rad/s^2"
         asked = f"{needed:.4g} {drive_unit(machine, name)}"
         found.append(
-            f"axes.{name}: at {_speed(axis, speed)} and {axis.acceleration.si:.4g} {unit}, which "
-            f"it allows, drives.{drive} is asked for {asked} and has {there:.4g}"
+            f"axes.{name}: at its limits, {_speed(axis, speed)} and {axis.acceleration.si:.4g} "
+            f"{unit}, drives.{drive} needs {asked} but has {there:.4g}"
         )
     return found
 
 
 def _dead_band(machine: Machine, name: str) -> list[str]:
-    """Return a warning when a standing error of several counts rounds to no DAC level at all."""
+    """Return a warning if a static error of several counts rounds to zero DAC levels."""
     controller = machine.axes[name].controller
     b, a = difference_equation(machine, controller, Values.of(machine))
     rest = 1.0 + float(a[0].sum())
@@ -233,8 +233,8 @@ def _dead_band(machine: Machine, name: str) -> list[str]:
     size = band / axis.counts.si
     said = f"{size * 1e3:.3g} mm" if axis.kind == "linear" else f"{np.degrees(size):.3g} deg"
     return [
-        f"controllers.{controller}: at rest it gives {still:.3g} DAC levels per count, so an error "
-        f"of up to {band:.0f} counts ({said}) on axis {name} is rounded away"
+        f"controllers.{controller}: its static gain is {still:.3g} DAC levels per count, so an "
+        f"error of up to {band:.0f} counts ({said}) on axis {name} is rounded to 0"
     ]
 
 

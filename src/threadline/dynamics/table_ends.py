@@ -1,13 +1,13 @@
-"""Tables of references that begin and end with the motion, in place of the rests of an inverse.
+"""Tables of references that begin and end with the motion, without the rests of the inverse.
 
-The references of an inverse begin before the load moves, and go on after it stands until the
-filter of the controller has forgotten its last voltages. A table may be shorter: it tells the
-place of rest before its first row and after its last, and the references next to these are chosen
-so that the load leaves its motion as little as possible. A linear program over the loop as it is,
-tick by tick, asks for them. Voltage and current keep their limits. Where a DAC loses the tick after
-a reversal, each voltage keeps the sign that the inverse gave it, so that the same ticks are lost;
-behind the last row one tick more may be, that in which the filter takes its memory back. What comes
-of it is then followed with every tick that the DAC really loses.
+The references of an inverse begin before the load moves and continue after it stops, until the
+controller's filter has forgotten its last voltages. A table may be shorter: its references are the
+rest position before its first row and after its last, and the references next to these are chosen
+to minimise the deviation of the load. A linear program over the loop, tick by tick, finds them,
+within the limits of voltage and current. If the DAC loses the tick after a reversal, each voltage
+keeps the sign from the inverse, so that the same ticks are lost; one more tick may be lost behind
+the last row, where the filter discharges. The result is then simulated with every tick that the DAC
+really loses.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from threadline.dynamics.preview import AxisPreview
 from threadline.machine import Machine
 
 CHOSEN = 24
-"""Number of references next to an end of a table that are chosen anew."""
+"""Number of references next to an end of a table that are optimised."""
 EARLIEST = 8
-"""Number of ticks before its loads stand at which a table ends at the earliest."""
-_MM = 1e3  # lengths in mm: the program is scaled so
+"""Largest number of ticks that a table may end before its loads are at rest."""
+_MM = 1e3  # lengths in mm, to scale the linear program
 _NOISE_COUNTS = 2.0
 
 
@@ -37,9 +37,9 @@ class TableEnd:
     Parameters
     ----------
     more_si
-        (k,) what is added to the references, m or rad.
+        (k,) changes of the references, m or rad.
     off_si
-        By how much the load leaves its motion at most, m or rad.
+        Largest deviation of the load from its motion, m or rad.
     volts, current_a
         Largest magnitudes at these ticks.
     """
@@ -56,10 +56,10 @@ class AxisEnds:
     Parameters
     ----------
     preview
-        Of the axis. Its controller takes a reference at each of its ticks.
+        Preview of the axis. Its controller takes a reference at every tick.
     reserve
-        Share of voltage and current that is kept for the loop; where the motion itself asks for
-        more than is left, so much may be asked for.
+        Share of voltage and current reserved for the control loop; if the motion itself needs more
+        than the rest, that much is allowed.
     """
 
     def __init__(self, machine: Machine, axis: str, preview: AxisPreview, reserve: float) -> None:
@@ -75,36 +75,37 @@ class AxisEnds:
 
     @property
     def memory(self) -> int:
-        """Number of ticks after which a change of the references is settled."""
+        """Number of ticks until the response to a change of the references has settled."""
         return self._loop.memory
 
     def begun(self, told: Told, count: int, rest_si: float) -> TableEnd | None:
-        """Return the first references of a table that tells ``rest_si`` before its first row.
+        """Return the first references of a table that has ``rest_si`` before its first row.
 
         None where voltage or current have no room for it.
 
         Parameters
         ----------
         told
-            From the tick on at which the table begins: this tick tells the place of rest.
+            Output of the inverse from the first tick of the table, whose reference is the rest
+            position.
         count
-            Number of references behind it that are chosen anew.
+            Number of references after that tick to optimise.
         """
         forced = np.zeros(len(told))
         forced[0] = rest_si - told.references_si[0]
         return self._best(told, forced, np.arange(1, 1 + count), None)
 
     def ended(self, told: Told, count: int, rest_si: float) -> TableEnd | None:
-        """Return the last references of a table that tells ``rest_si`` from a tick on.
+        """Return the last references of a table that has ``rest_si`` from a tick on.
 
         None where voltage or current have no room for it.
 
         Parameters
         ----------
         told
-            Ticks before the end and after it.
+            Output of the inverse at ticks before and after the end.
         count
-            Number of ticks in ``told`` before that one; their references are chosen anew.
+            Number of ticks in ``told`` before the end; their references are optimised.
         """
         forced = np.zeros(len(told))
         forced[count:] = rest_si - told.references_si[count:]
@@ -127,7 +128,7 @@ class AxisEnds:
         held: int | None,
         lost: int | None,
     ) -> TableEnd | None:
-        """Return the best end with which the DAC loses ``lost`` and what it lost before."""
+        """Return the best end if the DAC loses the tick ``lost`` in addition to the others."""
         acts = acting(told.levels) if self._skips else told.levels
         gone = acts != told.levels
         if lost is not None:
@@ -181,7 +182,7 @@ class AxisEnds:
         lost: int | None,
         volts: float,
     ) -> tuple[FloatArray, FloatArray] | None:
-        """Return the (k,) least and largest level of each tick; None where none can be lost."""
+        """Return the (k,) smallest and largest levels; None if the tick ``lost`` cannot be lost."""
         low, high = np.full(len(levels), -volts), np.full(len(levels), volts)
         if not self._skips:
             return low, high
@@ -202,7 +203,7 @@ class AxisEnds:
     def _followed(
         self, added: FloatArray, levels: FloatArray, acts: FloatArray, current: FloatArray
     ) -> TableEnd:
-        """Return what comes of references with every tick that the DAC loses."""
+        """Return the result of changed references, with every tick that the DAC loses."""
         before = 0.0
 
         def effect(tick: int, change: FloatArray) -> FloatArray:

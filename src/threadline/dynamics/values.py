@@ -1,4 +1,4 @@
-"""Numbers of a machine by their paths, some of them replaced in each of several variants."""
+"""Numbers of a machine by their paths, with replacements for several variants."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class Values(Locked):
     Parameters
     ----------
     machine
-        Machine with the structure and every number that is not replaced.
+        Machine with the structure and all other numbers.
     replaced
         Path of a number, such as ``"bodies.x.inertia"``, to its (count,) SI values.
     count
-        Number of variants; 1 when nothing is replaced.
+        Number of variants; 1 without replacements.
 
     Raises
     ------
     OptionError
-        If a path names no number of this machine, or the lengths differ.
+        If a path is not a number of this machine, or the lengths differ.
     """
 
     machine: Machine
@@ -45,7 +45,7 @@ class Values(Locked):
 
     @classmethod
     def of(cls, machine: Machine, replaced: Mapping[str, FloatArray] | None = None) -> Values:
-        """Return ``machine`` with numbers ``replaced``; their paths and lengths are checked."""
+        """Return ``machine`` with numbers ``replaced``, after checking their paths and lengths."""
         given = {k: read_only(np.atleast_1d(v), k, ndim=1) for k, v in (replaced or {}).items()}
         known = tuple(_paths(machine)) if given else ()
         for path in given:
@@ -60,17 +60,17 @@ class Values(Locked):
         return cls(machine, given, lengths.pop())
 
     def at(self, path: str, quantity: Quantity | None) -> FloatArray | float:
-        """Return the (count,) values of ``path``, or the machine's own ``quantity`` (0 if None)."""
+        """Return the (count,) values of ``path``, else the machine's ``quantity`` (0 if None)."""
         if path in self.replaced:
             return self.replaced[path]
         return 0.0 if quantity is None else quantity.si
 
     def by_delay(self) -> list[tuple[Values, IntArray]]:
-        """Return the variants grouped by their dead times, each group with its (k,) indices.
+        """Return the variants grouped by dead time, each group with its (k,) indices.
 
-        The variants of one simulated batch must have the same dead times, since those decide at
-        which instants a simulation stops. In each group the dead times are numbers of the machine
-        and no longer replaced.
+        The variants of a simulated batch must have equal dead times, because they determine the
+        instants at which a simulation stops. Each group has its dead times in ``machine`` instead
+        of ``replaced``.
         """
         late = [path for path in self.replaced if path.endswith(".delay")]
         if not late:
@@ -97,7 +97,7 @@ def _paths(machine: Machine) -> Iterator[str]:
     for table in _TABLES:
         for name, part in getattr(machine, table).items():
             yield from _numbers(part, f"{table}.{name}")
-    # An axis without a load of its own has the one that its sensor counts, so counts move it.
+    # Without ``load``, the load is the position of the sensor, so ``counts`` affects it.
     yield from (f"axes.{name}.counts" for name, axis in machine.axes.items() if axis.load is None)
 
 

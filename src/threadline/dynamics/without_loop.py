@@ -1,4 +1,4 @@
-"""The analysis of an axis without a loop: of a cylinder, or of a drive that is given positions."""
+"""Analysis of axes without a control loop: cylinders, and position-commanded drives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from threadline.machine.model import check_dynamics
 
 
 class Analysis(Protocol):
-    """The analysis of an axis, whether it has a loop or not."""
+    """The analysis of an axis with or without a control loop."""
 
     @property
     def axis(self) -> str:
@@ -28,7 +28,7 @@ class Analysis(Protocol):
 
     @property
     def stable(self) -> bool:
-        """Whether every motion of it decays."""
+        """Whether all its motions decay."""
 
     def verdict(self) -> str:
         """Return one sentence about its stability."""
@@ -39,17 +39,17 @@ class Analysis(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CylinderAnalysis:
-    """The analysis of a cylinder, which has no loop but makes its frame ring.
+    """The analysis of a cylinder, which has no control loop but makes its frame vibrate.
 
     Parameters
     ----------
     axis
         Name of the cylinder.
     standing, sliding
-        Modes of the bodies that it is connected with, the slowest first: while the piston stands in
-        its housing, and while it slides on its air.
+        Modes of the connected bodies, slowest first: while the piston sticks in its housing, and
+        while it slides, driven by the air.
     shaped
-        Mode that the valves excite most, for which shapers are designed.
+        Mode that the valves excite most, the design mode of shapers.
     speed_m_s
         Speed of the piston at level 1.
     growing
@@ -69,11 +69,11 @@ class CylinderAnalysis:
         return self.growing == 0
 
     def verdict(self) -> str:
-        """Return one sentence: there is no loop, and the frame rings at this frequency."""
+        """Return one sentence with the vibration frequency of the frame."""
         return (
-            f"axis {self.axis} has no loop: its valves set the speed of the piston; what it stands "
-            f"on rings at {self.shaped.frequency_hz:.4g} Hz, damping ratio "
-            f"{self.shaped.damping:.4g}" + ("" if self.stable else ", and some motion of it GROWS")
+            f"axis {self.axis} has no loop: its valves set the speed of the piston; its frame "
+            f"rings at {self.shaped.frequency_hz:.4g} Hz, damping ratio "
+            f"{self.shaped.damping:.4g}" + ("" if self.stable else ", and a motion of it GROWS")
         )
 
     def as_json(self) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def analyse_cylinder(machine: Machine, axis: str) -> CylinderAnalysis:
     Raises
     ------
     MachineError
-        If nothing under it rings, or its network cannot be analysed.
+        If its network has no vibration mode, or cannot be analysed.
     """
     cylinder, plant = machine.cylinders[axis], cylinder_equations(machine, axis)
     sliding = plant.sliding()[0]
@@ -128,22 +128,22 @@ def _oscillations(matrix: FloatArray) -> tuple[Oscillation, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ToldAnalysis:
-    """The analysis of an axis whose drive is given positions: it has no loop, but its load rings.
+    """The analysis of an axis with a position-commanded drive, whose load may vibrate.
 
     Parameters
     ----------
     axis, drive
         Names of the axis and of its drive.
     locked
-        Modes of the load against the motor, which stands still, the slowest first.
+        Modes of the load with a locked motor, slowest first.
     resonance_hz
-        Frequency at which a stepper without load swings about its step; None for a servo.
+        Resonance of a stepper without load about its step; None for a servo.
     torque, torque_at_speed
         Torque or force of the drive at standstill, and at the speed limit of the axis.
     needed
-        What the axis needs of it at its limits of speed and acceleration, with rigid links.
+        Torque or force needed at the axis' limits of speed and acceleration, with rigid links.
     unit
-        Unit of these three: N m, or N of a linear drive.
+        Unit of these three: N m, or N for a linear drive.
     """
 
     axis: str
@@ -157,20 +157,20 @@ class ToldAnalysis:
 
     @property
     def stable(self) -> bool:
-        """True: there is no loop that could be unstable."""
+        """True: without a control loop nothing can be unstable."""
         return True
 
     def verdict(self) -> str:
-        """Return one sentence: there is no loop, the load rings, and the torque needed is this."""
+        """Return one sentence with the vibration frequency of the load and the needed torque."""
         rings = f"its load rings at {self.locked[0].frequency_hz:.4g} Hz" if self.locked else ""
         swing = (
             ""
             if self.resonance_hz is None
-            else f"; about its step the motor swings at {self.resonance_hz:.4g} Hz"
+            else f"; the motor's step resonance is {self.resonance_hz:.4g} Hz"
         )
         return (
-            f"axis {self.axis} has no loop: drives.{self.drive} is told positions, and "
-            f"{rings or 'nothing rings behind it'}{swing}; at the axis' limits it is asked for "
+            f"axis {self.axis} has no loop: drives.{self.drive} takes positions, and "
+            f"{rings or 'its load does not ring'}{swing}; at the axis' limits it needs "
             f"{self.needed:.4g} of {self.torque_at_speed:.4g} {self.unit}"
         )
 
@@ -194,7 +194,7 @@ class ToldAnalysis:
 
 
 def told_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
-    """Return the modes of an axis' load while its drive, which is given positions, stands still.
+    """Return the modes of an axis' load with its position-commanded drive at rest.
 
     Raises
     ------
@@ -205,7 +205,7 @@ def told_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
 
 
 def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
-    """Return the analysis of an axis whose drive is given positions.
+    """Return the analysis of an axis with a position-commanded drive.
 
     Raises
     ------
@@ -230,9 +230,9 @@ def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
 
 
 def modes_held(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
-    """Return the modes of an axis of ``machine`` with its drive held still, the slowest first.
+    """Return the modes of an axis of ``machine`` with its drive locked, slowest first.
 
-    None are known of a machine without dynamics.
+    Empty for a machine without dynamics.
 
     Raises
     ------
@@ -254,7 +254,7 @@ ANALYSES: Mapping[str, Callable[[Machine, str], Analysis]] = {
     "stepped": analyse_told,
     "cylinder": analyse_cylinder,
 }
-"""Function that analyses each kind of ``Machine.moving``."""
+"""Analysis function for each kind in ``Machine.moving``."""
 
 
 def analyse_moving(machine: Machine, name: str) -> Analysis:
@@ -263,7 +263,7 @@ def analyse_moving(machine: Machine, name: str) -> Analysis:
     Raises
     ------
     MachineError
-        If its equations allow no analysis.
+        If its equations cannot be analysed.
     OptionError
         If the machine file has no dynamics.
     """

@@ -39,11 +39,11 @@ class Clock:
 
     def time_s(self, tick: int) -> float:
         """Return the instant of ``tick`` in seconds, correctly rounded."""
-        # The quotient of two whole numbers is correctly rounded, and no fraction is shortened.
+        # The quotient of two integers is rounded correctly, without reducing a fraction.
         return self.period_s.numerator * int(tick) / self.period_s.denominator
 
     def times_s(self, first_tick: int, count: int, stride: int = 1) -> FloatArray:
-        """Return (count,) instants from ``first_tick`` on, one every ``stride`` ticks."""
+        """Return ``count`` instants in s from ``first_tick`` on, one every ``stride`` ticks."""
         ticks = np.arange(first_tick, first_tick + stride * count, stride, dtype=np.float64)
         # One product (exact below 2**53) and one division: no error accumulates.
         return ticks * float(self.period_s.numerator) / float(self.period_s.denominator)
@@ -70,7 +70,7 @@ EventKind = Literal[
     "output", "wait", "stop", "dwell", "tool", "end",
     "hold", "resume", "late", "completed", "stopped", "fault", "plan",
 ]  # fmt: skip
-"""Commands ask for the kinds of the first line; recordings report all of them."""
+"""Commands contain the kinds of the first line; recordings contain all kinds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,13 +86,13 @@ class Event:
         ``stop`` waits for the operator; ``dwell`` marks a pause; ``tool`` names a tool action;
         ``end`` is the end of the job. In recordings ``hold`` and ``resume`` stop and continue the
         rows, ``late`` means that rows were missing for ``value`` ticks, and ``completed``,
-        ``stopped`` or ``fault`` is how the run ended, with the reason in ``name``. ``plan`` says
-        that what was done at this tick was due at ``value`` s of the plan: behind it the plan goes
-        on with the clock, or stands where the ``plan`` before it has the same time.
+        ``stopped`` or ``fault`` ends the run, with the reason in ``name``. ``plan`` maps this tick
+        to the plan time ``value`` in s. After it plan time runs with the clock; it stands still if
+        the preceding ``plan`` event has the same ``value``.
     operation
-        Index of the operation of the job that the event belongs to; -1 for none.
+        Index of the job operation of the event; -1 for none.
     name, value
-        Arguments of the event, as its kind says.
+        Arguments of the event; their meaning depends on its kind.
     """
 
     tick: int

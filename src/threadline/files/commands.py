@@ -1,4 +1,4 @@
-"""What the machine's controller is given: integer tables, never floats."""
+"""Commands for the machine's controller: integer tables, never floats."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class TickTable(Locked):
     blocks
         Re-iterable blocks of rows, consecutive from tick 0.
     job_sha256, machine_sha256
-        Hashes of the job and of the machine that the table was made for.
+        Hashes of the job and machine of the table.
     """
 
     clock: Clock
@@ -93,13 +93,13 @@ class TickTable(Locked):
         return sum(len(block) for block in self)
 
     def rows_hash(self) -> RowsHash:
-        """Return a hash without rows yet, to which a reader of this table adds them in order."""
+        """Return a hash object for this table; the caller adds the rows in order."""
         return RowsHash(
             TICKS, self.clock.period_s, self.axes, self.counts_per_unit, self.start_counts
         )
 
     def rows_sha256(self) -> str:
-        """Return the hash of what the controller is told; reads the whole table.
+        """Return the hash of the commands; reads the whole table.
 
         It covers the clock's period, the axes, their counts per unit and start, every row and every
         event, and does not depend on the division into blocks. ``docs/files.md`` defines it byte by
@@ -125,7 +125,7 @@ class SwitchSchedule(Locked):
     Parameters
     ----------
     clock
-        Scan of the controller that switches.
+        Scan clock of the controller.
     outputs
         Names of the outputs, in the order of the columns.
     ticks
@@ -137,7 +137,7 @@ class SwitchSchedule(Locked):
     duration_ticks
         Length of the whole schedule.
     job_sha256, machine_sha256
-        Hashes of the job and of the machine that the schedule was made for.
+        Hashes of the job and machine of the schedule.
     events
         Waits and stops, in order of their ticks.
     """
@@ -172,7 +172,7 @@ class SwitchSchedule(Locked):
             )
 
     def rows_sha256(self) -> str:
-        """Return the hash of what the controller is told.
+        """Return the hash of the commands.
 
         It covers the clock's period, the outputs, the duration, every row and every event.
         ``docs/files.md`` defines it byte by byte.
@@ -184,7 +184,7 @@ class SwitchSchedule(Locked):
         return digest.hexdigest()
 
     def tick_count(self) -> int | None:
-        """Return None: a schedule has instants, and no row for every tick."""
+        """Return None: a schedule does not have a row for every tick."""
         return None
 
 
@@ -201,8 +201,8 @@ def tick_table(commands: Commands) -> TickTable:
     """
     if not isinstance(commands, TickTable):
         raise OptionError(
-            "a table of counts is needed, which an on/off machine does not have",
-            remedy="Take a machine with axes.",
+            "this needs a table of counts, which an on/off machine does not have",
+            remedy="Choose a machine with axes.",
         )
     return commands
 
@@ -217,8 +217,8 @@ def switch_schedule(commands: Commands) -> SwitchSchedule:
     """
     if not isinstance(commands, SwitchSchedule):
         raise OptionError(
-            "a schedule of switchings is needed, which a machine with axes does not have",
-            remedy="Take a machine with cylinders.",
+            "this needs a schedule of switchings, which a machine with axes does not have",
+            remedy="Choose a machine with cylinders.",
         )
     return commands
 
@@ -233,7 +233,7 @@ def played(commands: Commands) -> StepPlay:
     """
     if not isinstance(commands, StepPlay):
         raise OptionError(
-            "step tables by stitches are needed, which only a machine with a main shaft plays",
-            remedy="Take an embroidery machine.",
+            "this needs step tables, which only a machine with a main shaft plays",
+            remedy="Choose an embroidery machine.",
         )
     return commands

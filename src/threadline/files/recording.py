@@ -1,4 +1,4 @@
-"""Recordings: named channels of a stated kind, simulated or real, and how a run ended."""
+"""Recordings: named channels, each with its kind, and the outcome of the run."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ from threadline.files.stream import Stream
 
 
 class Ended(StrEnum):
-    """How a run ended; an event of one of these kinds is the last of a recording."""
+    """How a run ended; the last event of a recording has one of these kinds."""
 
     COMPLETED = "completed"  # every row was played
-    STOPPED = "stopped"  # the operator, or a stop that nobody answered, ended it early
+    STOPPED = "stopped"  # ended early by the operator, or by a stop without an answer
     FAULT = "fault"  # the machine or the link to it failed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What the events of a recording say of the run as a whole.
+    """Outcome of a run, from the events of its recording.
 
     Parameters
     ----------
     ended
-        How the run ended; None where no event says so, as in a trace of another controller.
+        How the run ended; None without such an event, as in a trace of another controller.
     text
-        Reason of a stop or a fault; empty where the run was completed.
+        Reason of a stop or a fault; empty for a completed run.
     tick
-        Tick of the end on the clock of the recording; None with ``ended``.
+        Tick of the end on the clock of the recording; None if ``ended`` is None.
     operation
-        Index of the operation that was under way at the end.
+        Index of the operation in progress at the end.
     late_ticks
-        Number of ticks at which a row was due and had not come.
+        Number of ticks at which a row was due but missing.
     halted_ticks
-        Ticks from each stop, wait or hold to the resumption, summed; a halt that the run ended in
-        is not counted.
+        Total ticks from each stop, wait or hold to its resumption; a halt at the end of the run is
+        not counted.
     halted_since
-        Tick at which a halt began that has not been resumed; None where there is none.
+        Tick at which a halt without resumption began; None if there is none.
 
     Examples
     --------
@@ -67,7 +67,7 @@ class Outcome:
         return self.ended in {Ended.STOPPED, Ended.FAULT}
 
     def after(self, events: Iterable[Event]) -> Outcome:
-        """Return the outcome with further events, in their order, taken into account."""
+        """Return the outcome updated with further events, given in order."""
         known = self
         for event in events:
             if event.kind in tuple(Ended):
@@ -89,7 +89,7 @@ class Outcome:
 
 
 def said_once(ended: str, why: str) -> str:
-    """Return how a run ended, and why, without saying a word twice.
+    """Return how a run ended and why, without repeating a word.
 
     >>> said_once("stopped", "stopped by the operator"), said_once("fault", "the link is gone")
     ('stopped by the operator', 'fault: the link is gone')
@@ -100,19 +100,19 @@ def said_once(ended: str, why: str) -> str:
 
 
 class ChannelKind(StrEnum):
-    """What the samples of a channel are."""
+    """Quantity of a channel."""
 
-    COMMANDED = "commanded"  # where the axis was told to be
-    MEASURED = "measured"  # what the axis' own encoder read
-    LOAD = "load"  # where the driven mass was
-    FRAME = "frame"  # where the frame was
-    TOOL = "tool"  # where the point that does the work was
+    COMMANDED = "commanded"  # commanded position of the axis
+    MEASURED = "measured"  # position of the axis' encoder
+    LOAD = "load"  # position of the driven mass
+    FRAME = "frame"  # position of the frame
+    TOOL = "tool"  # position of the point that does the work
     VOLTAGE = "voltage"  # at the amplifier's input
     CURRENT = "current"  # in the motor
-    TORQUE_SHARE = "torque_share"  # torque asked of a position source, over the torque it has
+    TORQUE_SHARE = "torque_share"  # torque needed from a position source / available torque
     INPUT = "input"  # state of a digital input, 0 or 1
     OUTPUT = "output"  # state of a digital output, 0 or 1
-    OPERATION = "operation"  # index of the operation of the job that was under way
+    OPERATION = "operation"  # index of the job operation in progress
 
 
 _SHARED = (ChannelKind.COMMANDED, ChannelKind.OPERATION, ChannelKind.OUTPUT)
@@ -128,13 +128,13 @@ class Channel:
     name
         Unique within the recording, for instance ``"X.load"``.
     kind
-        What the samples are.
+        Quantity of the samples.
     unit
         SI unit of the samples, ``""`` for numbers without unit.
     clock, stride
-        The clock of the samples, and the number of its ticks from sample to sample.
+        The clock of the samples, and its ticks per sample.
     axis
-        Axis that the channel belongs to, ``""`` for none.
+        Axis of the channel, ``""`` for none.
     """
 
     name: str
@@ -154,8 +154,8 @@ class RecordingBlock:
     first_tick
         Per clock name: the tick of the first sample of each channel of that clock.
     samples
-        Per channel name: (n,) float64, n the same for channels of one clock and stride. A recording
-        of several runs has (n, runs) samples of each channel in which the runs differ.
+        Per channel name: (n,) float64, n the same for channels of one clock and stride. In a
+        recording of several runs, channels in which the runs differ are (n, runs).
     events
         Events that took effect within the block.
     """
@@ -167,27 +167,27 @@ class RecordingBlock:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """What a machine, real or simulated, did.
+    """Recorded motion of a real or simulated machine.
 
     Sample k of a channel is the value at the instant of its tick, before the controller acts on
-    that sample. A channel that the machine cannot measure is absent, and no other replaces it.
+    that sample. A channel that the machine cannot measure is absent, never replaced by another.
 
     Parameters
     ----------
     channels
-        Every channel, each with a name of its own.
+        The channels, with unique names.
     blocks
-        Blocks of samples, in order. A ``Stream`` where they are to be read again or sent to another
+        Blocks of samples, in order; a ``Stream`` if they are read more than once or sent to another
         process.
     job_sha256, machine_sha256
         Hashes of the job and of the machine.
     simulated
         False for a live recording.
     origin
-        How the plan was made (job file, machine, interpolation, feed, tolerance ...), so that a
-        recording can be judged on its own.
+        Options of the plan (job file, machine, interpolation, feed, tolerance ...), so that the
+        recording can be judged without it.
     runs
-        Number of runs of the same commands that are recorded side by side.
+        Number of runs of the same commands recorded side by side.
     """
 
     channels: tuple[Channel, ...]
@@ -201,20 +201,20 @@ class Recording:
 
     def __post_init__(self) -> None:
         first = {(c.kind, c.axis): c for c in reversed(self.channels)}
-        # ``X.current`` is the current at the samples, also where ``X.current_peak`` stands first.
+        # Prefer ``X.current``, the sampled current, even if ``X.current_peak`` comes first.
         plain = (c for c in self.channels if c.name == f"{c.axis}.{c.kind.value}")
         first |= {(c.kind, c.axis): c for c in plain}
         object.__setattr__(self, "_by_kind", first)
 
     def __iter__(self) -> Iterator[RecordingBlock]:
-        """Yield the blocks; of several runs, with a column for each run.
+        """Yield the blocks; with several runs, samples have a column for each run.
 
-        Commands and operations, which are the same in all runs, and outputs stay as they are.
+        Commands, operations and outputs are the same in all runs and keep one dimension.
 
         Raises
         ------
         RecordingError
-            If a channel has another number of columns than there are runs.
+            If the number of columns of a channel differs from the number of runs.
         """
         return iter(self.blocks) if self.runs == 1 else map(self._side_by_side, self.blocks)
 
@@ -229,16 +229,16 @@ class Recording:
                 samples[channel.name] = np.repeat(values[:, np.newaxis], self.runs, axis=1)
             elif values.shape[1:] != (self.runs,):
                 raise RecordingError(
-                    f"channel {channel.name!r} has samples of shape {values.shape}, and the "
+                    f"channel {channel.name!r} has samples of shape {values.shape}, but the "
                     f"recording holds {self.runs} runs",
                     remedy="Give one column of samples for each run, or one for all runs.",
                 )
         return replace(block, samples=samples)
 
     def find(self, kind: ChannelKind, axis: str = "") -> Channel | None:
-        """Return the channel of ``kind`` and ``axis``, or None when the machine has none.
+        """Return the channel of ``kind`` and ``axis``, or None if there is none.
 
-        Of several, it is the one called ``AXIS.kind``, else the first.
+        If there are several, return the one called ``AXIS.kind``, else the first.
         """
         return self._by_kind.get((kind, axis))
 
@@ -248,7 +248,7 @@ class Recording:
         Raises
         ------
         RecordingError
-            If there is none of that name; the error lists the channels.
+            If there is none; the error lists the channels.
         """
         for channel in self.channels:
             if channel.name == name:
@@ -257,17 +257,17 @@ class Recording:
         raise RecordingError(f"no channel {name!r}", remedy=f"It has {known}.")
 
     def run(self, number: int) -> Recording:
-        """Return one of the runs side by side, counted from 1, as a recording of its own."""
+        """Return one of several runs, counted from 1, as a recording."""
         if self.runs == 1:
             return self
         return replace(self, blocks=Stream(_of_one_run, self.blocks, number - 1), runs=1)
 
     def is_empty(self) -> bool:
-        """Say whether no channel has a sample; reads as far as the first one."""
+        """Return whether no channel has a sample; reads up to the first sample."""
         return not any(len(values) for block in self for values in block.samples.values())
 
     def outcome(self) -> Outcome:
-        """Return how the run ended and whether its rows came in time; reads every block."""
+        """Return the outcome of the run; reads every block."""
         known = Outcome()
         for block in self:
             known = known.after(block.events)
@@ -288,7 +288,7 @@ class Recording:
 
 
 def _of_one_run(blocks: Iterable[RecordingBlock], run: int) -> Iterator[RecordingBlock]:
-    """Yield blocks with the samples of one run; channels that all runs share are (n,) already."""
+    """Yield blocks with the samples of one run; channels common to all runs are (n,) already."""
     for block in blocks:
         yield replace(
             block,

@@ -1,6 +1,6 @@
-"""Commands of an embroidery frame: tables of steps by stitch and axis, and the hash of rows.
+"""Commands of an embroidery frame: step tables per stitch and axis; and the hash of rows.
 
-It is defined in ``docs/files.md`` ("The hash of the rows"), so that another program can compute it.
+``docs/files.md`` ("The hash of the rows") defines the hash, so that another program can compute it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class RowsHash:
     names
         Names of the axes or outputs.
     numbers
-        All other numbers besides the rows, in the order of the definition.
+        All numbers except the rows, in the order of the definition.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class RowsHash:
             self._event_count += 1
 
     def hexdigest(self) -> str:
-        """Return the hash of all that was added."""
+        """Return the hash of all rows and events added so far."""
         whole = hashlib.sha256(self._head)
         for count, part in ((self._row_count, self._rows), (self._event_count, self._events)):
             whole.update(struct.pack("<Q", count) + part.digest())
@@ -85,12 +85,12 @@ def _text(text: str) -> bytes:
 
 
 def _eight_bytes(numbers: FloatArray | IntArray) -> bytes:
-    """Return numbers as eight bytes each, least significant first, row by row."""
+    """Return numbers as eight bytes each, little-endian, row by row."""
     return np.ascontiguousarray(numbers, dtype=numbers.dtype.newbyteorder("<")).tobytes()
 
 
 CountedBy = Literal["time", "angle"]
-"""What the intervals of tables are counts of: periods of a timer, or parts of a shaft's turn."""
+"""Unit of the intervals in step tables: periods of a timer, or parts of a shaft's turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,8 +102,8 @@ class StepTable(Locked):
     units
         Length of the move in units of the design.
     intervals
-        (k,) whole counts from the start of the window to the first step and from step to step,
-        1 at least.
+        (k,) counts from the start of the window to the first step, then from step to step; at least
+        1.
     """
 
     units: int
@@ -112,9 +112,7 @@ class StepTable(Locked):
     def __post_init__(self) -> None:
         object.__setattr__(self, "intervals", read_only_int(self.intervals, "intervals", ndim=1))
         if not len(self.intervals) or self.intervals.min() < 1:
-            raise ValueError(
-                f"table of {self.units} units: a table has intervals, of 1 count at least"
-            )
+            raise ValueError(f"table of {self.units} units: it needs intervals of at least 1 count")
 
     def __len__(self) -> int:
         return len(self.intervals)
@@ -136,17 +134,17 @@ class StitchBlock(Locked):
     begin
         (n,) int: tick of the clock at which the tables begin.
     window
-        (n,) int: ticks that the shaft, at an even speed, takes through the window of the move.
+        (n,) int: ticks that the shaft takes through the window of the move at constant speed.
     table
-        (n, A) int: which table of the library each axis plays, -1 where it stands.
+        (n, A) int: table of the library that each axis plays, -1 for no motion.
     sign
-        (n, A) int: 1 or -1, the sense of its steps; 0 where it stands.
+        (n, A) int: 1 or -1, direction of the steps; 0 for no motion.
     start
-        (n,) int: angle of the shaft in its turn at which the tables begin.
+        (n,) int: shaft angle at which the tables begin.
     needle
         (n,) int: 1 where the needle enters the cloth in this turn, 0 where it is held up.
     operation
-        (n,) int: operation of the job that each turn belongs to.
+        (n,) int: operation of the job of each turn.
     events
         Events of these turns; their ticks are numbers of turns.
     """
@@ -196,17 +194,17 @@ class StitchBlock(Locked):
 class StepPlay(Locked):
     """Commands of an embroidery frame: a table of step intervals for each stitch and axis.
 
-    Each turn of the shaft has a window in which the frame moves. A table whose intervals are times
-    fits one speed of the shaft; a table whose intervals are angles fits every speed.
+    Each turn of the shaft has a window in which the frame moves. A table of time intervals fits one
+    shaft speed; a table of angle intervals fits every speed.
 
     Parameters
     ----------
     clock
         The timer of the controller.
     counted_by
-        What intervals are counts of: ticks of the clock, or parts of the shaft's turn.
+        Unit of the intervals: ticks of the clock, or parts of the shaft's turn.
     steps_per_turn
-        Number of equal parts into which a turn of the shaft is divided.
+        Number of equal parts of a turn of the shaft.
     window_angle
         Number of those parts in the window of the move.
     axes
@@ -222,7 +220,7 @@ class StepPlay(Locked):
     duration_ticks
         Length of all turns together, in ticks of the clock.
     job_sha256, machine_sha256
-        Hashes of the job and of the machine that it was made for.
+        Hashes of the job and machine of the commands.
     """
 
     clock: Clock
@@ -253,7 +251,7 @@ class StepPlay(Locked):
         object.__setattr__(self, "start_steps", start)
 
     def __reduce__(self) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-        # What is read again is checked again.
+        # Unpickling calls the constructor, which checks the values again.
         return _step_play, tuple(getattr(self, field.name) for field in fields(self))
 
     def __iter__(self) -> Iterator[StitchBlock]:
@@ -262,16 +260,16 @@ class StepPlay(Locked):
         Raises
         ------
         ValueError
-            If a stitch names a table that does not exist, begins outside its turn, has a table
-            longer than its window, ends after the whole, or does not follow the stitch before it.
+            If a stitch names an unknown table, begins outside its turn, has a table longer than its
+            window, ends after ``duration_ticks``, or does not follow the stitch before it.
         """
         expected, free = 0, 0
         spans = _spans(self.library)
         for block in self.blocks:
             if block.first_stitch != expected or block.table.shape[1] != len(self.axes):
                 raise ValueError(
-                    f"stitch {expected} comes as {block.first_stitch}, of {block.table.shape[1]} "
-                    f"axes; wanted are {len(self.axes)}"
+                    f"expected stitch {expected} with {len(self.axes)} axes, got stitch "
+                    f"{block.first_stitch} with {block.table.shape[1]} axes"
                 )
             for name, values, low, high in (
                 ("table", block.table, -1, len(self.library)),
@@ -297,7 +295,7 @@ class StepPlay(Locked):
             if len(over):
                 raise ValueError(
                     f"stitch {expected + int(over[0])}: its window ends at {ends[over[0]]}, the "
-                    f"whole at {self.duration_ticks}"
+                    f"commands end at {self.duration_ticks}"
                 )
             if len(block):
                 free = int(block.begin[-1] + block.window[-1])
@@ -309,11 +307,11 @@ class StepPlay(Locked):
         return sum(len(block) for block in self)
 
     def tick_count(self) -> int | None:
-        """Return None: tables have steps, and no row for every tick."""
+        """Return None: step tables do not have a row for every tick."""
         return None
 
     def rows_sha256(self) -> str:
-        """Return the hash of what the controller is told: tables, turns and events.
+        """Return the hash of the commands: tables, turns and events.
 
         ``docs/files.md`` defines it byte by byte.
         """
@@ -332,7 +330,7 @@ class StepPlay(Locked):
 
     def end_steps(self) -> IntArray:
         """Return the (A,) position after the last stitch, in steps; reads every block."""
-        # A stitch that stands takes the last entry, 0 steps.
+        # A stitch without motion has index -1: the last entry, 0 steps.
         lengths = np.array([*(len(table) for table in self.library), 0], dtype=np.int64)
         total = self.start_steps.copy()
         for block in self:
@@ -346,9 +344,9 @@ def _step_play(*values: Any) -> StepPlay:
 
 
 def one_behind_the_other(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntArray]:
-    """Return the intervals of tables, one table behind the other, and where each begins.
+    """Return the intervals of all tables in one array, and the start index of each table.
 
-    ``reduceat`` takes both: a library has hundreds of tables, and each call its time.
+    ``np.add.reduceat`` takes both; a call per table would be slow for hundreds of tables.
     """
     ends = np.cumsum([len(table) for table in tables], dtype=np.int64)
     begins = np.concatenate((np.zeros(1, dtype=np.int64), ends[:-1]))
@@ -357,7 +355,7 @@ def one_behind_the_other(tables: tuple[StepTable, ...]) -> tuple[IntArray, IntAr
 
 @lru_cache(maxsize=1)
 def _spans(tables: tuple[StepTable, ...]) -> IntArray:
-    """Return the (k + 1,) counts that each table lasts, and 0 for none: the same in every run."""
+    """Return the length of each table in counts, shape (k + 1,); the last entry, 0, is for none."""
     spans = np.zeros(len(tables) + 1, dtype=np.int64)
     if tables:
         intervals, begins = one_behind_the_other(tables)

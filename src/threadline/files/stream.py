@@ -1,4 +1,4 @@
-"""Re-iterable streams: how a job of any length passes through bounded memory."""
+"""Re-iterable streams, with which a job of any length needs only bounded memory."""
 
 from __future__ import annotations
 
@@ -15,14 +15,13 @@ P = ParamSpec("P")
 
 
 class Stream(Generic[T]):
-    """A source that can be read again and again; each reading starts from the beginning.
+    """A source of blocks that can be read any number of times, each time from the beginning.
 
-    Stages hand each other streams of blocks instead of lists, so that nothing but the block in
-    hand has to be in memory, and a second pass (for a scale, or for the judge) is just another
-    ``for``.
+    Stages pass streams of blocks instead of lists, so that only the current block is in memory, and
+    a second pass (for a scale, or for the judge) is another ``for`` loop.
 
-    A stream is a recipe, a function and what it is called with, and never a closure: it can be
-    pickled, and another process reads the same from it.
+    A stream is a recipe, a function with its arguments, and never a closure: it can be pickled, and
+    another process reads the same blocks from it.
 
     >>> numbers = Stream(reversed, (1, 2, 3))
     >>> list(numbers), list(numbers)
@@ -31,16 +30,16 @@ class Stream(Generic[T]):
     Parameters
     ----------
     function
-        Called once per reading with the arguments; returns a fresh iterator. A function or a
-        class that its module names.
+        A function or class at the top level of a module. It is called with the arguments once per
+        reading and returns a new iterator.
     arguments, keywords
-        What it is called with.
+        Arguments of the function.
 
     Raises
     ------
     TypeError
-        If the function or an argument is a lambda or nested in another function, so that another
-        process could not find it; or if an argument can be read once only.
+        If the function or an argument is a lambda or a nested function, which another process
+        cannot find; or if an argument is an iterator, which can be read only once.
     """
 
     __slots__ = ("_arguments", "_function", "_keywords")
@@ -64,11 +63,11 @@ class Stream(Generic[T]):
 
 
 class KeptStream(Stream[SizedT]):
-    """A stream of blocks that will be read many times: a short one is worked out once and kept.
+    """A stream of blocks that is read many times: a short one is computed once and kept.
 
-    What one reading worked out is there for every other, side by side or later, unless it has more
-    than ``MOST_KEPT`` rows in all. What is kept does not travel: another process reads anew.
-    Whoever reads gets the same blocks, so they must be locked.
+    All readings, simultaneous or later, share the blocks that one of them computed, unless they
+    have more than ``MOST_KEPT`` rows in total. Kept blocks are not pickled: another process
+    computes them again. Because readers share the blocks, the blocks must be locked.
 
     >>> lengths = KeptStream(iter, ("abc", "de"))
     >>> list(lengths) == list(lengths) == ["abc", "de"]
@@ -86,9 +85,9 @@ class KeptStream(Stream[SizedT]):
         self._begin()
 
     def _begin(self) -> None:
-        self._items: list[SizedT] = []  # what was worked out, from the beginning on
-        self._source: Iterator[SizedT] | None = None  # works out what follows
-        self._rows = 0  # more than ``MOST_KEPT`` where every reading is one of its own
+        self._items: list[SizedT] = []  # blocks computed so far
+        self._source: Iterator[SizedT] | None = None  # computes the following blocks
+        self._rows = 0  # more than ``MOST_KEPT``: every reading computes its blocks
         self._ended = False
         self._lock = Lock()
 
@@ -122,13 +121,13 @@ class KeptStream(Stream[SizedT]):
         return islice(super().__iter__(), taken, None)
 
     def _extend(self) -> Iterator[SizedT] | None:
-        """Work out the next item; return it, and what follows, where they are too many to keep."""
+        """Compute the next item; if there are too many to keep, return it and all that follow."""
         source = super().__iter__() if self._source is None else self._source
         rows = self._rows
-        self._source, self._rows = None, self.MOST_KEPT + 1  # should it fail
+        self._source, self._rows = None, self.MOST_KEPT + 1  # in case it raises
         item = next(source, None)
         if item is not None and rows + len(item) > self.MOST_KEPT:
-            self._items = []  # whoever reads has those that it has yet to read
+            self._items = []  # readers hold their own reference to the old list
             return chain((item,), source)
         self._ended = item is None
         if item is not None:
@@ -142,7 +141,7 @@ def _kept(items: tuple[T, ...]) -> Iterator[T]:
 
 
 def _check_travels(what: object) -> None:
-    """Refuse what another process could not make again from its name."""
+    """Refuse an object that another process could not unpickle."""
     if isinstance(what, partial):
         for part in (what.func, *what.args, *what.keywords.values()):
             _check_travels(part)
@@ -152,12 +151,12 @@ def _check_travels(what: object) -> None:
     named = what if isinstance(what, FunctionType | type) else type(what)
     if "<" in named.__qualname__:
         raise TypeError(
-            f"a stream cannot be made of {named.__qualname__}: another process would not find it. "
-            "Put it into its module, and give what it needs from around it as arguments: "
+            f"a stream cannot use {named.__qualname__}: another process would not find it. "
+            "Define it at the top level of its module and pass the values that it needs: "
             "Stream(function, *arguments)."
         )
     if isinstance(what, Iterator):
         raise TypeError(
-            f"a stream cannot be made of a {named.__qualname__}: it can be read once only. "
-            "Give what it is made from."
+            f"a stream cannot use a {named.__qualname__}, which can be read only once. "
+            "Pass the source of the iterator."
         )

@@ -1,4 +1,4 @@
-"""The compiled inverse of the length along a curve, for millions of stitches."""
+"""Arc length of curves: tables of lengths, and their inverse, fast for millions of stitches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Spans = tuple[IntArray, FloatArray, FloatArray, FloatArray, np.ndarray]
 
 
 def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> FloatArray:
-    """Return the (m,) parameters at which the curve has the lengths ``wanted_m``.
+    """Return the (m,) parameters of the points at the lengths ``wanted_m`` along the curve.
 
     Parameters
     ----------
@@ -30,15 +30,14 @@ def invert(curve: Curve, spans: Spans, span: IntArray, wanted_m: FloatArray) -> 
     spans
         ``piece``, ``begin_u``, ``end_u``, ``begin_m`` and ``even`` of the table.
     span
-        (m,) int: the span that each length lies in.
+        (m,) int: the span of each length.
     wanted_m
         (m,) lengths from the start of the curve.
 
     Notes
     -----
-    The method is Newton's, inside a bracket that is halved where a step would leave it. The length
-    up to a parameter is one quadrature of 12 nodes from the beginning of the span, which is exact
-    to rounding.
+    Newton's method with a bracket that is halved if a step would leave it. The length up to a
+    parameter is a quadrature with 12 nodes from the beginning of the span, exact to rounding.
     """
     result: FloatArray = _invert(*curve, *spans, span, wanted_m)
     return result
@@ -107,21 +106,20 @@ _CHUNK = 1 << 15
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArcTable:
-    """A table that gives the piece and parameter at each length along a curve.
+    """A table for finding the piece and parameter at a length along a curve.
 
     Parameters
     ----------
     pieces
         The curve.
     piece
-        (n,) int: the piece that each span belongs to.
+        (n,) int: the piece of each span.
     begin_u, end_u
-        (n,) the part of the piece that the span covers.
+        (n,) parameter range of the span on its piece.
     begin_m
-        (n + 1,) length from the start of the curve to each span; the last is the whole length.
+        (n + 1,) length from the start of the curve to each span; the last one is the total length.
     even
-        (pieces,) whether a piece is a chord or an arc of a circle, on which length and parameter
-        are proportional.
+        (pieces,) whether length and parameter are proportional: chords and circular arcs.
     """
 
     pieces: Pieces
@@ -137,17 +135,17 @@ class ArcTable:
         return float(self.begin_m[-1])
 
     def piece_begins_m(self) -> FloatArray:
-        """Return (pieces + 1,) the length at which each piece begins, and the whole length."""
+        """Return (pieces + 1,) the length at which each piece begins, and the total length."""
         first = np.searchsorted(self.piece, np.arange(len(self.pieces)))
         return np.append(self.begin_m[first], self.begin_m[-1])
 
     def locate(self, length_m: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Return the (m,) pieces and the (m,) parameters on them at (m,) lengths.
+        """Return the (m,) pieces and (m,) parameters at (m,) lengths.
 
         The length at the parameter is exact to 1e-12 m or to the rounding of the parameter. Lengths
         outside the curve are clamped.
         """
-        # Of a few lengths np.clip takes three times as long as both its halves.
+        # For a few lengths np.clip takes three times as long as both calls.
         wanted = np.maximum(np.asarray(length_m, dtype=np.float64), 0.0)
         wanted = np.minimum(wanted, self.length_m)
         span = np.searchsorted(self.begin_m, wanted, side="right") - 1
@@ -188,12 +186,13 @@ def span_lengths(
 
 
 def arc_table(pieces: Pieces) -> ArcTable:
-    """Return the table of lengths of ``pieces``, which in their order are one curve.
+    """Return the table of lengths of the curve that ``pieces`` form in their order.
 
     Notes
     -----
-    Lengths are by Gauss-Legendre quadrature with 12 nodes, on a span and on its two halves; a span
-    is halved until both agree within 1e-12 m (or rounding). Those of chords and circles are exact.
+    Lengths are computed by Gauss-Legendre quadrature with 12 nodes, on a span and on its two
+    halves; a span is halved until both agree within 1e-12 m (or rounding). Lengths of chords and
+    circles are exact.
     """
     found: list[tuple[IntArray, FloatArray, FloatArray, FloatArray]] = []
     even = pieces.is_line | pieces.is_circle
@@ -207,8 +206,8 @@ def arc_table(pieces: Pieces) -> ArcTable:
     piece, begin, end, length = (np.concatenate(column) for column in zip(*found, strict=True))
     order = np.lexsort((begin, piece))
     total = np.cumsum(length[order].astype(np.longdouble)).astype(np.float64)
-    if not pieces.top.flags.c_contiguous:  # as of a curve turned round
-        # Parts of other arrays would have machine code of their own.
+    if not pieces.top.flags.c_contiguous:  # for instance of a reversed curve
+        # Other memory layouts would compile another version of ``invert``.
         pieces = pieces.take(np.arange(len(pieces)))
     return ArcTable(
         pieces=pieces,

@@ -1,4 +1,4 @@
-"""A drawn line, with its points by the length along it."""
+"""Contours: arcs of their segments, contours written in seam files, and joining of strokes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class DrawnLine:
     table
         The curve.
     closed
-        Whether it ends where it begins; lengths are then modulo its own.
+        Whether it ends where it begins; lengths are then taken modulo its length.
     """
 
     table: ArcTable
@@ -42,7 +42,7 @@ TURNS = ("ccw", "cw")
 
 
 def bulge_segment(begin: FloatArray, end: FloatArray, bulge: float, line: int) -> Pieces:
-    """Return the arc of a bulge (tangent of a quarter of its angle), a chord for a bulge of 0."""
+    """Return the arc of a bulge (tangent of a quarter of its angle); a chord for a bulge of 0."""
     return bulges(np.array([begin, end]), np.array([bulge]), line)
 
 
@@ -75,12 +75,12 @@ def centre_segment(
 def radius_segment(
     begin: FloatArray, end: FloatArray, radius_m: float, turn: str, large: bool, line: int
 ) -> Pieces:
-    """Return the arc of ``radius_m``; ``large`` chooses the one of more than half a turn.
+    """Return the arc of ``radius_m``; ``large`` chooses the arc of more than half a turn.
 
     Raises
     ------
     ValueError
-        If the ends are further apart than the diameter, or in one place.
+        If the ends are further apart than the diameter, or coincide.
     """
     chord = end - begin
     apart = math.hypot(*chord)
@@ -172,7 +172,7 @@ def _segment(
 
 ZERO_LENGTH_M = 1e-9
 _SAID = 10
-_NEAR = 100.0  # ends this many gaps apart look meant to meet
+_NEAR = 100.0  # ends up to this many gaps apart are probably meant to meet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -180,7 +180,7 @@ class Contour:
     """A curve without branches.
 
     The ends of neighbouring pieces are at most the gap apart. A gap is not closed: it is a jump in
-    position, which adds nothing to the length.
+    position without length.
     """
 
     pieces: Pieces
@@ -190,9 +190,9 @@ class Contour:
 
 
 def drop_zero_lengths(strokes: Sequence[Stroke], file: str) -> tuple[list[Stroke], list[str]]:
-    """Return the strokes without pieces of length 0, and warnings about these.
+    """Return the strokes without their pieces of length 0, and warnings about these pieces.
 
-    A stroke that has no other pieces is left out.
+    A stroke without other pieces is omitted.
     """
     if not strokes:
         return [], []
@@ -226,9 +226,9 @@ def drop_zero_lengths(strokes: Sequence[Stroke], file: str) -> tuple[list[Stroke
 def join_strokes(
     strokes: Sequence[Stroke], gap_m: float, file: str
 ) -> tuple[list[Contour], list[str]]:
-    """Return the contours that ``strokes`` make, in the order of the file, and warnings.
+    """Join ``strokes`` to contours, in the order of the file; return these and warnings.
 
-    The start and the direction of a contour are those of its first stroke in the file.
+    A contour starts at its first stroke in the file and has the direction of that stroke.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ def join_strokes(
     loop = np.hypot(*(last - first).T) <= gap_m
     for k in np.flatnonzero(loop).tolist():
         _refuse_short(strokes[k], gap_m, file)
-    ends = np.concatenate([first, last])  # end e of stroke e % n; the last ones from n on
+    ends = np.concatenate([first, last])  # end e is of stroke e % n; from n on last points
     count = len(strokes)
     partner = _partners(ends, np.tile(~loop, 2), gap_m, strokes, file)
     warnings = _gap_warnings(ends, partner, strokes, file)
@@ -286,7 +286,7 @@ def _partners(
     strokes: Sequence[Stroke],
     file: str,
 ) -> IntArray:
-    """Return the (2 n,) index of the end that each end meets, -1 for none."""
+    """Return (2 n,) for each end the index of the end that it meets, -1 for none."""
     from scipy.spatial import cKDTree
 
     count = len(strokes)
@@ -310,7 +310,7 @@ def _partners(
 
 
 def _walk(start: int, partner: IntArray, count: int) -> tuple[list[tuple[int, bool]], bool]:
-    """Return the chain through stroke ``start``: (stroke, backwards) pairs, and if it closes."""
+    """Return the chain through stroke ``start`` as (stroke, backwards), and whether it closes."""
     chain = [(start, False)]
     end = start + count
     while partner[end] >= 0:

@@ -1,7 +1,7 @@
-"""Exact pieces of curves, and their making from points, bulges, centres and knots.
+"""Exact pieces of curves, made from points, bulges, centres and knots.
 
-All pieces of a drawing are kept in a few arrays, so that a million chords need no million objects.
-Every affine map of them (an inserted block, an SVG transform) is exact, too.
+A few arrays hold all pieces of a drawing, because a million chords as objects would be slow. Affine
+maps of pieces (an inserted block, an SVG transform) are exact.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_DEGREE = 12
 class Pieces:
     """Consecutive pieces of curves, each with its parameter u in [0, 1].
 
-    A piece with ``sweep_rad`` 0 is ``sum(top[k] u^k) / sum(bottom[k] u^k)``; another one is
+    A piece with ``sweep_rad`` 0 is ``sum(top[k] u^k) / sum(bottom[k] u^k)``; any other piece is
     ``top[0] + top[1] cos(w) + top[2] sin(w)`` with ``w = begin_rad + u sweep_rad``: the affine
     image of a circular arc.
 
@@ -51,7 +51,7 @@ class Pieces:
 
     @property
     def is_line(self) -> NDArray[np.bool_]:
-        """(n,) bool: straight and of even speed, so that length and parameter are proportional."""
+        """(n,) bool: straight, with length and parameter proportional."""
         higher = (self.top[:, 2:] != 0).any(axis=(1, 2)) | (self.bottom[:, 1:] != 0).any(axis=1)
         return np.asarray(~higher & (self.sweep_rad == 0.0), dtype=np.bool_)
 
@@ -71,7 +71,7 @@ class Pieces:
         Parameters
         ----------
         piece, u
-            (m,) which piece, and where on it.
+            (m,) indices of pieces, and parameters on them.
 
         Returns
         -------
@@ -124,8 +124,8 @@ class Pieces:
     def end_directions(self) -> tuple[FloatArray, FloatArray]:
         """Return the (n, 2) unit tangents at the first and at the last point of every piece.
 
-        Where the derivative vanishes (a Bezier curve with two control points in one place) the
-        tangent is the limit, taken from a step inside.
+        If the derivative vanishes (a Bezier curve with two equal control points) the tangent is the
+        limit, approximated by a step inside.
         """
         if self.is_line.all():
             tangent = self.top[:, 1] / np.maximum(np.hypot(*self.top[:, 1].T), 1e-300)[:, None]
@@ -202,7 +202,7 @@ def _horner(coefficients: FloatArray, u: FloatArray, derivative: int) -> FloatAr
 
 
 def join_pieces(parts: Sequence[Pieces]) -> Pieces:
-    """Return the pieces of all ``parts``, one after the other."""
+    """Return the pieces of all ``parts`` in sequence."""
     if len(parts) == 1:
         return parts[0]
     order = max((part.top.shape[1] for part in parts), default=3)
@@ -255,7 +255,8 @@ def ellipse_arc(
 ) -> Pieces:
     """Return ``centre + a cos(w) + b sin(w)`` for w from ``begin_rad`` on, through ``sweep_rad``.
 
-    ``centre``, ``a`` and ``b`` are (2,) m; for a circle a and b are at right angles and alike.
+    ``centre``, ``a`` and ``b`` are (2,) m; for a circle a and b are perpendicular and of equal
+    length.
     """
     top = np.array([[centre, a, b]], dtype=np.float64)
     piece = _bundle(top, np.array([[1.0, 0.0, 0.0]]), line)
@@ -332,7 +333,7 @@ def spline(
     Notes
     -----
     Knots are inserted until each has multiplicity ``degree`` (Boehm's algorithm, in homogeneous
-    coordinates); the control points are then those of the spans.
+    coordinates); the control points are then the control points of the spans.
     """
     if len(knots) != len(control) + degree + 1:
         raise ValueError(
@@ -364,7 +365,7 @@ def spline(
 def _insert(
     points: FloatArray, knots: FloatArray, degree: int, value: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return control points and knots with ``value`` once more among the knots."""
+    """Return control points and knots after inserting the knot ``value``."""
     span = int(np.searchsorted(knots, value, side="right")) - 1
     span = min(span, len(points) - 1)
     fresh = np.empty((len(points) + 1, points.shape[1]))

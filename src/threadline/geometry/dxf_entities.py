@@ -20,7 +20,7 @@ class NotFlatError(ValueError):
 
 
 def entity_pieces(entity: Any, line: int) -> Pieces | None:
-    """Return the pieces of an entity, or None for a kind that has no line to sew.
+    """Return the pieces of an entity, or None for a kind without lines.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def _line(entity: Any, line: int) -> Pieces:
 
 
 def _arc(entity: Any, line: int) -> Pieces:
-    """Return a circle or arc; its own axes may be mirrored (extrusion 0, 0, -1)."""
+    """Return a circle or arc; its coordinate system may be mirrored (extrusion 0, 0, -1)."""
     dxf = entity.dxf
     ocs = entity.ocs()
     radius = float(dxf.radius)
@@ -93,7 +93,7 @@ def _ellipse(entity: Any, line: int) -> Pieces:
 
 
 def _bulged(entity: Any, points: list[Any], bulge: list[float], line: int) -> Pieces:
-    """Return a polyline of the entity's own coordinate system, closed where it says so."""
+    """Return a polyline with bulges, from the entity's coordinate system."""
     ocs = entity.ocs()
     flat = _plane([ocs.to_wcs(point) for point in points])
     # A mirrored system turns counter-clockwise arcs into clockwise ones.
@@ -102,7 +102,7 @@ def _bulged(entity: Any, points: list[Any], bulge: list[float], line: int) -> Pi
     if entity.is_closed:
         flat = np.concatenate([flat, flat[:1]])
         if np.hypot(*(flat[-1] - flat[-2])) == 0.0:
-            flat = flat[:-1]  # closed, and its last point is the first one again
+            flat = flat[:-1]  # closed, with the first point repeated at the end
     if len(flat) < 2:
         raise ValueError("a polyline has fewer than two points")
     return bulges(flat, np.array(bulge[: len(flat) - 1]), line)

@@ -1,4 +1,4 @@
-"""Leaders and fills of a DXF drawing: nobody sews them, and who edits the drawing keeps them."""
+"""Leaders and fills of a DXF drawing, which are not sewn but kept when the drawing is edited."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from threadline.geometry.read_dxf import Said, entity_lines, load_dxf, metres_pe
 from threadline.geometry.strokes import LineStyle, one_line, style_of_linetype
 from threadline.geometry.write_dxf import PATTERNS, Fill
 
-_NEAR = 2.0  # heights of its letters that a label may lie away from the end of its leader
-_MOST_POINTS, _LONGEST = 20_000, 100  # of a leader, and of its text
-_ALIKE = 0.02  # share of its size by which a fill may differ from what bounds it
+_NEAR = 2.0  # largest distance of a label from the end of its leader, in letter heights
+_MOST_POINTS, _LONGEST = 20_000, 100  # points of a leader, characters of its text
+_ALIKE = 0.02  # largest difference of a fill from its boundary, as a share of its size
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leader:
-    """A line that points at something with its first point, (n, 2) m, and the text at its last.
+    """A line, (n, 2) m, that points at something with its first point, and the text at its last.
 
-    ``lines`` are those of the file at which its entities begin.
+    ``lines`` are the lines of the file at which its entities begin.
     """
 
     points: FloatArray
@@ -34,7 +34,7 @@ class Leader:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Filling:
-    """A fill, and the (n, 2) m around it; ``line`` of the file is where its entity begins."""
+    """A fill with its boundary, (n, 2) m; its entity begins at ``line`` of the file."""
 
     ring: FloatArray
     fill: Fill
@@ -42,21 +42,21 @@ class Filling:
 
 
 def read_remarks(content: bytes, file: str, most: int) -> tuple[list[Leader], list[Filling]]:
-    """Return the leaders and the fills of the model space, without those of blocks.
+    """Return the leaders and fills of the model space, except in blocks.
 
     Parameters
     ----------
     content, file
         As for ``read_dxf``.
     most
-        Leaders and fills behind this number are left out.
+        Largest number of leaders and of fills; the rest is omitted.
 
     Raises
     ------
     JobError
         If the drawing is damaged.
     """
-    with Said().listening():  # what is to be told of it, ``read_dxf`` has told
+    with Said().listening():  # ``read_dxf`` has reported its messages already
         document, lines = load_dxf(file), entity_lines(content)
     metres = metres_per_unit(int(document.header.get("$INSUNITS", 0)), None, Place(file))
     space = document.modelspace()
@@ -65,7 +65,7 @@ def read_remarks(content: bytes, file: str, most: int) -> tuple[list[Leader], li
         leaders = [_leader(one, texts, lines, metres) for one in space.query("LEADER")[:most]]
         hatches = space.query("HATCH")[:most]
         fills = [one for hatch in hatches for one in _fillings(hatch, lines, metres)]
-    except Exception as error:  # damaged entities are met only when they are looked at
+    except Exception as error:  # damaged entities raise only when they are used
         raise JobError(
             f"not a sound DXF drawing: {one_line(error)}",
             place=Place(file),
@@ -85,9 +85,10 @@ class _Texts:
         self._reach = np.array([_NEAR * float(text.dxf.char_height) for text in self._texts])
 
     def label(self, leader: Any, end: FloatArray) -> tuple[str, int]:
-        """Return the text of a leader that ends at (2,), and its line: the one that it names.
+        """Return the text of a leader and its line in the file.
 
-        Else it is the nearest on its layer; empty, and 0, where there is none.
+        This is the text that the leader names, else the nearest on its layer, else "" and 0.
+        ``end``, shape (2,), is the last point of the leader.
         """
         text = self._of_handle.get(str(leader.dxf.get("annotation_handle", "")))
         if text is None and self._texts:
@@ -118,7 +119,7 @@ def _leader(entity: Any, texts: _Texts, lines: dict[str, int], metres: float) ->
 
 
 def _fillings(hatch: Any, lines: dict[str, int], metres: float) -> list[Filling]:
-    """Return what a hatch fills: one for each of its rings that is made of chords."""
+    """Return a fill for each boundary ring of a hatch that consists of chords."""
     found = []
     for path in hatch.paths:
         vertices = getattr(path, "vertices", [])
@@ -131,21 +132,22 @@ def _fillings(hatch: Any, lines: dict[str, int], metres: float) -> list[Filling]
 
 
 def _fill(hatch: Any) -> Fill:
-    """Return the fill that is nearest to a hatch: a pattern that is none of ours is hatched."""
+    """Return the fill most similar to a hatch; an unknown pattern counts as hatched."""
     if hatch.dxf.solid_fill:
         return "solid"
     return "crossed" if hatch.dxf.pattern_name == PATTERNS["crossed"] else "hatched"
 
 
 def filled_by(ring: FloatArray, measured: FloatArray) -> int | None:
-    """Return which of several rings a fill is of; None where it is of none.
+    """Return the index of the ring that a fill fills; None for no ring.
 
     Parameters
     ----------
     ring
-        (n, 2) around the fill.
+        (n, 2) boundary of the fill.
     measured
-        (m, 5) of the rings. Curves are other chords here and there: ends and area are compared.
+        (m, 5) of the rings. Extents and area are compared, because curves may be divided into other
+        chords.
     """
     (ours,) = measured_rings([ring])
     size = float(np.hypot(*(ours[2:4] - ours[:2])))
@@ -157,7 +159,7 @@ def filled_by(ring: FloatArray, measured: FloatArray) -> int | None:
 
 
 def measured_rings(rings: Sequence[FloatArray]) -> FloatArray:
-    """Return (m, 5): the lowest and the highest x and y of each (n, 2) ring, and its area."""
+    """Return (m, 5): lowest x and y, highest x and y, and area of each (n, 2) ring."""
     found = np.empty((len(rings), 5))
     for k, ring in enumerate(rings):
         x, y = ring.T

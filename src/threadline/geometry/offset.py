@@ -1,4 +1,4 @@
-"""Mitres, which replace complete rounds at the corners of an offset."""
+"""Offsets of contours, with round or mitred corners."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _SAME_M = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Mitre:
-    """A round at a corner and the point that may take its place.
+    """A round at a corner, and the mitre that may replace it.
 
     Parameters
     ----------
     first, last
         First and last chord of the round in the raw chain.
     begin, apex, end
-        (2,) beginning of the round, point of the mitre, and end of the round.
+        (2,) beginning of the round, tip of the mitre, and end of the round.
     """
 
     first: int
@@ -41,17 +41,16 @@ class Mitre:
 def sharpen(
     points: FloatArray, labels: IntArray, closed: bool, mitres: Sequence[Mitre]
 ) -> tuple[FloatArray, IntArray]:
-    """Return the chain with every complete round replaced by its mitre.
+    """Replace every complete round of the chain by its mitre.
 
-    Parts of an offset are valid by their distance from the contour, which is constant on a round
-    but not on a mitre. Mitres therefore replace rounds afterwards, except those that would cross
+    Parts of an offset are validated by their distance from the contour, which is constant on a
+    round but not on a mitre. Mitres therefore replace rounds afterwards, unless they would cross
     another part of the chain.
 
     Parameters
     ----------
     points, labels
-        (n + 1, 2) points of the offset, and (n,) chord of the raw chain that each of its chords is
-        part of.
+        (n + 1, 2) points of the offset, and (n,) the chord of the raw chain of each of its chords.
     """
     whole = _whole(points, labels, mitres)
     while True:
@@ -66,7 +65,7 @@ def sharpen(
 def _whole(
     points: FloatArray, labels: IntArray, mitres: Sequence[Mitre]
 ) -> list[tuple[int, int, Mitre]]:
-    """Return first and last chord of every round that is complete."""
+    """Return first and last chord of every complete round."""
     at = {int(label): k for k, label in enumerate(labels)}
     found = []
     for mitre in mitres:
@@ -82,7 +81,7 @@ def _whole(
 def _replace(
     points: FloatArray, labels: IntArray, whole: list[tuple[int, int, Mitre]]
 ) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return points, labels, and for each chord the mitre that it belongs to or -1."""
+    """Return points, labels, and the mitre of each chord or -1."""
     parts, names, owner = [], [], []
     last = 0
     for k, (i, j, mitre) in enumerate(whole):
@@ -105,7 +104,7 @@ class Part:
     """A part of a chain between two crossings.
 
     ``begin`` and ``end`` are the indices of these crossings; -1 is the start and -2 the end of an
-    open chain. ``probe`` is a point well inside the part.
+    open chain. ``probe`` is a point far from both.
     """
 
     points: FloatArray
@@ -115,7 +114,7 @@ class Part:
 
     @property
     def probe(self) -> FloatArray:
-        """(2,) the middle of the longest chord."""
+        """(2,) middle of the longest chord."""
         step = np.diff(self.points, axis=0)
         k = int(np.argmax(np.hypot(*step.T)))
         middle: FloatArray = self.points[k] + step[k] / 2.0
@@ -137,7 +136,7 @@ def stitch_parts(
     closed
         Whether the chain ends where it begins.
     cuts
-        First and second chord of each crossing, and the places on both, from 0 to 1.
+        First and second chord of each crossing, and the positions on both, from 0 to 1.
     """
     first, second, at_first, at_second = cuts
     chord = np.concatenate([first, second]).astype(np.int64)
@@ -201,7 +200,7 @@ def _clear_of(probes, begin, end, distance_m):  # type: ignore[no-untyped-def]
     return clear
 
 
-TOLERANCE_M = 1e-7  # of the chords of curves; the offset is exact to 1 um
+TOLERANCE_M = 1e-7  # deviation of chords from curves; the offset is exact to 1 um
 _ROUND_M = 5e-7
 _MAX_CHORDS = 300_000
 _SLIGHT_RAD = math.radians(5.0)
@@ -230,20 +229,20 @@ class Allowance:
 
 
 def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Contour]:
-    """Return the contours at ``allowance`` from ``contour``; itself for a distance of 0.
+    """Return the offset of ``contour`` by ``allowance``; the contour itself for a distance of 0.
 
-    An inside offset may consist of several contours, and narrow parts have none.
+    An inside offset may consist of several contours; narrow parts vanish.
 
     Raises
     ------
     JobError
-        If an open contour has no such side, the contour crosses itself, or nothing is left.
+        If an open contour has no such side, the contour crosses itself, or nothing remains.
 
     Notes
     -----
     Every chord is moved sideways; outer corners are rounded, inner corners overlap. The chain is
-    cut wherever it crosses itself, and parts that are nearer to the contour than the distance are
-    removed. Last, rounds are replaced by mitres where these are wanted and fit.
+    cut at its self-crossings, and parts nearer to the contour than the distance are removed.
+    Finally mitres replace rounds if ``join`` asks for them and they fit.
     """
     distance_m = allowance.distance_m
     if distance_m == 0.0:
@@ -289,7 +288,7 @@ def offset_contour(contour: Contour, allowance: Allowance, file: str) -> list[Co
 def _chain(
     begin: FloatArray, end: FloatArray, lines: IntArray, closed: bool
 ) -> tuple[FloatArray, IntArray]:
-    """Return (n + 1, 2) points without doubled ones; a closed chain ends in its first point."""
+    """Return (n + 1, 2) points without duplicates; a closed chain ends in its first point."""
     last = begin[:1] if closed else end[-1:]
     points = np.concatenate([begin, last])
     keep = np.hypot(*np.diff(points, axis=0).T) > 1e-10
@@ -319,9 +318,9 @@ def _raw_offset(
 ) -> tuple[FloatArray, IntArray, list[Mitre]]:
     """Return the chain of moved chords, joined but not cut.
 
-    ``tangents`` are those of the curve at the ends of an open chain, None for a closed one. The
-    second result is the chord of the contour that each chord of the chain belongs to; the third are
-    the rounds that may be replaced by mitres.
+    ``tangents`` are the tangents of the curve at the ends of an open chain, None for a closed one.
+    The second result is the contour's chord of each chord of the chain; the third are the rounds
+    that mitres may replace.
     """
     closed = tangents is None
     direction = np.diff(points, axis=0)
@@ -337,7 +336,7 @@ def _raw_offset(
         owner.append(chord)
 
     def end(point: FloatArray, tangent: FloatArray, chord: FloatArray) -> FloatArray:
-        # On the moved chord, square to the curve: chords lean a little at their ends.
+        # On the moved chord, perpendicular to the curve, from which chords deviate at their ends.
         normal = signed_m * np.array([-tangent[1], tangent[0]])
         return np.asarray(point + normal * signed_m**2 / float(normal @ chord))
 
@@ -380,14 +379,14 @@ def _corner(
     inner = turn * signed_m > 0.0
     mitre = 1.0 / max(math.cos(turn / 2.0), 1e-9)
     if inner and abs(turn) > _SLIGHT_RAD:
-        # Through the vertex itself, so that the overlap is certainly too near and is removed.
+        # Through the vertex, so that the overlap is too near and is removed.
         return [corner + before, corner, corner + after]
     if inner or abs(signed_m) * (mitre - 1.0) <= _ROUND_M:
         return [corner + (before + after) / 2.0 * mitre**2]
     radius = abs(signed_m)
     step = 2.0 * math.acos(radius / (radius + _ROUND_M))
     parts = math.ceil(abs(turn) / step)
-    angles = turn * (np.arange(parts) + 0.5) / parts  # a polygon around the arc, never nearer
+    angles = turn * (np.arange(parts) + 0.5) / parts  # of a circumscribed polygon
     grow = 1.0 / math.cos(turn / parts / 2.0)
     cosine, sine = np.cos(angles) * grow, np.sin(angles) * grow
     x = corner[0] + before[0] * cosine - before[1] * sine
@@ -398,10 +397,10 @@ def _corner(
 def _valid_parts(
     raw: FloatArray, points: FloatArray, closed: bool, distance_m: float
 ) -> list[tuple[FloatArray, IntArray, bool]]:
-    """Return the parts of the raw chain that keep the distance, joined to chains.
+    """Return the parts of the raw chain that are far enough, joined to chains.
 
-    Each chain is given by its points, the chord of the raw chain that each of its chords is part
-    of, and whether it is closed.
+    Each chain consists of its points, the raw chain's chord of each of its chords, and whether it
+    is closed.
     """
     first, second, at_first, at_second, _ = crossings(raw[:-1], raw[1:], closed)
     parts = stitch_parts(raw, np.arange(len(raw) - 1), closed, (first, second, at_first, at_second))

@@ -1,9 +1,9 @@
-"""Drawings in a table, with a point in each row, and arcs by a bulge or a centre.
+"""Reader of drawings in tables: a point per row, and arcs by bulge or centre.
 
 The first row names the columns, with their unit: ``x [mm], y [mm], bulge``. Columns are ``x`` and
-``y``; then, for the segment that leaves the point, ``bulge`` or ``cx``, ``cy`` and ``turn`` (ccw
-or cw); and ``layer``. A blank row ends a contour. Commas, semicolons and tabs separate; with
-semicolons or tabs a decimal comma is understood. A row that begins with # is a comment.
+``y``; then, for the segment after the point, ``bulge`` or ``cx``, ``cy`` and ``turn`` (ccw or cw);
+and ``layer``. A blank row ends a contour. Separators are commas, semicolons or tabs; with
+semicolons or tabs a decimal comma is allowed. A row that begins with # is a comment.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def read_csv(content: bytes, file: str, unit: str | None = None) -> Drawing:
     content, file
         The bytes of the file, and its name for messages.
     unit
-        Unit of the columns whose heading names none.
+        Unit of columns without a unit.
 
     Raises
     ------
     JobError
-        With the line, if it is not such a table.
+        If it is not such a table; names the line.
     """
     text = decode_text(content, file, "table")
     rows = _rows(text, file)
@@ -82,7 +82,7 @@ def _rows(text: str, file: str) -> Iterator[tuple[int, list[str], str]]:
 
 
 def _columns(heading: list[str], unit: str | None, place: Place) -> list[tuple[str, float]]:
-    """Return name and metres (or 1) per number of every column."""
+    """Return the name of every column and its factor to m (or 1)."""
     found: list[tuple[str, float]] = []
     for cell in heading:
         match = _COLUMN.fullmatch(cell)

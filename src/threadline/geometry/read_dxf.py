@@ -27,19 +27,19 @@ from threadline.geometry.strokes import (
 from threadline.units import unit_factor
 
 _TEXTS = ("TEXT", "MTEXT", "ATTRIB", "ATTDEF", "ARCTEXT", "ACAD_PROXY_TEXT")
-_SILENT = ("VIEWPORT", "SEQEND")  # of the sheet, not of the drawing
+_SILENT = ("VIEWPORT", "SEQEND")  # belong to the sheet, not to the drawing
 _MAX_DEPTH = 32
 _TEXT_READ = 200
-_MAX_SAID, _LONGEST_SAID = 5, 200  # of ezdxf's log
+_MAX_SAID, _LONGEST_SAID = 5, 200  # messages of ezdxf's log, and characters of each
 _BYLAYER, _BYBLOCK = 256, 0
-_SURVEY = 1200.0 / 3937.0  # m in a foot of the surveyors of the United States
+_SURVEY = 1200.0 / 3937.0  # US survey foot in m
 _METRES = {
     1: 0.0254, 2: 0.3048, 3: 1609.344, 4: 1e-3, 5: 1e-2, 6: 1.0, 7: 1e3, 8: 2.54e-8, 9: 2.54e-5,
     10: 0.9144, 11: 1e-10, 12: 1e-9, 13: 1e-6, 14: 0.1, 15: 10.0, 16: 100.0, 17: 1e9,
     18: 149597870700.0, 19: 9.4607304725808e15, 20: 3.085677581491367e16,
     21: _SURVEY, 22: _SURVEY / 12.0, 23: 3.0 * _SURVEY, 24: 5280.0 * _SURVEY,
 }  # fmt: skip
-"""By $INSUNITS, as the reference of DXF has it."""
+"""$INSUNITS -> metres, from the DXF reference."""
 
 
 def read_dxf(
@@ -52,14 +52,14 @@ def read_dxf(
     content, file
         The bytes of the file, and its path.
     unit
-        Unit of a drawing that does not give one ($INSUNITS).
+        Unit of a drawing without unit ($INSUNITS).
     most_lines
-        Most lines of the drawing, with those of its blocks; None is ``MAX_LINES``.
+        Largest number of lines, including blocks; None for ``MAX_LINES``.
 
     Raises
     ------
     JobError
-        If it is no DXF drawing, has no unit or contradicts the one given.
+        If it is not a DXF drawing, has no unit, or contradicts ``unit``.
     """
     place = Place(file)
     if re.match(rb"AC10\d\d", content):
@@ -76,7 +76,7 @@ def read_dxf(
             walk.entities(document.modelspace(), root, 0)
     except JobError:
         raise
-    except Exception as error:  # damaged entities are met only when they are looked at
+    except Exception as error:  # damaged entities raise only when they are used
         raise JobError(
             f"not a sound DXF drawing: {one_line(error)}",
             place=place,
@@ -91,7 +91,7 @@ def read_dxf(
 
 
 def _beginning_of(entity: Any) -> str:
-    """Return how a text begins; the whole of it would take ezdxf the square of its length."""
+    """Return the beginning of a text; ezdxf needs quadratic time for the whole text."""
     from ezdxf.tools.text import fast_plain_mtext, plain_text
 
     if entity.dxftype() == "MTEXT":
@@ -100,9 +100,9 @@ def _beginning_of(entity: Any) -> str:
 
 
 def _refuse_explosion(document: Any, walk: _Walk) -> None:
-    """Refuse a drawing whose nested blocks make more entities than can be read.
+    """Refuse a drawing whose nested blocks expand to too many entities.
 
-    They are counted by multiplication, since nine levels of ten insertions make 1e9 entities.
+    They are counted by multiplication: nine levels of ten insertions make 1e9 entities.
     """
     counts: dict[str, int] = {}
 
@@ -122,7 +122,7 @@ def _refuse_explosion(document: Any, walk: _Walk) -> None:
 
     def of_block(insert: Any, open_blocks: tuple[str, ...]) -> int:
         name = str(insert.dxf.name).lower()
-        # A block that holds itself is told where it is followed.
+        # A block that contains itself is refused later, in ``_insert``.
         if name in open_blocks or len(open_blocks) > _MAX_DEPTH:
             return 0
         if name not in counts:
@@ -134,14 +134,14 @@ def _refuse_explosion(document: Any, walk: _Walk) -> None:
 
 
 class Said(logging.Handler):
-    """Collects ezdxf's log, the only place where it reports what it leaves out or repairs."""
+    """Collects ezdxf's log, its only report of omissions and repairs."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self.texts: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a message; repeated ones and those after the first few are dropped."""
+        """Keep a message; drop repeated messages and all after the first few."""
         text = " ".join(record.getMessage().split())[:_LONGEST_SAID]
         if len(self.texts) < _MAX_SAID and text not in self.texts:
             self.texts.append(text)
@@ -160,12 +160,12 @@ class Said(logging.Handler):
 
 
 def load_dxf(file: str) -> Any:
-    """Return the document of ezdxf; a JobError if the file is no DXF."""
+    """Return the ezdxf document; raise JobError if the file is not a DXF drawing."""
     from ezdxf.filemanagement import readfile
 
     try:
         return readfile(Path(file))
-    except Exception as error:  # a damaged file raises whatever ezdxf trips over
+    except Exception as error:  # ezdxf raises many types for a damaged file
         at = re.search(r"line[: ]+(\d+)", str(error), re.IGNORECASE)
         raise JobError(
             f"not a DXF drawing: {one_line(error)}",
@@ -175,7 +175,7 @@ def load_dxf(file: str) -> Any:
 
 
 def metres_per_unit(code: int, unit: str | None, place: Place) -> float:
-    """Return the metres in a unit of $INSUNITS, or in the one given; a JobError without either."""
+    """Return the metres per unit of $INSUNITS, else of ``unit``; raise JobError without either."""
     given = None if unit is None else unit_factor(unit, "m")
     stated = _METRES.get(code)
     if stated is None:
@@ -199,7 +199,7 @@ def metres_per_unit(code: int, unit: str | None, place: Place) -> float:
 
 
 def entity_lines(content: bytes) -> dict[str, int]:
-    """Return the line at which each entity of a text DXF begins, by its handle."""
+    """Return handle -> first line of each entity of a text DXF."""
     if content.startswith(b"AutoCAD Binary DXF"):
         return {}
     lines = content.split(b"\n")
@@ -217,10 +217,10 @@ def entity_lines(content: bytes) -> dict[str, int]:
 
 @dataclass(frozen=True, slots=True)
 class _Inherited:
-    """What an entity inherits from the insertion of its block.
+    """Properties that an entity inherits from the insertion of its block.
 
-    It inherits the layer if it is on layer 0, colour and style of its line if they are BYBLOCK, and
-    the position: a point p of the block lies at ``matrix @ p + offset``, in m.
+    An entity on layer 0 inherits the layer; BYBLOCK colour and line style are inherited; a point p
+    of the block lies at ``matrix @ p + offset``, in m.
     """
 
     layer: str
@@ -240,14 +240,14 @@ class _Walk:
     refusals: list[Refusal] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     hidden: set[str] = field(default_factory=set)
-    invisible: set[str] = field(default_factory=set)  # layers with a warning about it
+    invisible: set[str] = field(default_factory=set)  # layers with such a warning
 
     def place(self, entity: Any) -> Place:
-        """Return the place of an entity."""
+        """Return file and line of an entity."""
         return Place(self.file, self._line(entity))
 
     def entities(self, entities: Iterable[Any], inherited: _Inherited, depth: int) -> None:
-        """Add the strokes of entities, and those of the blocks that they insert."""
+        """Add the strokes of entities, including inserted blocks."""
         for entity in entities:
             kind = entity.dxftype()
             if kind in _SILENT:
@@ -319,7 +319,7 @@ class _Walk:
                 place=place,
             )
         for attribute in insert.attribs:
-            # An attribute has two marks: that of every entity, and a flag of its own.
+            # An attribute can be invisible as an entity or by an additional flag.
             if not (attribute.is_invisible or self._is_invisible(attribute, here.layer)):
                 self._refuse_text(attribute, here)
         for single in insert.multi_insert() if insert.mcount > 1 else [insert]:
@@ -369,7 +369,7 @@ class _Walk:
         return hidden
 
     def _is_invisible(self, entity: Any, layer: str) -> bool:
-        """Return whether group code 60 hides an entity; one of an insert hides the whole block."""
+        """Return whether group code 60 hides an entity; on an insert it hides the whole block."""
         if not int(entity.dxf.get("invisible", 0)):
             return False
         if layer not in self.invisible:

@@ -1,4 +1,4 @@
-"""The part of a run that was sent ahead: its place in the table at each tick, and its rows."""
+"""The part of a tick table sent ahead to the machine: its place at each tick, and its rows."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from threadline.files import Commands, Event, tick_table
 from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.pace import place_words
 from threadline.live.path_window import PathWindow
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 
 _KEPT = 4  # past ticks that are kept
 SETTLE_S = 0.5
-"""Time in s for which the machine is recorded after the last row, as in a simulation."""
+"""Recording time in s after the last row, as in a simulation."""
 _LIMIT_COUNTS = 2.0
 """Tolerance of the limits, in counts: rounding adds up to one count at either end of a row."""
 
@@ -34,19 +34,19 @@ class Ahead:
     Parameters
     ----------
     commands
-        Table that is run.
+        Table to run.
     machine
-        Machine whose limits every row has to keep.
+        Machine whose limits every row must keep.
     pass_stops
         Whether the run goes on at stops of the program.
     loads_follow
-        Whether the rows tell the motors what the loads need; see ``CountLimits.of``.
+        Whether the rows are motor commands that make the loads follow; see ``CountLimits.of``.
 
     Attributes
     ----------
     to_rest
-        Whether the rows are to end at the next rest of the program, for a hold that would leave the
-        path anywhere else.
+        Whether the rows end at the program's next rest, for a hold that would leave the path
+        anywhere else.
     """
 
     keeps_home = True  # positions are counted through every stop
@@ -68,14 +68,14 @@ class Ahead:
         self._first = 0  # tick of the first place that is kept
         self._places = np.zeros(1)  # at the ticks from there on
         self._rising: FloatArray = np.empty(0)  # places on the way back to the full rate
-        self._given: list[tuple[int, Event]] = []  # events that were sent, and for which tick
+        self._given: list[tuple[int, Event]] = []  # sent events, and their ticks
         self._window.reach(MOST_PLACES)
         self.to_rest = False
         self._before_cut: tuple[int, FloatArray, FloatArray, list[tuple[int, Event]]] | None = None
 
     @property
     def end(self) -> int:
-        """Tick up to which rows were sent, the braking tail not counted."""
+        """Tick up to which rows were sent, without the braking tail."""
         return self._first + len(self._places) - 1
 
     @property
@@ -90,7 +90,7 @@ class Ahead:
 
     @property
     def halt(self) -> Event | None:
-        """Stop or wait at which the rows that were sent end; None if they end at neither."""
+        """Stop or wait at which the sent rows end; None if they end at neither."""
         halt = self._window.halt()
         return halt if halt is not None and self.place >= halt.tick else None
 
@@ -99,25 +99,25 @@ class Ahead:
         refuse_start_elsewhere(self._machine, stands, self.start)
 
     def hear(self, head: Mapping[str, Any]) -> str:  # noqa: ARG002
-        """Return nothing: where rows are is known from their ticks."""
+        """Return nothing: the place of the rows is known from their ticks."""
         return ""
 
     def met(self, now: Mapping[str, float]) -> bool:
-        """Return whether it stands at a wait whose input has the value waited for."""
+        """Return whether it stands at a wait whose input has the wanted value."""
         halt = self.halt
         return halt is not None and halt.kind == "wait" and now.get(halt.name) == halt.value
 
     @property
     def rests(self) -> bool:
-        """Whether the rows that were sent end at the rest that ``to_rest`` asks for."""
+        """Whether the sent rows end at the rest that ``to_rest`` asks for."""
         return self.to_rest and self.place >= self._end_of_path()
 
     def pass_halt(self) -> None:
-        """Go on after the stop or wait at which the run stands."""
+        """Go on after the present stop or wait."""
         self._window.pass_halt()
 
     def place_at(self, tick: int) -> float:
-        """Return the place of the run at a tick for which it is still kept."""
+        """Return the place of the run at a tick that is still kept."""
         return float(self._places[min(max(tick - self._first, 0), len(self._places) - 1)])
 
     def forget(self, tick: int) -> None:
@@ -130,7 +130,7 @@ class Ahead:
             self._window.forget(float(self._places[0]) - _KEPT)
             self._given = [given for given in self._given if given[0] >= self._first]
 
-    # --- what is sent ----------------------------------------------------------------------
+    # --- sending ---------------------------------------------------------------------------
 
     def extend(self, until: int) -> Message:
         """Return the refill with the rows up to tick ``until`` and a braking tail after them."""
@@ -170,7 +170,7 @@ class Ahead:
             return False
         self._first, self._places, self._rising, given = self._before_cut
         self._before_cut = None
-        self._window.take_events(self.place)  # those that the cut had put back
+        self._window.take_events(self.place)  # events that the cut had put back
         self._given = given
         return True
 
@@ -209,7 +209,7 @@ class Ahead:
             "first": begin,
             "wanted": wanted,
             "last": self.complete,
-            "events": [event_told(event) for event in self._events(begin)],
+            "events": [event_row(event) for event in self._events(begin)],
         }
         arrays = {
             "at": at[0], "counts": counts, "operation": self._window.operations(places[:-1]),
@@ -218,7 +218,7 @@ class Ahead:
         return Message("refill", head, arrays)
 
     def _events(self, begin: int) -> list[Event]:
-        """Return the events that are due at the ticks from ``begin`` on; each is sent once."""
+        """Return the events due at the ticks from ``begin`` on; each is sent once."""
         found: list[Event] = []
         for due in self._window.take_events(self.place):
             at = np.searchsorted(self._places, due.tick) + self._first
@@ -240,7 +240,7 @@ class Ahead:
         Raises
         ------
         LimitError
-            With the axis; the rows are then not sent.
+            Names the axis; the rows are then not sent.
         """
         limits = self._limits
         if not _breaks(stands, counts, limits.velocity, limits.low, limits.high):
@@ -299,7 +299,7 @@ def ticks_in(duration_s: float, machine: Machine) -> int:
 
 
 def halts_of_rows(commands: Commands) -> Iterator[Event]:
-    """Yield the stops and waits of a table; reads it twice. A stop at its end is none."""
+    """Yield the stops and waits of a table; reads it twice. A stop at its end does not count."""
     table = tick_table(commands)
     rows = table.tick_count()
     for block in table:
@@ -314,7 +314,7 @@ def refuse_start_elsewhere(machine: Machine, stands: IntArray, starts: IntArray)
     Raises
     ------
     CommandError
-        With the first axis that is elsewhere, and both positions.
+        Names the first axis that is elsewhere, and both positions.
     """
     scale, names = machine.counts_per_unit, machine.axis_names
     for k, (here, begins) in enumerate(zip(stands, starts, strict=True)):

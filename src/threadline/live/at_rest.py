@@ -1,4 +1,4 @@
-"""What an executor does while nothing moves: connection, drives, homing, listening."""
+"""An executor while nothing moves: connection, drives, homing, listening."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ OPERATOR = "the operator"
 
 
 class AtRest:
-    """What an executor does between motions.
+    """The part of an executor that works between motions.
 
     Parameters
     ----------
     link
-        The link to the machine, which has not greeted yet.
+        The link to the machine, which has not sent its greeting yet.
     machine
-        The machine that the link must lead to.
+        The machine that must be at the end of the link.
     desk
         Queue of the operator's commands.
     sink
@@ -37,20 +37,20 @@ class AtRest:
     latest
         Last sample of each channel that the machine has reported.
     homed
-        Whether it is known where the axes are, or where they were when a fault came.
+        Whether the positions of the axes are known, or were known when a fault came.
     why
-        Reason of the latest change of state; empty where there was none.
+        Reason of the latest change of state; empty without one.
     stops
-        Number of stops that were heard, in any state.
+        Number of stop commands received, in any state.
     stopped_by
-        Who is said to have stopped what moves, where it is stopped.
+        Who stopped the motion, if it was stopped.
     """
 
     def __init__(self, link: Connection, machine: Machine, desk: Desk, sink: Sink) -> None:
         self._link, self._machine, self._desk, self._sink = link, machine, desk, sink
         self.far_end = FarEnd(link, machine)
         self.state = State.DISABLED
-        self.tick = 0  # of the machine, as it was last told
+        self.tick = 0  # of the machine, as last reported
         self.late_ticks = 0
         self.ended: tuple[Ended, str] | None = None
         self.over = False  # the run has ended and the machine has settled
@@ -65,7 +65,7 @@ class AtRest:
 
     @property
     def machine(self) -> Machine:
-        """The machine that the link must lead to."""
+        """The machine that must be at the end of the link."""
         return self._machine
 
     @property
@@ -75,7 +75,7 @@ class AtRest:
 
     @property
     def lost(self) -> bool:
-        """Whether the link is gone, so that the machine can be had only by connecting again."""
+        """Whether the link is gone, so that only connecting again reaches the machine."""
         return self._link.lost
 
     @property
@@ -91,7 +91,7 @@ class AtRest:
         LinkFaultError
             If the machine does not answer.
         CommandError
-            If it is another machine, or has another version of the protocol.
+            If it is another machine, or speaks another version of the protocol.
         """
         simulated = self.far_end.greet()
         self._sink.begin(self.far_end.channels, simulated)
@@ -129,12 +129,12 @@ class AtRest:
         self.far_end.leave()
 
     def home(self) -> None:
-        """Home the machine; a stop ends that, and it is enabled then, not homed.
+        """Home the machine; a stop ends homing and leaves it enabled, not homed.
 
         Raises
         ------
         LinkFaultError
-            If it does not get home; it is in the state of a fault then.
+            If homing fails; the state is then a fault.
         """
         self._go(Cause.HOME)
         try:
@@ -151,13 +151,13 @@ class AtRest:
         self._go(Cause.HOMED)
 
     def _stopped(self) -> bool:
-        """Take up what was asked while the machine homes; return whether it is a stop."""
+        """Process commands while the machine homes; return whether one was a stop."""
         self._desk.woken()
         self.obey()
         return self.state is State.STOPPING
 
     def stand(self, patience_s: float) -> None:
-        """Listen to a machine at rest, for ``patience_s`` at most, and obey what is asked."""
+        """Listen to a machine at rest for at most ``patience_s``, and execute commands."""
         gone = self._link.lost
         waited = [self._desk.fileno(), *([] if gone else [self._link.fileno()])]
         if not self._link.waiting:
@@ -188,7 +188,7 @@ class AtRest:
         return found
 
     def obey(self) -> None:
-        """Execute the commands of the desk; one that is not possible is recorded and dropped."""
+        """Execute the commands of the desk; an impossible one is recorded and dropped."""
         while (cause := self._desk.take()) is not None:
             try:
                 self._command(cause)
@@ -196,7 +196,7 @@ class AtRest:
                 self._sink.state(self.tick, self.state, cause, error.message)
 
     def _command(self, cause: Cause) -> None:
-        """Execute a command; at rest it changes the state alone."""
+        """Execute a command; at rest it only changes the state."""
         self._go(cause)
 
     def _go(self, cause: Cause, text: str = "") -> None:

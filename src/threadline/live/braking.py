@@ -1,6 +1,6 @@
-"""Braking along the path and starting again on it, within the limits of every axis.
+"""Brake along the path and start again on it, within the limits of every axis.
 
-The *rate* of a run is the number of rows of its table per tick, 1 when undisturbed. To brake, the
+The *rate* of a run is the number of rows of its table per tick, 1 in normal running. To brake, the
 rate falls to 0 along a smooth curve, so that the axes slow down together and stay on the path. To
 start again, it rises along the mirrored curve and ends on a whole row, so that all later rows are
 those of the table.
@@ -20,9 +20,9 @@ from threadline.dynamics.analysis import fastest
 from threadline.machine import Machine
 
 _DURATIONS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0, 22.0, 32.0, 45.0, 64.0, 90.0, 128.0, 256.0)
-"""Durations of braking in ticks that are tried; the first one that keeps every limit is used."""
+"""Braking durations in ticks to try in turn; the first one that keeps every limit is used."""
 MOST_PLACES = ceil(_DURATIONS[-1]) + 2
-"""Number of rows beyond its beginning that a braking or a start may read."""
+"""Number of rows beyond its beginning that braking or starting may read."""
 _ROUNDED = (0.5, 1.0, 2.0, 4.0)
 """Largest error, in counts, that rounding to whole counts causes in a position and in its first,
 second and third difference (velocity, acceleration and jerk)."""
@@ -42,9 +42,9 @@ class CountLimits:
     Parameters
     ----------
     velocity, acceleration, jerk
-        (axes,) counts per tick, per tick^2, per tick^3; infinite where there is none.
+        (axes,) counts per tick, per tick^2, per tick^3; infinite without a limit.
     low, high
-        (axes,) counts from the position zero; infinite where the axis is endless.
+        (axes,) counts from the position zero; infinite for an endless axis.
     """
 
     velocity: FloatArray
@@ -60,9 +60,9 @@ class CountLimits:
         Parameters
         ----------
         loads_follow
-            Whether rows tell the motors what the loads need (feed-forward). The axes' limits are
-            those of the loads then, which the plan keeps; a motor that takes a belt along or makes
-            up for the lag of its loop is told more, at most what it can turn by itself.
+            Whether rows are motor commands that make the loads follow (feed-forward). Then the
+            axes' limits apply to the loads, and the plan keeps them; the motors, which lead
+            through belts and loop lag, may move more, up to their own top speed.
         """
         tick_s = float(machine.tick_clock.period_s)
         scale = machine.counts_per_unit
@@ -79,15 +79,15 @@ class CountLimits:
         )
 
     def excess(self, counts: FloatArray, own: FloatArray) -> float:
-        """Return the largest ratio of a motion to its limits: at most 1 where it keeps them.
+        """Return the largest ratio of a motion to its limits: at most 1 if it keeps them.
 
         Parameters
         ----------
         counts
             (n, axes) positions at consecutive ticks.
         own
-            (m, axes) positions of the table that the motion is made from. Where a table itself
-            exceeds a limit, as those of historical interpolations do, its own peak is the limit.
+            (m, axes) positions of the table that the motion is made from. If the table itself
+            exceeds a limit, as with historical interpolations, its own peak is the limit.
         """
         return float(_excess(counts, own, self.velocity, self.acceleration, self.jerk))
 
@@ -100,9 +100,9 @@ def _excess(
     acceleration: FloatArray,
     jerk: FloatArray,
 ) -> float:
-    """Return the largest ratio of the differences of ``counts`` to limits or to those of ``own``.
+    """Return the largest ratio of the differences of ``counts`` to the limits or to ``own``'s.
 
-    It is asked for at every refill, of some 260 rows: as machine code.
+    It runs at every refill on some 260 rows, hence as machine code.
     """
     worst = 0.0
     for k in range(counts.shape[1]):
@@ -154,14 +154,14 @@ _FALLS = {
 def _fall(before: float, place: float, ticks: float) -> FloatArray:
     """Return the places at the ticks after ``place`` while the rate falls to 0 in ``ticks``.
 
-    They are one of ``_DURATIONS``.
+    ``ticks`` is one of ``_DURATIONS``.
     """
     rate = place - before
     return np.asarray(place + rate * ticks * _FALLS[ticks])
 
 
 def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -> FloatArray:
-    """Return the (n,) places at the next ticks, at which a run brakes to rest along its path.
+    """Return the (n,) places at the next ticks for braking to rest along the path.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
     before
         Places two ticks ago, one tick ago, and now.
     limits
-        Limits of the axes. Where no duration keeps them, the one that exceeds them least is used.
+        Limits of the axes. If no duration keeps them, the one that exceeds them least is used.
     """
     second, first, now = before
     if now <= first:
@@ -179,7 +179,7 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
     own = path.counts(np.arange(floor(second), floor(now) + MOST_PLACES, dtype=np.float64))
     for ticks in _DURATIONS:
         places = _fall(first, now, ticks)
-        # Two ticks of rest after it: stopping counts, too.
+        # Two ticks of rest after it: the jerk of stopping counts, too.
         whole = np.concatenate([before, places, places[-1:], places[-1:]])
         excess = limits.excess(path.counts(whole), own)
         if excess < least:
@@ -190,7 +190,7 @@ def brake(path: Path, before: tuple[float, float, float], limits: CountLimits) -
 
 
 def rise(path: Path, place: float, limits: CountLimits) -> FloatArray:
-    """Return the (n,) places at the next ticks, at which a run starts again from rest.
+    """Return the (n,) places at the next ticks for starting again from rest.
 
     The last of them is a whole number; after it one row of the table is played at each tick.
 
@@ -205,7 +205,7 @@ def rise(path: Path, place: float, limits: CountLimits) -> FloatArray:
     """
     best, least = np.empty(0), np.inf
     own = path.counts(np.arange(floor(place), floor(place) + MOST_PLACES + 2, dtype=np.float64))
-    beyond = 2.0 * (place - floor(place))  # place + ticks/2 + the rest of a tick is whole then
+    beyond = 2.0 * (place - floor(place))  # makes place + ticks/2 + the rest of a tick whole
     for wanted in _DURATIONS:
         ticks = beyond + 2.0 * max(ceil((wanted - beyond) / 2.0), 0 if beyond else 1)
         k = np.arange(1, ceil(ticks) + 1)

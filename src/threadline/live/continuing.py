@@ -1,6 +1,7 @@
-"""The recording of a continued run: its samples have the instants that they have in the whole job.
+"""Runs that do the rest of a job: where they begin, the approach, and their recording.
 
-A judge sees from that what the recording does not hold: what comes before it was not measured.
+In the recording of a continued run, samples have the instants that they have in the whole job. A
+judge sees from that which part is missing: what comes before it was not measured.
 """
 
 from __future__ import annotations
@@ -21,27 +22,27 @@ from threadline.files.formats import read_recording
 from threadline.live.braking import CountLimits
 from threadline.live.derived import Rest
 from threadline.live.jogging import manual_feed
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Cause, Sink, State
 from threadline.machine import Machine
 
 _OF_RUNS = frozenset(("hold", "resume", "late", "completed", "stopped", "fault", "plan"))
-"""Kinds of events that a run tells of, and not the commands."""
+"""Kinds of events that belong to a run and not to its commands."""
 
 
 class ContinuedSink:
-    """Hands on samples and events from the operation on at which the work begins again.
+    """Passes on samples and events from the operation on at which the work begins again.
 
     Parameters
     ----------
     sink
-        Receives them.
+        Receiver of samples and events.
     machine
-        Whose ticks are counted.
+        Machine whose ticks are counted.
     left_out
         Ticks of the whole commands that were left out.
     operation
-        What belongs to operations before it was done dry, and is no work.
+        First operation of work: earlier ones are repeated dry, with tools off.
     """
 
     def __init__(self, sink: Sink, machine: Machine, left_out: int, operation: int) -> None:
@@ -51,16 +52,16 @@ class ContinuedSink:
         self._works = False
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Hand on the channels."""
+        """Pass on the channels."""
         self._channels = channels
         self._sink.begin(channels, simulated)
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
-        """Hand on a change of state."""
+        """Pass on a change of state."""
         self._sink.state(tick, state, cause, text)
 
     def block(self, block: RecordingBlock) -> None:
-        """Hand on a block, later by what was left out, without what is no work."""
+        """Pass on a block, shifted by the ticks left out, without its dry part."""
         gone = 0 if self._works else self._dry(block)
         clock = self._channels[0]
         later = round(self._left_out_s / clock.clock.period_s)
@@ -79,16 +80,16 @@ class ContinuedSink:
         )
 
     def _later(self, event: Event, ticks: int) -> Event:
-        """Return an event with its tick and its time in the whole job."""
+        """Return an event with its tick and time in the whole job."""
         by_s = float(self._left_out_s) if event.kind == "plan" else 0.0
         return replace(event, tick=event.tick + ticks, value=event.value + by_s)
 
     def _dry(self, block: RecordingBlock) -> int:
-        """Return how many samples at the beginning of a block are of operations before the work."""
-        told = next(c for c in self._channels if c.kind is ChannelKind.OPERATION)
-        works = np.flatnonzero(block.samples[told.name] >= self._operation)
+        """Return how many samples at the start of a block belong to operations before the work."""
+        notes = next(c for c in self._channels if c.kind is ChannelKind.OPERATION)
+        works = np.flatnonzero(block.samples[notes.name] >= self._operation)
         self._works = len(works) > 0
-        return int(works[0]) if self._works else len(block.samples[told.name])
+        return int(works[0]) if self._works else len(block.samples[notes.name])
 
 
 _NUMBER = re.compile(r"[0-9]{1,12}")
@@ -101,23 +102,23 @@ class Continued:
     Parameters
     ----------
     rest
-        What it sends.
+        The commands to send.
     line
         Line of the job at which the work begins again, 0 for none.
     approach
-        Moves one after the other to where it begins: the axis, and the position in counts.
-    told
-        What will happen, for the operator, who has to confirm it.
+        Moves, one after the other, to the starting place: the axis, and the position in counts.
+    notes
+        What will happen, for the operator, who must confirm it.
     """
 
     rest: Rest
     line: int
     approach: Sequence[tuple[str, int]]
-    told: Sequence[str]
+    notes: Sequence[str]
 
 
 def last_executed(trace: Path) -> int:
-    """Return the operation that was under way at the end of a recording.
+    """Return the current operation at the end of a recording.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def last_executed(trace: Path) -> int:
 
 
 def operation_at(plan: Plan, executed: int, at: str) -> int:
-    """Return the operation at whose beginning work is to begin again.
+    """Return the operation at whose beginning the work begins again.
 
     Parameters
     ----------
@@ -145,7 +146,7 @@ def operation_at(plan: Plan, executed: int, at: str) -> int:
         The last operation that was executed.
     at
         ``block``: that operation. ``circuit``: the beginning of its circuit. ``circuit N`` or
-        ``line N``: the last time that this circuit, or this line of the job, was begun.
+        ``line N``: the last execution of this circuit, or of this line of the job.
 
     Raises
     ------
@@ -176,8 +177,8 @@ def operation_at(plan: Plan, executed: int, at: str) -> int:
         before = here
     if begins is None:
         raise OptionError(
-            f"--at {at[:40]!r}: the run has executed none such",
-            remedy='Give "block" for the place that it had come to.',
+            f"--at {at[:40]!r}: the run has not executed it",
+            remedy='Give "block" for the place that it had reached.',
         )
     return begins
 
@@ -197,32 +198,32 @@ def continued(plan: Plan, operation: int, *, at_rest: bool) -> Continued:
     Parameters
     ----------
     at_rest
-        Whether it may begin at a rest alone: where commands are beside the path, a start from rest
-        anywhere else would leave it.
+        Whether it may begin only at a rest: if the commands are not the path itself, a start from
+        rest anywhere else would leave the path.
     """
-    rest = way_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
+    rest = run_kind_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
     return continued_by(plan, rest)
 
 
 def continued_by(plan: Plan, rest: Rest) -> Continued:
-    """Return the run of the rest of a job, its approach checked before anything moves.
+    """Return the run of the rest of a job; its approach is checked before anything moves.
 
     Raises
     ------
     LimitError
         If the approach leaves the travel of an axis.
     """
-    machine, way = plan.machine, way_of(plan.machine)
-    begins = way.start(plan.commands)
+    machine = plan.machine
+    begins = run_kind_of(machine).start(plan.commands)
     approach = [] if rest.dry else _approach(machine, begins, rest.begins)
     line = plan.intent.lines_of(plan.job, [rest.operation]).get(rest.operation, 0)
     return Continued(
-        rest=rest, line=line, approach=approach, told=_told(machine, rest, line, approach)
+        rest=rest, line=line, approach=approach, notes=_notes(machine, rest, line, approach)
     )
 
 
 def _approach(machine: Machine, begins: IntArray, ends: IntArray) -> list[tuple[str, int]]:
-    """Return the moves from the home to a position, axis by axis in the order of the machine."""
+    """Return the moves from home to a position, axis by axis in the order of the machine."""
     limits = CountLimits.of(machine)
     for k, axis in enumerate(machine.axes):
         beyond = ends[k] < limits.low[k], ends[k] > limits.high[k]
@@ -245,13 +246,13 @@ def _approach(machine: Machine, begins: IntArray, ends: IntArray) -> list[tuple[
     ]
 
 
-def _told(
+def _notes(
     machine: Machine, rest: Rest, line: int, approach: Sequence[tuple[str, int]]
 ) -> list[str]:
     where = f"line {line} of the job" if line else f"operation {rest.operation}"
     if rest.dry:
         how = (
-            "it comes there by the program itself, with needle and tools off"
+            "it gets there by the program itself, with needle and tools off"
             if rest.operation
             else "it begins at once"
         )

@@ -1,7 +1,7 @@
-"""Commands that do the rest of a job: proven rows, from a place on that was executed before.
+"""Commands for the rest of a job: proven rows, from a place on that was executed before.
 
-Rows of axes are left out up to that place, and the axes are moved there first. A frame or cylinders
-cannot be put anywhere by hand: they come there by the program itself, with needle or tools off.
+For axes, rows up to that place are left out, and the axes move there first. A frame or cylinders
+cannot be placed by hand: they get there by the program itself, with needle or tools off.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from threadline.live.path_window import rest_rows
 from threadline.machine import Machine
 
 _WORK = frozenset(("tool", "vacuum"))
-"""Kinds of outputs that do the work; all others move cylinders, or give air."""
+"""Kinds of outputs that do the work; all others move cylinders, or supply air."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,15 +39,15 @@ class Rest:
     Parameters
     ----------
     commands
-        What is sent.
+        The commands to send.
     operation
         Operation at whose beginning the work begins again.
     begins
-        (axes,) position at which they begin, in their units; (0,) where nothing is counted.
+        (axes,) position at which they begin, in their units; (0,) if nothing is counted.
     left_out
         Ticks of the whole commands before the first of these.
     dry
-        Whether what comes before the operation is done again, with needle or tools off.
+        Whether the part before the operation is repeated with needle or tools off.
     """
 
     commands: Commands
@@ -65,12 +65,12 @@ def rest_of_rows(commands: Commands, machine: Machine, operation: int, *, at_res
     commands
         A table of ticks; it is read once.
     machine
-        Not asked.
+        Unused.
     operation
         The operation.
     at_rest
-        Whether they may begin at a rest of the program alone (``REST_S`` without a count): the last
-        one before it.
+        Whether they may begin only at a rest of the program (``REST_S`` without a count): the last
+        one before the operation.
     """
     table = tick_table(commands)
     first, of_first = _first_row(table, operation, rest_rows(table) if at_rest else 0)
@@ -78,7 +78,7 @@ def rest_of_rows(commands: Commands, machine: Machine, operation: int, *, at_res
 
 
 def rest_from_row(commands: Commands, first: int, operation: int) -> Rest:
-    """Return the rows of a table from a tick on, which is one of an operation.
+    """Return the rows of a table from a given tick of an operation on.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def rest_from_row(commands: Commands, first: int, operation: int) -> Rest:
 
 
 def _first_row(table: TickTable, operation: int, rest: int) -> tuple[int, int]:
-    """Return the first row of an operation, or the last before it behind a rest; its operation."""
+    """Return the first row of an operation, or the last rest before it, and the operation there."""
     row = still = 0
     found = (0, operation)
     for block in table:
@@ -118,7 +118,7 @@ def _first_row(table: TickTable, operation: int, rest: int) -> tuple[int, int]:
 
 
 def _rows_from(table: TickTable, first: int) -> Iterator[TickBlock]:
-    """Yield the rows from a tick on, counted from 0; what was switched before it is switched."""
+    """Yield the rows from a tick on, counted from 0; earlier switchings are applied at once."""
     switched: dict[str, Event] = {}
     for block in table:
         end = block.first_tick + len(block)
@@ -162,8 +162,8 @@ def _held_up(play: StepPlay, operation: int) -> Iterator[StitchBlock]:
 def rest_of_scans(commands: Commands, machine: Machine, operation: int, *, at_rest: bool) -> Rest:  # noqa: ARG001
     """Return a schedule with its tools off before an operation.
 
-    Where a tool or a vacuum is on at the beginning of that operation, what it held is lost: the
-    work begins again at the last operation before it at which all are off.
+    If a tool or a vacuum is on at the beginning of that operation, the part it held is lost: the
+    work begins again at the last earlier operation at which all tools are off.
     """
     schedule = switch_schedule(commands)
     tools = [k for k, output in enumerate(machine.outputs.values()) if output.kind in _WORK]
@@ -194,5 +194,5 @@ def rest_of_scans(commands: Commands, machine: Machine, operation: int, *, at_re
 
 def _unknown(operation: int) -> CommandError:
     return CommandError(
-        f"operation {operation} is none of this job", remedy="Continue the run of this job."
+        f"operation {operation} is not in this job", remedy="Continue the run of this job."
     )

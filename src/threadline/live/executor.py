@@ -1,7 +1,7 @@
 """The executor of one machine: it sends the rows of a proved plan so that the machine can stop.
 
 Rows are sent at most ``DEPTH_S`` ahead. Each refill ends in a tail that brakes along the path, and
-the next one replaces it: if the executor or the link fails, the machine comes to rest by the tail.
+the next one replaces it: if the executor or the link fails, the tail brings the machine to rest.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from threadline.files import Commands, Ended
 from threadline.live.ahead import ticks_in
 from threadline.live.at_rest import AtRest
 from threadline.live.jogging import JogAhead, MoveAhead
-from threadline.live.kinds_run import RunAhead, way_of
+from threadline.live.kinds_run import RunAhead, run_kind_of
 from threadline.live.states import MOVING, Cause, Desk, Sink, State, next_state
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 
 DEPTH_S = 0.1
-"""Rows are sent no further ahead than this, s."""
+"""Rows are sent at most this far ahead, s."""
 LEASE_S = 0.25
-"""Time in s after which a jog ends unless the operator has renewed it."""
-_STEPPED_S = 60.0  # longest silence, in s, of a machine whose time waits for the executor
+"""Time in s after which a jog ends unless the operator renews it."""
+_STEPPED_S = 60.0  # longest silence, in s, of a machine whose clock waits for the executor
 _LEAD_S = 0.02
-"""Time in s from the last report to the beginning of a stop: reports are that old in real time."""
+"""Time in s from the last report to the beginning of a stop: reports are this old in real time."""
 MANY_S = 0.09
-"""Longest time in s that a machine plays for one report, where its time waits for the executor: it
-goes through a run as fast as it can, and nothing else is asked of it."""
+"""Longest machine time in s per report, if its clock waits for the executor: the run goes as fast
+as it can without other commands."""
 _QUICK = 10.0
-"""Least speed at which that is done: a stop is not heeded in it, for 9 ms at that speed."""
+"""Least speed for such long reports: commands wait at most 9 ms at that speed."""
 _STARVED = "refills came too late: the machine has braked by itself"
 _SENDING = frozenset({State.RUNNING, State.HOLDING, State.JOGGING})
 
@@ -44,15 +44,15 @@ class Executor(AtRest):
     Parameters
     ----------
     link
-        The link to the machine, which has not greeted yet.
+        The link to the machine, which has not sent its greeting yet.
     machine
-        The machine that the link must lead to.
+        The machine that must be at the end of the link.
     desk
         Queue of the operator's commands.
     sink
         Receiver of samples, events and changes of state.
     speed
-        Seconds of the machine's time in a second; 1 is real time.
+        Seconds of machine time per second; 1 is real time.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Executor(AtRest):
         super().__init__(link, machine, desk, sink)
         self._real_time = speed == 1.0
         self._many = _many(machine) if speed == 0.0 or speed >= _QUICK else 0
-        self._way = way_of(machine)
+        self._run_kind = run_kind_of(machine)
         self._ahead: RunAhead | JogAhead | None = None
         self._hold_at_rest = False
         self._lease = ticks_in(LEASE_S, machine)
@@ -69,13 +69,13 @@ class Executor(AtRest):
         self._depth = ticks_in(DEPTH_S, machine)
         self._settle = 0
         self._lead = ticks_in(_LEAD_S, machine) if self._real_time else 0
-        self._rest: int | None = None  # the tick from which on nothing is commanded any more
+        self._rest: int | None = None  # tick from which on nothing is commanded any more
         self._owes_go = self._brake_again = False
-        self._braked = False  # what was sent ends in a braking that was asked for
+        self._braked = False  # the sent rows end in a requested braking
 
     @property
     def under_way(self) -> bool:
-        """Whether a run or a jog has begun and is not over: ``step`` is to be called."""
+        """Whether a run or a jog has begun and is not over: ``step`` must be called."""
         return self._ahead is not None and not self.over
 
     def start(
@@ -92,25 +92,25 @@ class Executor(AtRest):
         Parameters
         ----------
         commands
-            What is run.
+            Commands to run.
         pass_stops
             Whether the run goes on at stops of the program without an answer.
         hold_at_rest
             Whether a hold waits for the next rest of the program, so as not to leave the path.
         loads_follow
-            Whether the commands tell the motors what the loads need (``Way.loads_follow``).
+            Whether the commands make the loads follow the motion (``RunKind.loads_follow``).
         from_rest
-            Whether their first rows are at speed, so that it has to start as after a hold.
+            Whether their first rows are at speed, so that it must start as after a hold.
 
         Raises
         ------
         CommandError
             If the machine is not idle.
         LimitError
-            If the first rows break a limit; nothing has moved then.
+            If the first rows exceed a limit; nothing has moved then.
         """
         next_state(self.state, Cause.START)  # refused before anything is sent
-        ahead = self._way.ahead(
+        ahead = self._run_kind.ahead(
             commands, self._machine, pass_stops=pass_stops, loads_follow=loads_follow
         )
         ahead.refuse_elsewhere(self._stands)
@@ -120,7 +120,7 @@ class Executor(AtRest):
         self._set_out(Cause.START, ahead, ahead.start)
 
     def jog(self, axis: str, velocity: float) -> None:
-        """Move an axis until ``let_go``, or until it was not renewed for ``LEASE_S``.
+        """Move an axis until ``let_go``, or until the jog was not renewed for ``LEASE_S``.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Executor(AtRest):
         axis, to_counts
             Name of the axis, and the position in counts.
         lease_s
-            What is left of the lease, where another move came before it.
+            Remaining lease, if another move came before it.
 
         Raises
         ------
@@ -156,9 +156,9 @@ class Executor(AtRest):
         )
 
     def _refuse_by_hand(self) -> None:
-        """Refuse a motion by hand that is not possible now, or never on this machine."""
+        """Refuse a jog or move that is not possible now, or never on this machine."""
         next_state(self.state, Cause.JOG)
-        if not self._way.by_hand:
+        if not self._run_kind.by_hand:
             raise CommandError(
                 f"{self._machine.name} has no axes that move one at a time by hand",
                 remedy="Home it: that brings it to where its programs begin.",
@@ -191,7 +191,7 @@ class Executor(AtRest):
         first = ahead.extend(self._depth)
         self.tick, self.ended, self.over, self._rest = 0, None, False, None
         self._braked = self._brake_again = False
-        self._guards = self._way.guards(self._machine)  # nothing of the motion before is remembered
+        self._guards = self._run_kind.guards(self._machine)  # without memory of the last motion
         self._ahead, self._began, self._number = ahead, stands, self._number + 1
         self._settle = ahead.settle_ticks
         self._go(cause)
@@ -200,8 +200,8 @@ class Executor(AtRest):
         self._owes_go = not self._real_time
 
     @property
-    def _passes(self) -> bool:
-        """Whether a run goes on with nothing to be decided within the next ``MANY_S``."""
+    def _needs_no_decision(self) -> bool:
+        """Whether a run needs no decision within the next ``MANY_S``."""
         ahead = self._ahead
         return (
             self._many > 0
@@ -213,11 +213,11 @@ class Executor(AtRest):
         )
 
     def step(self) -> None:
-        """Wait for a report or a command and act on it; to be called until ``over`` is True."""
-        if self._owes_go:  # the machine's time waits for us: what was asked comes before it
+        """Wait for a report or a command and act on it; call it until ``over`` is True."""
+        if self._owes_go:  # the machine's clock waits: execute commands before it goes on
             self.obey()
             self._owes_go = False
-            self._link.send(Message("go", {"ticks": self._many} if self._passes else {}))
+            self._link.send(Message("go", {"ticks": self._many} if self._needs_no_decision else {}))
         if not self._link.waiting:
             silence_s = 5 * DEPTH_S if self._real_time and self.tick else _STEPPED_S
             waited = [self._desk.fileno(), self._link.fileno()]
@@ -250,7 +250,7 @@ class Executor(AtRest):
         elif cause is Cause.HOLD:
             if self._hold_at_rest and not isinstance(self._ahead, JogAhead | None):
                 self._ahead.to_rest = True
-                if self._ahead.rests:  # in a rest already: what brakes behind it is not played
+                if self._ahead.rests:  # in a rest already: the braking after it is not played
                     self._link.send(self._ahead.extend(self._ahead.end))
             else:
                 self._brake()
@@ -258,9 +258,9 @@ class Executor(AtRest):
             self._start_again()
 
     def _brake(self) -> None:
-        """Replace the rows that the machine holds by a braking along the path, once.
+        """Replace the rows that the machine holds by braking along the path, once.
 
-        What brakes already brakes on: a second cut behind one that is refused could not be undone.
+        Rows that already brake are kept: a second cut after a refused one could not be undone.
         """
         ahead = self._ahead
         if ahead is None or self._braked or self._rest is not None or ahead.end <= self.tick:
@@ -276,7 +276,7 @@ class Executor(AtRest):
         if ahead.halt is not None:
             ahead.pass_halt()  # its rows begin from rest by themselves
         elif rested:
-            pass  # so do these
+            pass  # its rows, too
         else:
             ahead.start_again()
         if self.tick + self._depth > ahead.end:
@@ -303,7 +303,7 @@ class Executor(AtRest):
             if why and self.state in _SENDING:
                 self._fault(why)
             told = [one[3] for one in head["events"] if one[1] == "fault"]
-            if told and self.ended is None:  # of its own accord: nothing is known behind it
+            if told and self.ended is None:  # on its own: later positions are unknown
                 self._fault(told[0])
                 self.over = True
                 return
@@ -322,12 +322,12 @@ class Executor(AtRest):
     def _refused(self, message: Message) -> None:
         what, why = message.head.get("what"), message.head.get("why")
         if what == "refill" and self._ahead is not None and self._ahead.undo():
-            # Braking was to begin at a tick that was past; the next report says which is not.
+            # Braking was to begin at a tick in the past; the next report gives a later one.
             self._lead, self._brake_again = max(2 * self._lead, 1), True
             self._braked = False
         elif self.state is not State.FAULT:
             self._fault(f"the machine refused a {what}: {why}")
-            self.over = what == "begin"  # nothing moves, and nothing will be reported
+            self.over = what == "begin"  # nothing moves, and no report will come
 
     def _go_on(self, now: Mapping[str, float], *, standing: bool) -> None:
         """Act on a report: extend the rows, stand at a halt, or end the run."""
@@ -343,7 +343,7 @@ class Executor(AtRest):
             self._brake_again = False
             self._brake()
         played = standing and self.tick >= ahead.end
-        if isinstance(ahead, JogAhead):  # where it stands is what is taught
+        if isinstance(ahead, JogAhead):  # teaching reads the position at the end
             played = played and ahead.settled(self.tick)
         if self.ended is not None:
             if played:
@@ -364,7 +364,7 @@ class Executor(AtRest):
             self._link.send(ahead.extend(self.tick + self._depth))
 
     def _goes(self, ahead: RunAhead) -> bool:
-        """Return whether rows are to be sent: in a run, and in a hold on its way to a rest."""
+        """Return whether to send rows: in a run, and in a hold on its way to a rest."""
         return self.state is State.RUNNING or (
             self.state is State.HOLDING and ahead.to_rest and not ahead.rests
         )
@@ -388,11 +388,11 @@ class Executor(AtRest):
             self._go(Cause.COMPLETED)
 
     def _fault(self, text: str) -> None:
-        """Go to the state of a fault, and brake."""
+        """Enter the fault state, and brake."""
         super()._fault(text)
         self._brake()
 
 
 def _many(machine: Machine) -> int:
-    """Return the number of whole ticks in ``MANY_S``; 0 where there is none."""
+    """Return the number of whole ticks in ``MANY_S``, or 0."""
     return int(MANY_S / float(machine.command_clock.period_s) + 1e-9)

@@ -1,4 +1,4 @@
-"""The greeting of a machine: its name and hash, its clock, and its channels."""
+"""The machine at the far end of a link: its greeting, requests to it, and its reports."""
 
 from __future__ import annotations
 
@@ -35,37 +35,38 @@ def greeting(machine: Machine, channels: tuple[Channel, ...]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def channels_told(told: Mapping[str, Any], machine: Machine) -> tuple[Channel, ...]:
+def channels_of_greeting(greeting: Mapping[str, Any], machine: Machine) -> tuple[Channel, ...]:
     """Return the channels in a greeting.
 
     Raises
     ------
     CommandError
-        If the greeting is that of another machine than ``machine``, or of another protocol.
+        If the greeting comes from another machine than ``machine``, or has another protocol.
     """
-    if told["protocol"] != PROTOCOL:
+    if greeting["protocol"] != PROTOCOL:
         raise CommandError(
-            f"the link speaks protocol {told['protocol']}, this program {PROTOCOL}",
+            f"the link speaks protocol {greeting['protocol']}, this program {PROTOCOL}",
             remedy="Use the same version at either end.",
         )
-    if told["machine_sha256"] != machine.sha256:
+    if greeting["machine_sha256"] != machine.sha256:
         raise CommandError(
-            f"the link leads to {told['machine']} (sha256 {told['machine_sha256'][:12]}), the "
-            f"plan is for {machine.name} ({machine.sha256[:12]})",
-            remedy="Give the machine file of the machine that is there.",
+            f"the link leads to {greeting['machine']} (sha256 "
+            f"{greeting['machine_sha256'][:12]}), the plan is for {machine.name} "
+            f"({machine.sha256[:12]})",
+            remedy="Give the machine file of the machine at the link.",
         )
-    clock = Clock(str(told["clock"]), Fraction(told["period"]))
+    clock = Clock(str(greeting["clock"]), Fraction(greeting["period"]))
     return tuple(
         Channel(
             name=c["name"], kind=ChannelKind(c["kind"]), unit=c["unit"], axis=c["axis"],
             stride=int(c["stride"]), clock=clock,
         )
-        for c in told["channels"]
+        for c in greeting["channels"]
     )  # fmt: skip
 
 
 def samples_per_tick(machine: Machine, channels: tuple[Channel, ...]) -> Fraction:
-    """Return how many samples of a recording come in a tick of the commands."""
+    """Return the number of samples of a recording per tick of the commands."""
     return machine.command_clock.period_s / channels[0].clock.period_s
 
 
@@ -74,14 +75,14 @@ _GREETING_S = 300.0  # a new computer may have to compile the machine first
 
 
 class FarEnd:
-    """Sends requests to the machine one by one, and turns its reports into blocks of a recording.
+    """Sends requests to the machine one by one, and turns its reports into recording blocks.
 
     Parameters
     ----------
     link
-        The link to the machine, which has not greeted yet.
+        The link to the machine, which has not sent its greeting yet.
     machine
-        The machine that the link must lead to.
+        The machine that must be at the end of the link.
 
     Attributes
     ----------
@@ -102,10 +103,10 @@ class FarEnd:
         LinkFaultError
             If the machine does not answer.
         CommandError
-            If it is another machine, or has another version of the protocol.
+            If it is another machine, or speaks another version of the protocol.
         """
         hello = self._expect("hello", _GREETING_S).head
-        self.channels = channels_told(hello, self._machine)
+        self.channels = channels_of_greeting(hello, self._machine)
         self._per_tick = samples_per_tick(self._machine, self.channels)
         return bool(hello["simulated"])
 
@@ -115,33 +116,33 @@ class FarEnd:
         self._expect("enabled")
 
     def disable(self) -> None:
-        """Switch the drives off; nothing is answered."""
+        """Switch the drives off; there is no answer."""
         self._link.send(Message("disable"))
 
     def home(self, wakes: int, stopped: Callable[[], bool]) -> IntArray | None:
-        """Home the machine; return its (axes,) position in counts, or None where it was stopped.
+        """Home the machine; return its (axes,) position in counts, or None if it was stopped.
 
         Parameters
         ----------
         wakes
-            Descriptor that is readable where somebody may have asked for a stop.
+            Descriptor that is readable when a stop may have been requested.
         stopped
-            Takes up what was asked; returns whether that is a stop.
+            Processes commands; returns whether one was a stop.
         """
         self._link.send(Message("home"))
-        told, until = False, time.monotonic() + _ANSWER_S
+        stop_sent, until = False, time.monotonic() + _ANSWER_S
         while (left_s := until - time.monotonic()) > 0.0:
             if not self._link.waiting:
                 select.select([wakes, self._link.fileno()], [], [], left_s)
-            if not told and stopped():
-                told = True
+            if not stop_sent and stopped():
+                stop_sent = True
                 self._link.send(Message("stop-home"))
             message = self._link.receive(0.0)
             if message is None and self._link.lost:
                 break
             if message is None or _of_before(message):
                 continue
-            if told:  # whether it has come home or not: nobody wants it any more
+            if stop_sent:  # homed or not: the result is no longer needed
                 return None
             return np.array(self._as(message, "homed").head["position"], dtype=np.int64)
         raise _silent("homed")
@@ -151,16 +152,16 @@ class FarEnd:
         self._link.send(Message("leave"))
 
     def reported(self, report: Message, until: int | None) -> RecordingBlock:
-        """Return the samples of a report before the tick ``until`` of commands, and its events."""
+        """Return a report's samples before the tick ``until`` of the commands, and its events."""
         first = int(report.head["sample"])
         last = None if until is None else max(ceil(until * self._per_tick) - first, 0)
         samples = {name: np.asarray(a, np.float64) for name, a in report.arrays.items()}
         if last is not None:
             samples = {name: values[:last] for name, values in samples.items()}
-        return self._block(first, samples, *(event_of(told) for told in report.head["events"]))
+        return self._block(first, samples, *(event_of(row) for row in report.head["events"]))
 
     def lost(self, tick: int, why: str) -> RecordingBlock:
-        """Return a block that tells of a fault at a tick of the commands, without samples."""
+        """Return a block with a fault event at a tick of the commands, without samples."""
         at = ceil(tick * self._per_tick)
         nothing = {channel.name: np.empty(0) for channel in self.channels}
         return self._block(at, nothing, Event(tick=at, kind="fault", operation=-1, name=why))
@@ -178,7 +179,7 @@ class FarEnd:
         return self._as(message, kind)
 
     def _as(self, message: Message, kind: str) -> Message:
-        """Return a message that is of a kind, as it must be."""
+        """Return a message, which must be of the given kind."""
         if message.kind != kind:
             why = message.head.get("why", f"it answered {message.kind!r}")
             raise LinkFaultError(f"the machine refused: {why}")
@@ -187,11 +188,11 @@ class FarEnd:
 
 def _silent(kind: str) -> LinkFaultError:
     return LinkFaultError(
-        f"the machine did not answer: {kind!r} was due",
-        remedy="Look whether it is switched on and connected.",
+        f"the machine did not answer with {kind!r}",
+        remedy="Check that it is switched on and connected.",
     )
 
 
 def _of_before(message: Message) -> bool:
-    """Return whether a message is left over from the run before."""
+    """Return whether a message is left over from the previous run."""
     return message.kind == "report" or message.head.get("what") == "refill"

@@ -1,8 +1,8 @@
-"""A controller with grbl before a run: what it is, how it is set up, and where it stands.
+"""A controller with grbl before a run: its settings, its position, and jogs.
 
-grbl ends every motion that it holds at rest. What it is sent is never more than ``AHEAD_S`` of
-motion beyond where it was last reported, so that it stands within that time where nobody sends
-more, whoever has died. A jog cancel (0x85) ends it at once.
+grbl ends every motion that it holds at rest. It is never sent more than ``AHEAD_S`` of motion
+beyond its last reported position, so that it stops within that time if nobody sends more, whatever
+process has died. A jog cancel (0x85) ends the motion at once.
 
 Source: "Grbl v1.1 Jogging" of gnea/grbl.
 """
@@ -35,14 +35,14 @@ from threadline.machine import Machine
 
 _ANSWER_S = 3.0
 _HOMING_S = 120.0
-_LISTEN_S = 0.05  # to the controller while the operator may stop it
-_SAME = 1e-3  # relative, of a setting and the number in the machine file
-_QUIET_S = 5.0  # by which a controller that was reset has said all that it says of itself
+_LISTEN_S = 0.05  # longest wait for the controller while the operator may stop it
+_SAME = 1e-3  # relative tolerance between a setting and the machine file
+_QUIET_S = 5.0  # within which a controller has sent its start-up messages after a reset
 _LEAST_ROOM = 40  # characters of its receive buffer
-_ASLEEP_S = 1.0  # between two looks of a wait: longer, and this program did not run
+_ASLEEP_S = 1.0  # between two looks of a wait; longer: this program was suspended
 _OPTIONS = re.compile(r"\[OPT:[^,]*,(\d{1,6})(?:,(\d{1,6}))?(?:,.*)?\]")
 """Blocks of the planner, and characters of the receive buffer."""
-_TRAVEL_M = 1e-3  # by which a report may lie beyond the travel
+_TRAVEL_M = 1e-3  # tolerance of a report beyond the travel
 
 
 class Controller:
@@ -53,18 +53,18 @@ class Controller:
     port
         Its port.
     machine
-        Machine that must be there.
+        The machine that must be connected.
 
     Attributes
     ----------
     port, machine
         As given.
     blocks
-        Blocks that its planner holds: 15, unless it has told another number when it was met.
+        Blocks that its planner holds: 15, unless it reports another number.
     room
-        Characters that its receive buffer holds: 128, unless it has told of fewer.
+        Characters that its receive buffer holds: 128, unless it reports fewer.
     brakes_s
-        Time in s in which every axis comes to rest from its highest speed, by its settings.
+        Time in s in which every axis stops from its highest speed, by its settings.
     """
 
     def __init__(self, port: Port, machine: Machine) -> None:
@@ -74,24 +74,24 @@ class Controller:
         self._homes = False
 
     def meet(self) -> None:
-        """Meet the controller, which must stand, and compare its settings with the machine.
+        """Connect to the controller, which must stand still, and check its settings.
 
-        Nothing that moves is sent: what it was doing before is not gone on with.
+        No motion is sent; earlier motion of the controller is not continued.
 
         Raises
         ------
         LinkFaultError
             If it does not answer, or moves.
         CommandError
-            If it is set up for another machine.
+            If its settings are for another machine.
         """
         found = self.ask_status()
         if found.state not in {"Idle", "Alarm"}:
             raise LinkFaultError(
-                f"the controller is not at rest: it{found.told.removeprefix('the controller')}",
-                remedy="Bring it to Idle by its own means; nothing was sent that moves.",
+                f"the controller is not at rest: it{found.words.removeprefix('the controller')}",
+                remedy="Bring it to Idle by its own means; no motion was sent.",
             )
-        self.port.send(RESET)  # at rest: it forgets the modes and lines of whoever was there
+        self.port.send(RESET)  # at rest: clears modes and lines of an earlier sender
         self._quiet()
         self._letters = self._ask_letters()
         if self.room < _LEAST_ROOM:
@@ -107,11 +107,11 @@ class Controller:
 
     @property
     def has_switches(self) -> bool:
-        """Whether it homes to switches; without them it is where it says."""
+        """Whether it homes to switches; without them its reported position is trusted."""
         return self._homes
 
     def unlock(self) -> None:
-        """Reset it at rest; where it has no switches to home to, clear its alarm, too.
+        """Reset it at rest; without switches for homing clear its alarm, too.
 
         Raises
         ------
@@ -124,12 +124,12 @@ class Controller:
             self.ask(b"$X\n", _ANSWER_S)
 
     def home(self, stopped: Callable[[], bool]) -> FloatArray:
-        """Home it where it has switches; return the (axes,) place where it stands, m or rad.
+        """Home it if it has switches; return its (axes,) position, m or rad.
 
         Parameters
         ----------
         stopped
-            Whether the operator has stopped it; asked all the while, and it is reset if so.
+            Whether the operator has stopped it; polled while homing, and it is reset if so.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class Controller:
         found = self.ask_status()
         if found.state != "Idle":
             raise LinkFaultError(
-                f"the controller is not ready: it tells {found.state}",
+                f"the controller is not ready: its state is {found.state}",
                 remedy="Clear its alarm by its own means, and home it.",
             )
         return self.position(found)
@@ -156,13 +156,13 @@ class Controller:
     def ask(
         self, line: bytes, timeout_s: float, stopped: Callable[[], bool] | None = None
     ) -> list[str]:
-        """Send a line, and return what comes before its answer.
+        """Send a line, and return the lines before its answer.
 
         Raises
         ------
         LinkFaultError
             If it is refused, not answered in time, or ``stopped`` meanwhile; with ``stopped`` also
-        where this program did not run for a while, as in a computer that sleeps.
+            if this program was suspended for a while, as when the computer sleeps.
         """
         self.port.send(line)
         looked_s = clock_s()
@@ -186,7 +186,7 @@ class Controller:
                 found.append(heard)
         raise LinkFaultError(
             f"the controller did not answer {line.strip().decode()!r}",
-            remedy="Look whether it is switched on, speaks grbl, and nobody else is connected.",
+            remedy="Check that it is switched on, speaks grbl, and nobody else is connected.",
         )
 
     def ask_status(self) -> Status:
@@ -203,17 +203,17 @@ class Controller:
                     return found
         raise LinkFaultError(
             "the controller did not answer",
-            remedy="Look whether it is switched on, speaks grbl, and nobody else is connected.",
+            remedy="Check that it is switched on, speaks grbl, and nobody else is connected.",
         )
 
     def _quiet(self) -> None:
-        """Read what comes until nothing comes any more; a LinkFaultError where it has no end."""
+        """Read until nothing more comes; a LinkFaultError if it does not end."""
         until = clock_s() + _QUIET_S
         while self.port.receive(0.5) is not None:
             if clock_s() >= until:
                 raise LinkFaultError(
                     f"the controller was reset, and has not been quiet for {_QUIET_S:g} s",
-                    remedy="Look whether it speaks grbl, and sends no reports by itself.",
+                    remedy="Check that it speaks grbl, and sends no reports by itself.",
                 )
 
     def _ask_letters(self) -> tuple[str, ...]:
@@ -232,12 +232,12 @@ class Controller:
         return [self._letters.index(name) for name in self.machine.axis_names]
 
     def _compare(self, settings: dict[int, float]) -> None:
-        """Refuse a controller whose axes are not those of the machine.
+        """Refuse a controller whose axes do not match the machine.
 
         Raises
         ------
         CommandError
-            With the first setting that differs, or lets an axis go beyond its limit.
+            Names the first setting that differs, or lets an axis exceed its limit.
         """
         machine = self.machine
         missing = [name for name in machine.axis_names if name not in self._letters]
@@ -269,7 +269,7 @@ class Controller:
             self.brakes_s = max(self.brakes_s, brakes_s)
 
     def position(self, found: Status) -> FloatArray:
-        """Return the (axes,) place in a status report, m or rad; a LinkFaultError if it is none."""
+        """Return the (axes,) position in a status report, m or rad; else a LinkFaultError."""
         if found.position is None:
             raise LinkFaultError(
                 "the controller reports no machine positions",
@@ -282,7 +282,7 @@ class Controller:
         return np.asarray(found.position[self._columns()] * units_of(self.machine))
 
     def beyond(self, place: FloatArray) -> str:
-        """Return the axis that is beyond its travel; empty where none is."""
+        """Return the axis that is beyond its travel; empty if none is."""
         for value, (name, axis) in zip(place.tolist(), self.machine.axes.items(), strict=True):
             if axis.travel is not None and not (
                 axis.travel[0].si - _TRAVEL_M <= value <= axis.travel[1].si + _TRAVEL_M
@@ -292,7 +292,7 @@ class Controller:
 
 
 def _refuse_other_reports(settings: dict[int, float]) -> None:
-    """Refuse a controller whose settings give its numbers another meaning; see ``meet``."""
+    """Refuse a controller whose settings change the meaning of its numbers; see ``meet``."""
     if settings.get(13, 0.0) != 0.0:
         raise CommandError(
             f"$13={settings[13]:g} of the controller: it reports inches, and millimetres are read",
@@ -309,14 +309,14 @@ def _refuse_other_reports(settings: dict[int, float]) -> None:
 
 
 def units_of(machine: Machine) -> FloatArray:
-    """Return the (axes,) m or rad of a unit of grbl: a millimetre, or a degree."""
+    """Return the (axes,) m or rad per unit of grbl: a millimetre, or a degree."""
     return np.array(
         [1e-3 if axis.kind == "linear" else np.pi / 180.0 for axis in machine.axes.values()]
     )
 
 
 AHEAD_S = 0.2
-"""Motion that is sent ahead of what was reported, s at its speed."""
+"""Motion sent ahead of the last reported position, s at its speed."""
 _SEGMENT_S = 0.05
 
 
@@ -346,18 +346,18 @@ class GrblJog:
     controller
         The controller, at rest.
     at
-        Where the axis stands, m or rad.
+        Position of the axis, m or rad.
     axis, velocity
         Its name, and its velocity in m/s or rad/s; the sign is the direction.
     end
-        Where it ends at the latest, m or rad; None is the end of its travel.
+        Latest end of the motion, m or rad; None: the end of its travel.
 
     Attributes
     ----------
     column
         Number of the axis.
     why
-        Reason of an end before the operator let go; empty where there is none.
+        Reason of an end before the operator let go; empty without one.
 
     Raises
     ------
@@ -390,8 +390,8 @@ class GrblJog:
         self._end = end if end is not None else high if velocity > 0.0 else low
         self._stops_at_travel = end is None
         self._sent_to = at
-        self._waits = False  # a line was not answered yet
-        self._asked_since = False  # the position was asked for after the last answer
+        self._waits = False  # a line has not been answered yet
+        self._asked_since = False  # a position was requested after the last answer
         self.cancelled = False
         self.why = ""
 
@@ -400,7 +400,7 @@ class GrblJog:
         return (self._end - self._sent_to) * self._sign <= 0.0
 
     def feed(self, at: float) -> None:
-        """Send the next piece where that is due, the axis being at a place, m or rad."""
+        """Send the next piece if it is due, given the axis position, m or rad."""
         piece = self._speed * _SEGMENT_S
         held = abs(self._sent_to - at)
         if self._waits or self.cancelled or held + piece > self._speed * AHEAD_S * (1.0 + 1e-9):
@@ -418,15 +418,15 @@ class GrblJog:
         self._waits, self._asked_since = True, False
 
     def answered(self, refusal: str) -> None:
-        """Take the answer to the line that was sent; a refused one ends the motion."""
+        """Process the answer to the sent line; a refusal ends the motion."""
         self._waits, self._asked_since = False, False
         if refusal:
             self.why = f"the controller refused to go on: {refusal}"
         if self.cancelled or refusal:
-            self.cancel()  # what was read after the first cancel began a motion of its own
+            self.cancel()  # a line read after the first cancel began a motion of its own
 
-    def asked(self) -> None:
-        """Note that the position was asked for: its report knows of all answered lines."""
+    def note_request(self) -> None:
+        """Note a position request: its report includes all answered lines."""
         self._asked_since = not self._waits
 
     def cancel(self) -> None:

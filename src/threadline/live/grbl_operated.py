@@ -1,4 +1,4 @@
-"""A controller with grbl as an operator's panel has it: homed, moved by hand, run repeatedly."""
+"""A controller with grbl for an operator's panel: homed, moved by hand, run repeatedly."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from threadline.live.grbl_program import notes_on, rest_of_program, written_prog
 from threadline.live.grbl_run import POLL_S, GrblRun
 from threadline.live.grbl_words import Status
 from threadline.live.guards import clock_s
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load
 from threadline.live.states import Cause, Desk, Sink, State, next_state
 
 _AT_REST = frozenset({State.DISABLED, State.ENABLED, State.FAULT})
-"""States in which it does not matter what a controller at rest tells: nothing is begun in them."""
+"""States in which reports of a controller at rest are ignored: nothing is begun in them."""
 
 
 class GrblOperated(GrblRun):
@@ -32,7 +32,7 @@ class GrblOperated(GrblRun):
     Parameters
     ----------
     controller
-        The controller, which was not met yet.
+        The controller, not connected yet.
     desk, sink
         Queue of the operator's commands; receiver of samples, events and changes of state.
     """
@@ -52,17 +52,17 @@ class GrblOperated(GrblRun):
 
     @property
     def stands(self) -> IntArray:
-        """Where the controller has stepped to, (axes,) in counts."""
+        """Position commanded by the controller, (axes,) in counts."""
         return np.rint(self._at * self._machine.counts_per_unit).astype(np.int64)
 
     @property
     def age_s(self) -> float:
-        """Age of the latest report beyond the time from one to the next, s."""
+        """Age of the latest report beyond the report interval, s."""
         return max(clock_s() - self._heard_s - POLL_S, 0.0)
 
     @property
     def share_done(self) -> float | None:
-        """Share of the program's time at its feeds whose lines the reports have passed."""
+        """Share of the program's time at its feeds that the reports have passed."""
         whole = float(self._program.durations_s.sum())
         done = float(self._program.durations_s[: self.executed].sum())
         return done / whole if whole else 0.0
@@ -75,23 +75,23 @@ class GrblOperated(GrblRun):
     # --- at rest ---------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Meet the controller; see ``Controller.meet``."""
+        """Connect to the controller; see ``Controller.meet``."""
         self.controller.meet()
         self._note(self.controller.ask_status())
         self._trace.begin(self._at)
 
     def close(self) -> None:
-        """Leave the controller; one that runs is told to hold first."""
+        """Disconnect; a running controller is told to hold first."""
         if self.under_way:
             self._brake()
         self._port.close()
 
     def disable(self) -> None:
-        """Note that the operator has done with it; grbl switches its drives by itself."""
+        """Do nothing but change the state; grbl switches its drives by itself."""
         self._go(Cause.DISABLE)
 
     def home(self) -> None:
-        """Home it, heeding a stop meanwhile; see ``Controller.home``."""
+        """Home it, listening for a stop meanwhile; see ``Controller.home``."""
         try:
             super().home()
         except LinkFaultError as error:
@@ -120,12 +120,12 @@ class GrblOperated(GrblRun):
         self._go(Cause.RESET)
 
     def stand(self, patience_s: float) -> None:
-        """Listen to a controller at rest, for ``patience_s`` at most, and obey what is asked."""
+        """Listen to a controller at rest for at most ``patience_s``, and execute commands."""
         if self._port.lost and self.state is State.FAULT:
             time.sleep(patience_s)
             self._obey()
             return
-        self._set_out = self.over = False  # the motion before is past: what comes is heard
+        self._set_out = self.over = False  # the last motion is over: reports count again
         self._wait(patience_s)
         self._judge_silence()
         self._obey()
@@ -134,7 +134,7 @@ class GrblOperated(GrblRun):
     def _report_at_rest(self, found: Status) -> None:
         self._note(found)
         if found.state not in {"Idle", "Sleep"} and self.state not in _AT_REST:
-            self._fault_at_rest(found.told)
+            self._fault_at_rest(found.words)
 
     def _fault_at_rest(self, text: str) -> None:
         if self.state is State.FAULT:
@@ -159,7 +159,7 @@ class GrblOperated(GrblRun):
         return Load(plan, sent, notes_on(program, self.controller), program)
 
     def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:  # noqa: ARG002  # it makes its own ramps
-        """Return the rest of a load from an operation on: the lines that do it."""
+        """Return the rest of a load from an operation on: its lines."""
         assert load.program is not None
         rest, program = rest_of_program(load.program, load.plan, operation)
         notes = notes_on(program, self.controller)
@@ -180,7 +180,7 @@ class GrblOperated(GrblRun):
     def starts(self, load: Load) -> IntArray:
         """Return where a load begins, (axes,) in counts."""
         return (
-            way_of(self._machine).start(load.plan.commands)
+            run_kind_of(self._machine).start(load.plan.commands)
             if load.rest is None
             else load.rest.begins
         )
@@ -191,7 +191,7 @@ class GrblOperated(GrblRun):
     # --- by hand ---------------------------------------------------------------------------
 
     def jog(self, axis: str, velocity: float) -> None:
-        """Move an axis until ``let_go``, or until it was not renewed for ``LEASE_S``.
+        """Move an axis until ``let_go``, or until the jog was not renewed for ``LEASE_S``.
 
         Raises
         ------
@@ -246,7 +246,7 @@ class GrblOperated(GrblRun):
             self._jog.cancel()
 
     def step(self) -> None:
-        """Go on with a run or a jog; to be called until ``over`` is True."""
+        """Continue a run or a jog; call it until ``over`` is True."""
         jog = self._jog
         if jog is None:
             super().step()
@@ -263,7 +263,7 @@ class GrblOperated(GrblRun):
     def _ask(self, now_s: float) -> None:
         super()._ask(now_s)
         if self._jog is not None:
-            self._jog.asked()
+            self._jog.note_request()
 
     def _brake(self) -> None:
         if self._jog is None:
@@ -304,7 +304,7 @@ class GrblOperated(GrblRun):
             if name := self.controller.beyond(self._at):
                 self._fault(f"axis {name} is beyond its travel")
             elif found.state not in {"Idle", "Jog"}:
-                self._fault(found.told)
+                self._fault(found.words)
         if jog.rests(found) or (found.stands and found.state != "Idle"):
             self._end_by_hand(jog)
         else:

@@ -1,4 +1,4 @@
-"""A plan as the program that a controller with grbl is sent, whole or from one of its lines on."""
+"""A plan as the program sent to a controller with grbl, whole or from one of its lines on."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from threadline.files import Channel, ChannelKind, Clock, Ended, Event, Recordin
 from threadline.live.derived import Rest, rest_from_row
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_words import Program, program_of, runs_out
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Sink
 from threadline.machine import Machine
 from threadline.proof.kinds import kind_of
@@ -30,28 +30,28 @@ _FEED = re.compile(rb"F([\d.]+)")
 _SWITCHES = re.compile(rb"(?<![A-Z0-9])(?:M[345789]|S[0-9.]+)(?![0-9.])")
 _COOLANT = (b"M7", b"M8")
 _WORKS = re.compile(rb"^(?:[XYZABCUVW]|G[014] |[MST])")
-"""Lines that move, wait or switch; what stands before the first of them prepares the controller."""
+"""Lines that move, wait or switch; lines before the first of them prepare the controller."""
 _SHIFTS = b"G92"
 _CHANGE = re.compile(rb"^(?=.*\bM6\b).*$", re.MULTILINE)
-"""A change of the tool, for which grbl has no word: who sends it programs makes a stop of it."""
+"""A change of the tool, for which grbl has no word: its senders replace it by a stop."""
 _MOTION = re.compile(rb"\bG[01]\b")
 
 
 def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
-    """Return the program of a plan, and the file that it was read from, by its name.
+    """Return the program of a plan, and its file by name.
 
     Raises
     ------
     PlanError
-        If it holds what grbl would act on at once.
+        If it contains characters that grbl executes at once.
     """
     machine = plan.machine
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "program.nc"
-        # In a context of its own it is there at once, and no output of the command.
+        # In a separate context: the file is written at once, and is no output of the command.
         Context().run(kind_of(machine).targets[_TARGET].write, plan, file)
         text = _CHANGE.sub(b"M0", file.read_bytes())
-    starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
+    starts = run_kind_of(machine).start(plan.commands) / machine.counts_per_unit
     program = program_of(text, machine.axis_names, units_of(machine), starts)
     begins_s = planned_instants(
         _TARGET, plan.job, plan.motion.trajectory, machine, override=plan.feed_override
@@ -61,7 +61,7 @@ def written_program(plan: Plan) -> tuple[Program, Mapping[str, bytes]]:
 
 
 def _operations(plan: Plan, rows: IntArray) -> IntArray:
-    """Return the operations of ticks that never fall; behind the last tick that of the last."""
+    """Return the operations at ascending ticks; after the last tick the last operation."""
     found = np.zeros(len(rows), dtype=np.int64)
     for block in tick_table(plan.commands):
         if not len(block):
@@ -73,17 +73,17 @@ def _operations(plan: Plan, rows: IntArray) -> IntArray:
 
 
 def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest, Program]:
-    """Return the rest of a job from an operation on, and the program that does it.
+    """Return the rest of a job from an operation on, and the program for it.
 
-    It begins with the line that was to be under way when the operation began: a line goes on over
-    the ends of operations that lie on it. What prepares the controller, the feed in force, and
-    spindle, its speed or power, and coolant as they were come before it. Where the program's zero
-    is the controller still knows.
+    It begins with the line that is current when the operation begins: a line may span the ends of
+    several operations. Before it come the lines that prepare the controller, the current feed, and
+    the state of spindle, its speed or power, and coolant. The controller still has the program's
+    zero.
 
     Parameters
     ----------
     program
-        That of the whole plan, as ``written_program`` returns it.
+        The program of the whole plan, from ``written_program``.
     plan
         The plan.
     operation
@@ -92,13 +92,13 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
     Raises
     ------
     CommandError
-        If it is none of this job.
+        If the operation is not in this job.
     """
     machine, lines = plan.machine, program.lines
     works = [k for k, line in enumerate(lines) if _WORKS.match(line)]
     began = _first_row(plan, operation)
     first = max(k for k in works if k == works[0] or program.rows[k] <= began + 1)  # it is rounded
-    starts = way_of(machine).start(plan.commands) / machine.counts_per_unit
+    starts = run_kind_of(machine).start(plan.commands) / machine.counts_per_unit
     begins = program.ends[first - 1] if first else starts
     before = [line for line in lines[: works[0]] if not line.startswith(_SHIFTS)]
     feeds = [found for line in lines[:first] for found in _FEED.findall(line)]
@@ -124,7 +124,7 @@ def rest_of_program(program: Program, plan: Plan, operation: int) -> tuple[Rest,
 
 
 def _switched(lines: Sequence[bytes]) -> list[bytes]:
-    """Return the lines that switch spindle and coolant as some lines leave them."""
+    """Return the lines that restore spindle and coolant as after some lines."""
     speed = spindle = b""
     coolant: list[bytes] = []
     for word in (word for line in lines for word in _SWITCHES.findall(line)):
@@ -149,16 +149,16 @@ def _first_row(plan: Plan, operation: int) -> int:
         if len(of):
             return block.first_tick + int(of[0])
     raise CommandError(
-        f"operation {operation} is none of this job", remedy="Continue the run of this job."
+        f"operation {operation} is not in this job", remedy="Continue the run of this job."
     )
 
 
 def notes_on(program: Program, controller: Controller) -> tuple[str, ...]:
-    """Return what the operator has to know before a program is sent to a controller."""
+    """Return notes for the operator about a program, before it is sent to a controller."""
     goes_s, _ = runs_out(program, controller.blocks, controller.room)
     return (
         "grbl plans its own ramps: what is proved is the program's path, not its timing",
-        f"if the link is lost, the controller runs out its own buffer: up to {goes_s:.1f} s at "
+        f"if the link is lost, the controller executes its buffer: up to {goes_s:.1f} s at "
         "these feeds",
     )
 
@@ -167,10 +167,10 @@ _CLOCK = Clock("reports", Fraction(1, 100))
 
 
 class ReportTrace:
-    """Puts the reports of a run into a sink.
+    """Writes the reports of a run into a sink.
 
-    A report says where the controller has stepped to, which is what it has commanded: nothing is
-    measured. Samples lie on the straight line from report to report.
+    A report gives the controller's stepped position, which is its command: nothing is measured.
+    Samples are interpolated on straight lines between reports.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class ReportTrace:
     tick
         Number of the next sample.
     channels
-        A commanded position for each axis, and the operation that was under way.
+        A commanded position for each axis, and the current operation.
     """
 
     def __init__(self, machine: Machine, sink: Sink) -> None:
@@ -205,12 +205,12 @@ class ReportTrace:
         self._sample_s, self._before = 0.0, np.zeros(len(machine.axes))
 
     def begin(self, at: FloatArray) -> None:
-        """Begin at a place, and tell the sink the channels."""
+        """Begin at a position, and announce the channels to the sink."""
         self.again(at)
         self._sink.begin(self.channels, False)
 
     def again(self, at: FloatArray) -> None:
-        """Begin another run at a place, with the channels that the sink knows."""
+        """Begin another run at a position, with the channels already announced."""
         self.tick, self._sample_s, self._before = 0, 0.0, at
 
     def record(
@@ -221,10 +221,10 @@ class ReportTrace:
         Parameters
         ----------
         now_s, at
-            Time of the run, and the place.
+            Time of the run, and the position.
         begins, operations
-            (n,) shares of the way since the report before at which another line began, and (n + 1,)
-            the operations that were under way.
+            (n,) shares of the motion since the last report at which another line began, and
+            (n + 1,) the operations.
         """
         period_s = float(_CLOCK.period_s)
         times = period_s * np.arange(self.tick, int(now_s / period_s) + 1)
@@ -257,19 +257,19 @@ def way_passed(
     places: tuple[FloatArray, FloatArray],
     executed: tuple[int, int],
 ) -> tuple[FloatArray, IntArray]:
-    """Return where on the way from a report to the next lines began, and what was under way.
+    """Return where another line began between two reports, and the operations.
 
     Parameters
     ----------
     program, machine
-        What is run, on what.
+        The program, and its machine.
     places, executed
-        Of the two reports: the (axes,) place, and how many lines were executed.
+        For the two reports: the (axes,) position, and the number of executed lines.
 
     Returns
     -------
     tuple
-        (n,) shares of that way at which another line began, and (n + 1,) operations.
+        (n,) shares of the motion at which another line began, and (n + 1,) operations.
     """
     was, now = executed
     ways = np.vstack([places[0], *program.ends[was:now], places[1]]) * machine.radius_m

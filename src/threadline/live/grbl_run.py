@@ -1,8 +1,7 @@
 """A run on a controller with grbl: its lines are counted into its buffer, its reports recorded.
 
-The controller plans its own ramps and holds lines that it runs out by itself when the link is lost.
-What moves is told by its position reports: its answers say that a line was taken, not that it was
-done.
+The controller plans its own ramps, and executes buffered lines by itself when the link is lost.
+Only its position reports tell what moves: an answer means that a line was received, not executed.
 """
 
 from __future__ import annotations
@@ -34,17 +33,17 @@ from threadline.live.pace import place_words
 from threadline.live.states import MOVING, Cause, Desk, Sink, State, homed_after, next_state
 
 POLL_S = 0.1
-"""Time in s from one question for the position to the next."""
+"""Interval of position requests, s."""
 SILENCE_S = 1.0
 """Time in s without a report after which the link counts as lost."""
-_FRESH_S = 5.0  # by which the latest report is older than a start at most
+_FRESH_S = 5.0  # largest age of the latest report at a start
 _SETTLE_S = 0.5
-_OBEYS_S = 1.0  # in which a controller that was told to hold, or to go on, reports that it does
+_OBEYS_S = 1.0  # within which a controller reports that it obeys a hold or a resume
 _OFF_PATH_M = 1e-3
-_STANDS_S = 1.0  # at a place before the end of its program, after which it does not go on
-_ANSWERS_S = 30.0  # beyond what its lines take: a spindle may be waited for
-_LISTENS_S = 0.05  # at once: the operator may have asked for something meanwhile
-_HOLDS_S = 2.0  # beyond twice the time that it brakes for, after which it does not hold
+_STANDS_S = 1.0  # short of the end of its program, after which the run has failed
+_ANSWERS_S = 30.0  # beyond the time of its lines: a spindle may be waited for
+_LISTENS_S = 0.05  # at a time: the operator may have sent a command meanwhile
+_HOLDS_S = 2.0  # beyond twice its braking time, after which a hold has failed
 
 
 class GrblRun:
@@ -53,7 +52,7 @@ class GrblRun:
     Parameters
     ----------
     controller
-        The controller, which ``Controller.meet`` has met.
+        The controller, connected by ``Controller.meet``.
     desk, sink
         Queue of the operator's commands; receiver of samples, events and changes of state.
 
@@ -62,17 +61,17 @@ class GrblRun:
     controller
         As given.
     state
-        State of the run, as of an executor.
+        State of the run, as in an executor.
     executed
         Number of lines whose ends the position reports have passed.
     ended
         How it ended, and why; None before.
     why
-        Reason of the latest change of state; empty where there was none.
+        Reason of the latest change of state; empty without one.
     homed
-        Whether it is known where the axes are, or where they were when a fault came.
+        Whether the positions of the axes are known, or were known when a fault came.
     stops
-        Number of stops that were heard, in any state.
+        Number of stop commands received, in any state.
     """
 
     late_ticks = 0
@@ -91,7 +90,7 @@ class GrblRun:
         self._forget()
 
     def _forget(self) -> None:
-        """Forget the run before."""
+        """Reset all data of the last run."""
         self.ended: tuple[Ended, str] | None = None
         self.over = False
         self.executed = self.acknowledged = 0
@@ -102,14 +101,14 @@ class GrblRun:
         self._settled_s: float | None = None
         self._braking = False
         self._brakes_until_s = self._stood_s = np.inf
-        self._told_s = -np.inf  # when it was told to hold, or to go on
+        self._told_s = -np.inf  # time of the last hold or resume command
         self._looked_s = clock_s()
-        self._told_state = ""  # of the controller, while it holds
-        self._unready = ""  # why it cannot go on
+        self._last_state_words = ""  # reported by the controller while it holds
+        self._unready = ""  # why it cannot resume
 
     @property
     def lost(self) -> bool:
-        """Whether the link is gone, so that the machine can be had only by connecting again."""
+        """Whether the link is gone, so that only connecting again reaches the machine."""
         return self._port.lost
 
     @property
@@ -124,11 +123,11 @@ class GrblRun:
     # --- before a run ----------------------------------------------------------------------
 
     def enable(self) -> None:
-        """Note that the drives are on: grbl switches them by itself."""
+        """Do nothing but change the state: grbl switches its drives by itself."""
         self._go(Cause.ENABLE)
 
     def home(self) -> None:
-        """Home it, heeding a stop meanwhile; see ``Controller.home``."""
+        """Home it, listening for a stop meanwhile; see ``Controller.home``."""
         self._go(Cause.HOME)
         try:
             self._at = self.controller.home(self._stopped)
@@ -141,7 +140,7 @@ class GrblRun:
         self._go(Cause.HOMED, "" if found else "it has no switches: it is where it says")
 
     def _stopped(self) -> bool:
-        """Take what the operator asked for while it homes; return whether that was a stop."""
+        """Process commands while it homes; return whether one was a stop."""
         while (cause := self._desk.take()) is not None:
             if cause is Cause.STOP:
                 self._go(cause)
@@ -156,14 +155,14 @@ class GrblRun:
         program
             Its lines.
         starts
-            (axes,) where it begins, m or rad.
+            (axes,) starting position, m or rad.
 
         Raises
         ------
         CommandError
-            If the machine is not idle, stands elsewhere, or was not heard of late.
+            If the machine is not idle, stands elsewhere, or has not reported recently.
         LinkFaultError
-            If an end of a line is beyond the travel.
+            If the end of a line is beyond the travel.
         """
         next_state(self.state, Cause.START)
         self.refuse_program(program, starts)
@@ -171,7 +170,7 @@ class GrblRun:
             raise CommandError(
                 f"the controller was last heard {silent_s:.0f} s ago: this computer slept, or this "
                 "program was stopped",
-                remedy="Look at the machine, and start again.",
+                remedy="Check the machine, and start again.",
             )
         self._forget()
         self._trace.again(self._at)
@@ -210,17 +209,17 @@ class GrblRun:
     # --- a run -----------------------------------------------------------------------------
 
     def step(self) -> None:
-        """Wait for a line or a command and act on it; to be called until ``over`` is True."""
+        """Wait for a line or a command and act on it; call it until ``over`` is True."""
         self._wait(POLL_S)
         self._judge_silence()
         self._obey()
         self._listen()
 
     def _judge_silence(self) -> None:
-        """End a run or a jog in which this program did not run for a while; to be called first.
+        """End a run or a jog during which this program was suspended; call it first.
 
-        The computer slept, or the process was stopped. The controller went on with what it held,
-        and stands where nobody knows. Its answers that wait to be read would have more sent to it;
+        The computer slept, or the process was stopped. The controller went on with its buffered
+        lines, and its position is unknown. Answers that wait to be read would release more lines;
         so it is told to hold, and is reset once it stands.
         """
         now_s = clock_s()
@@ -236,7 +235,7 @@ class GrblRun:
             )
 
     def _wait(self, most_s: float) -> None:
-        """Ask for the position where that is due, and wait until there is something to do."""
+        """Request the position if that is due, and wait until there is something to do."""
         now = clock_s()
         if now - self._asked_s >= POLL_S:
             self._ask(now)
@@ -252,7 +251,7 @@ class GrblRun:
         self._port.send(STATUS)
 
     def _obey(self) -> None:
-        """Execute what the operator has asked for."""
+        """Execute the operator's commands."""
         while (cause := self._desk.take()) is not None:
             self.stops += cause is Cause.STOP
             try:
@@ -261,7 +260,7 @@ class GrblRun:
                 self._sink.state(self._trace.tick, self.state, cause, error.message)
 
     def _listen(self) -> None:
-        """Act on what the controller has said, or on its silence."""
+        """Act on the controller's messages, or on its silence."""
         until = clock_s() + _LISTENS_S
         try:
             while not self.over and (line := self._port.receive(0.0)) is not None:
@@ -285,10 +284,10 @@ class GrblRun:
             self._brake()
         elif cause in (Cause.HOLD, Cause.RESUME):
             self._port.send(HOLD if cause is Cause.HOLD else RESUME)
-            self._told_s, self._told_state = clock_s(), ""
+            self._told_s, self._last_state_words = clock_s(), ""
 
     def _brake(self) -> None:
-        """Hold the feed; when it stands, or will not, a reset drops what it still has."""
+        """Hold the feed; once it stands, or fails to, a reset drops its remaining lines."""
         self._braking = True
         most_s = 2.0 * self.controller.brakes_s + _HOLDS_S
         self._brakes_until_s = min(self._brakes_until_s, clock_s() + most_s)
@@ -299,7 +298,7 @@ class GrblRun:
         sent = self.acknowledged + self._count.open
         while self.state is State.RUNNING and sent < len(self._program.lines):
             if clock_s() - self._looked_s > SILENCE_S:
-                return  # this program did not run meanwhile, which ends the run first
+                return  # this program was suspended, which ends the run first
             line = self._program.lines[sent]
             if not self._count.fits(line):
                 return
@@ -349,32 +348,32 @@ class GrblRun:
         elif found.state == "Alarm" and not self._braking:
             self._fault("the controller is in alarm")
         elif self._heard_s > self._brakes_until_s:
-            self._fault(f"the controller was told to hold, tells {found.state}, and was reset")
+            self._fault(f"the controller was told to hold, reports {found.state}, and was reset")
             self._port.send(RESET)
             self._end()
         elif not self._braking:
             self._follow(found)
 
     def _follow(self, found: Status) -> None:
-        """Do what the controller does of its own accord: hold, go on, or end where it cannot."""
+        """Follow the controller's own changes: hold, resume, or end if it cannot go on."""
         fresh = self._heard_s - self._told_s > _OBEYS_S  # else the report may be the older
         if found.state in PAUSES:
             door = found.state == "Door"
-            self._unready = found.told if door and found.detail in (1, 2) else ""
+            self._unready = found.words if door and found.detail in (1, 2) else ""
             if self.state is State.RUNNING and fresh and not (door and found.detail == 3):
-                self._go(Cause.HOLD, found.told)
-                self._told_state = found.told
+                self._go(Cause.HOLD, found.words)
+                self._last_state_words = found.words
             elif (
                 self.state is State.HOLDING
-                and (door or self._told_state)
-                and found.told != self._told_state
+                and (door or self._last_state_words)
+                and found.words != self._last_state_words
             ):
-                self._told_state = self.why = found.told
-                self._sink.state(self._trace.tick, self.state, Cause.HOLD, found.told)
+                self._last_state_words = self.why = found.words
+                self._sink.state(self._trace.tick, self.state, Cause.HOLD, found.words)
             return
         self._unready = ""
         if found.state not in {"Idle", "Run"}:
-            self._fault(found.told)
+            self._fault(found.words)
         elif self.state is State.HOLDING and fresh:  # by its own button, or at its end
             self._go(Cause.RESUME, "the controller goes on by itself")
             self._feed()
@@ -385,7 +384,7 @@ class GrblRun:
                 self._stand_unanswered()
 
     def _stand_unanswered(self) -> None:
-        """Let a controller stand that has lines, but not for longer than they have it wait."""
+        """Accept a standing controller with open lines for as long as these lines may wait."""
         self._stood_s = min(self._stood_s, self._heard_s)
         sent = slice(self.acknowledged, self.acknowledged + self._count.open)
         most_s = _ANSWERS_S + float(self._program.durations_s[sent].sum())
@@ -393,9 +392,9 @@ class GrblRun:
             self._fault(f"the controller stands, and has not answered {self._count.open} lines")
 
     def _stand_at_end(self) -> None:
-        """End a run whose lines were all answered where the controller stands at their end.
+        """End a run with all lines answered once the controller stands at their end.
 
-        It stands elsewhere for a moment where it was asked before it set out.
+        A report from before the last line began may show it elsewhere for a moment.
         """
         ends = self._program.ends
         away = (ends[-1] if len(ends) else self._sent_from) - self._at
@@ -408,12 +407,12 @@ class GrblRun:
         self._stood_s = min(self._stood_s, self._heard_s)
         if self._heard_s - self._stood_s > _STANDS_S:
             self._fault(
-                f"the controller has taken every line, and stands {1e3 * away_m:.3g} mm from "
+                f"the controller has received every line, and stands {1e3 * away_m:.3g} mm from "
                 "the end of the last"
             )
 
     def _pass_lines(self) -> None:
-        """Move on along the lines that were answered to where the reports say that it is."""
+        """Advance along the answered lines to the reported position."""
         if self._braking or not len(self._program.lines):
             return
         radius = self._machine.radius_m
@@ -455,10 +454,10 @@ class GrblRun:
         self._brake()
 
     def _lost(self, text: str) -> None:
-        """Note that nothing can be sent any more: the controller runs out what it holds."""
+        """Note that nothing can be sent any more: the controller executes its buffer."""
         left = int(self._count.open)
         told = [] if self.ended is None else [self.ended[1]]
-        left_over = f"the controller runs out by itself {left} lines and what its planner holds"
+        left_over = f"the controller executes by itself {left} lines and its planner's blocks"
         self.ended = (Ended.FAULT, "; ".join([*filter(None, told), text, left_over]))
         self._trace.end(*self.ended)
         self._go(Cause.FAULT, text)

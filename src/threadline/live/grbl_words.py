@@ -1,4 +1,4 @@
-"""What grbl is told and what it answers, over a serial line or TCP.
+"""Commands to grbl and its answers, over a serial line or TCP.
 
 Sources: "Grbl v1.1 Interface", "Grbl v1.1 Commands" and "Grbl v1.1 Jogging" in the documentation of
 gnea/grbl.
@@ -28,11 +28,11 @@ MOST_PORT = 65535
 
 
 def is_host(text: str) -> bool:
-    """Return whether a text is an IP address, or written as a name of a host is.
+    """Return whether a text is an IP address, or a well-formed host name.
 
     A name has letters, digits, ``-`` and ``_`` in parts between dots (RFC 1123, and the underscore
-    that is met in practice), 253 characters at most; one of other alphabets is taken by its form in
-    ASCII (RFC 3490). What ends in digits alone has to be an address. No name is looked up.
+    found in practice), at most 253 characters; a name in other alphabets counts in its ASCII form
+    (RFC 3490). A text that ends in digits alone must be an address. No name is looked up.
     """
     try:
         ip_address(text)
@@ -50,17 +50,17 @@ def is_host(text: str) -> bool:
 
 
 def bare(host: str) -> str:
-    """Return a host without the brackets in which an address of IPv6 may stand."""
+    """Return a host without the brackets that an IPv6 address may have."""
     return host[1:-1] if host.startswith("[") and host.endswith("]") and ":" in host else host
 
 
 def in_url(host: str) -> str:
-    """Return a host as it stands in a URL: an address of IPv6 in brackets (RFC 3986)."""
+    """Return a host for a URL: an IPv6 address in brackets (RFC 3986)."""
     return f"[{host}]" if ":" in host else host
 
 
 def _is_old_address(name: str) -> bool:
-    """Return whether it is an address with fewer than four numbers, as ``127.1``."""
+    """Return whether it is an address with fewer than four numbers, such as ``127.1``."""
     try:
         socket.inet_aton(name)
     except OSError:
@@ -69,25 +69,25 @@ def _is_old_address(name: str) -> bool:
 
 
 STATUS, HOLD, RESUME, RESET, JOG_CANCEL = b"?", b"!", b"~", b"\x18", b"\x85"
-"""Bytes that grbl acts on at once, wherever they come; they take no room in its buffer."""
+"""Bytes that grbl executes at once, wherever they come; they take no room in its buffer."""
 RX_BYTES = 128
-"""Characters that grbl's receive buffer holds, unless it tells of fewer (``$I``)."""
+"""Characters that grbl's receive buffer holds, unless it reports fewer (``$I``)."""
 _STANDS = frozenset({"Idle", "Alarm", "Sleep", "Check"})
 _STANDING = {"Hold": (-1, 0), "Door": (-1, 0, 1)}
-"""Numbers behind states that say that the machine stands; -1 is none."""
+"""Details after states in which the machine stands; -1 is none."""
 PAUSES = frozenset({"Hold", "Door"})
-"""States that a run is in for a while, and goes on from."""
-_TOLD = {
+"""States that a run may be in for a while, and resume from."""
+_MEANINGS = {
     "Hold": "by its own hold button, or by M0",
-    "Door": "its safety door is closed again, and it waits to be told to go on",
-    "Door:1": "its safety door is open, and has to be closed before it can go on",
+    "Door": "its safety door is closed again, and it waits to be resumed",
+    "Door:1": "its safety door is open, and has to be closed before it can resume",
     "Door:2": "its safety door was opened, and it brakes",
-    "Door:3": "its safety door is closed, and it goes on",
+    "Door:3": "its safety door is closed, and it resumes",
     "Sleep": "its motors are off, so that it has to be reset and homed",
-    "Check": "it reads lines and moves by none, until $C ends that",
-    "Home": "it homes, and was not told to here",
-    "Jog": "it is moved by hand, and was not told to here",
-    "Run": "it moves, and was not told to here",
+    "Check": "it reads lines without moving, until $C ends that",
+    "Home": "it homes, without a command from here",
+    "Jog": "it is moved by hand, without a command from here",
+    "Run": "it moves, without a command from here",
 }
 _REALTIME = re.compile(rb"[?!~\x00-\x1f\x7f-\xff]")
 _REPORT = re.compile(r"<([A-Za-z]+)(?::(\d{1,4}))?\|(.*)>")
@@ -104,11 +104,11 @@ class Status:
     state
         ``Idle``, ``Run``, ``Hold``, ``Alarm`` and so on.
     detail
-        Number behind the state: ``Hold:0`` stands, ``Hold:1`` still brakes. -1 without one.
+        Number after the state: ``Hold:0`` stands, ``Hold:1`` still brakes. -1 without one.
     position
-        (letters,) machine position, mm or degrees; None where the report has none.
+        (letters,) machine position, mm or degrees; None if the report has none.
     offset
-        (letters,) work coordinate offset; None where the report has none.
+        (letters,) work coordinate offset; None if the report has none.
     """
 
     state: str
@@ -118,23 +118,23 @@ class Status:
 
     @property
     def stands(self) -> bool:
-        """Whether nothing moves, and nothing will before it is told to."""
+        """Whether nothing moves, nor will without a command."""
         return self.state in _STANDS or self.detail in _STANDING.get(self.state, ())
 
     @property
-    def told(self) -> str:
+    def words(self) -> str:
         """The state in words, for people."""
-        means = _TOLD.get(f"{self.state}:{self.detail}", _TOLD.get(self.state, ""))
+        means = _MEANINGS.get(f"{self.state}:{self.detail}", _MEANINGS.get(self.state, ""))
         return f"the controller tells {self.state}{f': {means}' if means else ''}"
 
 
 def status_of(line: str) -> Status | None:
-    """Return the status report in a line; None where it is none.
+    """Return the status report in a line; None if it is not one.
 
     Raises
     ------
     LinkFaultError
-        If numbers of a report are none.
+        If a number in a report is invalid.
     """
     form = _REPORT.fullmatch(line)
     if form is None:
@@ -146,13 +146,13 @@ def status_of(line: str) -> Status | None:
 
 
 def numbers(text: str) -> FloatArray:
-    """Return the numbers between commas; a LinkFaultError where one is none."""
+    """Return the numbers between commas; a LinkFaultError if one is invalid."""
     try:
         found = np.array([float(part) for part in text.split(",")])
     except ValueError:
         found = np.array([np.nan])
     if not np.isfinite(found).all():
-        raise LinkFaultError(f"the controller sent {text[:40]!r} where numbers were due")
+        raise LinkFaultError(f"the controller sent {text[:40]!r} instead of numbers")
     return found
 
 
@@ -165,7 +165,7 @@ class CharacterCount:
 
     @property
     def open(self) -> int:
-        """Number of lines that were not answered."""
+        """Number of lines not answered yet."""
         return len(self._lengths)
 
     def fits(self, line: bytes) -> bool:
@@ -177,7 +177,7 @@ class CharacterCount:
         self._lengths.append(len(line))
 
     def answered(self) -> None:
-        """Take the oldest line off; a LinkFaultError where none was sent."""
+        """Remove the oldest line; a LinkFaultError if none was sent."""
         if not self._lengths:
             raise LinkFaultError("the controller answered a line that was not sent")
         self._lengths.popleft()
@@ -185,19 +185,19 @@ class CharacterCount:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Program:
-    """A part program as grbl is sent it.
+    """A part program as sent to grbl.
 
     Parameters
     ----------
     lines
         Each with its line feed.
     ends
-        (n, axes) where each line ends, m or rad.
+        (n, axes) position at the end of each line, m or rad.
     durations_s
-        (n,) how long each takes at its feed alone.
+        (n,) time of each at its feed alone.
     rows, operations
-        (n,) tick of the plan at which each begins, and the operation of the job that is under way
-        then; all 0 where that is not known.
+        (n,) tick of the plan at which each begins, and the operation of the job at that tick; all
+        0 if unknown.
     """
 
     lines: tuple[bytes, ...]
@@ -213,16 +213,16 @@ def program_of(text: bytes, axes: Sequence[str], scale: FloatArray, start: Float
     Parameters
     ----------
     axes
-        Their letters.
+        Letters of the axes.
     scale
-        (axes,) m or rad of a unit of the program.
+        (axes,) m or rad per unit of the program.
     start
-        (axes,) where it begins, m or rad.
+        (axes,) starting position, m or rad.
 
     Raises
     ------
     PlanError
-        If a line holds a byte that grbl acts on at once, a command of its own (``$``), or is longer
+        If a line has a byte that grbl executes at once, is a command of grbl (``$``), or is longer
         than its buffer.
     """
     lines, ends, durations = [], [], []
@@ -250,26 +250,26 @@ def program_of(text: bytes, axes: Sequence[str], scale: FloatArray, start: Float
 
 
 def refuse_realtime(line: bytes, number: int) -> None:
-    """Refuse a line that grbl would not take as one of a program.
+    """Refuse a line that grbl would not read as part of a program.
 
     Raises
     ------
     PlanError
-        With the number of the line.
+        Names the line.
     """
     if _REALTIME.search(line) or line.lstrip().startswith(b"$") or len(line) >= RX_BYTES:
         raise PlanError(
-            f"line {number} of the program, {line[:40]!r}, holds what grbl would act on at once, "
+            f"line {number} of the program, {line[:40]!r}, has a byte that grbl executes at once, "
             "or is longer than its buffer",
-            remedy="Nothing but lines of a part program is sent to a controller.",
+            remedy="Only lines of a part program may be sent to a controller.",
         )
 
 
 def runs_out(program: Program, blocks: int, most: int = RX_BYTES) -> tuple[float, float]:
-    """Return how long and how far grbl goes on by itself at most when nothing more is sent.
+    """Return how long and how far grbl can go on at most when nothing more is sent.
 
-    It has then the line under way, as many blocks as its planner holds, and the lines in its
-    receive buffer. Times are those of the feeds, without ramps.
+    It then has the current line, as many blocks as its planner holds, and the lines in its receive
+    buffer. Times are at the feeds, without ramps.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def runs_out(program: Program, blocks: int, most: int = RX_BYTES) -> tuple[float
     Returns
     -------
     tuple
-        s; and path in m, rotary axes left out as they are: in rad.
+        s; and path length in m, where rotary axes count in rad.
     """
     ways = np.linalg.norm(np.diff(program.ends, axis=0, prepend=program.ends[:1]), axis=1)
     longest_s = longest = 0.0
@@ -294,9 +294,9 @@ def runs_out(program: Program, blocks: int, most: int = RX_BYTES) -> tuple[float
 
 
 def settings_of(lines: Iterable[str]) -> dict[int, float]:
-    """Return the settings that ``$$`` has listed, by their numbers; NaN for one that is no number.
+    """Return the settings that ``$$`` has listed, by number; NaN for one that is not a number.
 
-    Some controllers list texts among them, such as the address of their network.
+    Some controllers list texts among them, such as their network address.
     """
     found = {}
     for line in lines:
@@ -309,11 +309,15 @@ def settings_of(lines: Iterable[str]) -> dict[int, float]:
     return found
 
 
+BAUD = 115200
+"""Speed of a serial line to grbl, in bits a second."""
+# struct termios2 of Linux (asm-generic/termbits.h): four words of flags, 20 bytes, two speeds.
+_TERMIOS2_BYTES, _TCGETS2, _TCSETS2, _CBAUD, _BOTHER = 44, 0x802C542A, 0x402C542B, 0x100F, 0x1000
 _CONNECT_S = 5.0
 _AT_ONCE = 4096
 _DIGITS = 5  # of a port
 _LONGEST_LINE = 1 << 14
-_MOST_OLD = 10_000  # lines that came in a silence; who sends more is not waited for
+_MOST_OLD = 10_000  # lines that came during a silence; a longer flood is not read to its end
 
 
 def host_and_port(address: str) -> tuple[str, int]:
@@ -328,26 +332,26 @@ def host_and_port(address: str) -> tuple[str, int]:
     host = bare(host)
     wrong = ""
     if not is_host(host):
-        wrong = f"{host[:60]!r} is no host"
+        wrong = f"{host[:60]!r} is not a host"
     elif not (port.isascii() and port.isdecimal() and len(port) <= _DIGITS):
-        wrong = f"{port[:20]!r} is no port"
+        wrong = f"{port[:20]!r} is not a port"
     elif not 1 <= int(port) <= MOST_PORT:
         wrong = f"port {port} is not between 1 and {MOST_PORT}"
     if wrong:
         raise OptionError(
-            f"{address[:60]!r} is no address of a controller: {wrong}",
+            f"{address[:60]!r} is not an address of a controller: {wrong}",
             remedy='Write it like "grbl:192.168.0.10:23" or "grbl:/dev/ttyUSB0".',
         )
     return host, int(port)
 
 
 def check_address(address: str) -> None:
-    """Refuse what is neither ``HOST:PORT`` nor the path of a device; nothing is connected.
+    """Refuse a text that is neither ``HOST:PORT`` nor the path of a device; nothing is connected.
 
     Raises
     ------
     OptionError
-        If it is no address.
+        If it is not an address.
     """
     if not address.startswith("/"):
         host_and_port(address)
@@ -360,6 +364,8 @@ class Port:
     ----------
     address
         ``HOST:PORT`` or the path of a serial device.
+    baud
+        Speed of a serial device, in bits a second.
 
     Attributes
     ----------
@@ -371,17 +377,17 @@ class Port:
     LinkFaultError
         If nothing answers there.
     OptionError
-        If it is no address.
+        If it is not an address.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, baud: int = BAUD) -> None:
         self._socket: socket.socket | None = None
         self.lost = False
         self._bytes = bytearray()
         self._lines: deque[str] = deque()
         try:
             if address.startswith("/"):
-                self._number = _serial(address)
+                self._number = _serial(address, baud)
             else:
                 self._socket = socket.create_connection(host_and_port(address), _CONNECT_S)
                 self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -390,20 +396,20 @@ class Port:
         except OSError as error:
             raise LinkFaultError(
                 f"nothing answers at {address[:60]!r}: {error.strerror or error}",
-                remedy="Look whether the controller is switched on and connected.",
+                remedy="Check that the controller is switched on and connected.",
             ) from error
 
     def fileno(self) -> int:
-        """Return the descriptor, which is readable when something came."""
+        """Return the descriptor, which is readable when data has come."""
         return self._number
 
     @property
     def waiting(self) -> bool:
-        """Whether a line was read that ``receive`` has not returned yet."""
+        """Whether a complete line is buffered that ``receive`` has not returned yet."""
         return bool(self._lines)
 
     def send(self, content: bytes) -> None:
-        """Send bytes; where the other side is gone or takes none, ``lost`` becomes True."""
+        """Send bytes; if the other side is gone or accepts none, ``lost`` becomes True."""
         while content and not self.lost:
             try:
                 content = content[os.write(self._number, content) :]
@@ -414,19 +420,24 @@ class Port:
                 self.lost = True
 
     def receive(self, timeout_s: float) -> str | None:
-        """Return the next line without its end; None if none came in time or the link is gone."""
+        """Return the next line, stripped; None if none came in time or the link is gone."""
+        line = self.receive_indented(timeout_s)
+        return None if line is None else line.strip()
+
+    def receive_indented(self, timeout_s: float) -> str | None:
+        """Return the next line with the spaces before it, which count in YAML; or None."""
         until = clock_s() + timeout_s
         while not self._lines and not self.lost:
             left = max(until - clock_s(), 0.0)
             if not select.select([self._number], [], [], left)[0]:
                 return None
             self._read()
-            if not self._lines and clock_s() >= until:  # what comes may never be a line
+            if not self._lines and clock_s() >= until:  # data may never complete a line
                 return None
         return self._lines.popleft() if self._lines else None
 
     def forget_reports(self) -> None:
-        """Leave out the status reports that have come until now: they tell of a time before."""
+        """Drop the status reports received so far: they are outdated."""
         while not self.lost and select.select([self._number], [], [], 0.0)[0]:
             before = len(self._bytes), len(self._lines)
             self._read()
@@ -446,7 +457,7 @@ class Port:
         self._bytes += more
         *whole, rest = self._bytes.split(b"\n")
         self._bytes = bytearray(rest[:_LONGEST_LINE])
-        self._lines.extend(line.decode("latin-1").strip() for line in whole if line.strip())
+        self._lines.extend(line.decode("latin-1").rstrip() for line in whole if line.strip())
 
     def close(self) -> None:
         """Close the port."""
@@ -457,26 +468,37 @@ class Port:
             os.close(self._number)
 
 
-def _serial(path: str) -> int:
-    """Open a serial device, raw and for nobody else, and return its descriptor."""
+def _serial(path: str, baud: int) -> int:
+    """Open a serial device, raw and exclusively, and return its descriptor."""
+    import array
     import fcntl
     import termios
     import tty
 
     number = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)  # lines of two would be mixed
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)  # lines of two programs would mix
     except OSError as error:
         os.close(number)
         raise OSError(error.errno, "another program has it") from error
     try:
         tty.setraw(number)
         mode = termios.tcgetattr(number)
-        mode[4] = mode[5] = termios.B115200
+        known = getattr(termios, f"B{baud}", None)
+        mode[4] = mode[5] = termios.B115200 if known is None else known
         mode[2] |= termios.CLOCAL | termios.CREAD
         mode[2] &= ~termios.HUPCL  # closing it must not reset the controller
         termios.tcsetattr(number, termios.TCSANOW, mode)
+        if known is None:  # Marlin's 250000 has no name: Linux takes it as a number
+            speeds = array.array("I", bytes(_TERMIOS2_BYTES))
+            fcntl.ioctl(number, _TCGETS2, speeds)
+            speeds[2] = speeds[2] & ~_CBAUD | _BOTHER
+            speeds[-2] = speeds[-1] = baud
+            fcntl.ioctl(number, _TCSETS2, speeds)
+    except OSError as error:
+        os.close(number)
+        raise OSError(error.errno, f"it does not take {baud} bits a second") from error
     except termios.error as error:
         os.close(number)
-        raise OSError(error.args[0], "it is no serial line") from error
+        raise OSError(error.args[0], "it is not a serial line") from error
     return number

@@ -1,4 +1,4 @@
-"""Time that passes unseen: the guard of late ticks, and a clock that counts sleep."""
+"""Guards that stop a run: following error, travel, encoders, late ticks, contacts."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from threadline.machine import Machine
 
 LATE_IN_A_ROW = 3
 LATE_PERIODS = 5.0
-"""A fault is this number of consecutive late reports, and a report late by this number of periods.
+"""A fault is this number of consecutive late reports, or a report late by this number of periods.
 """
-# Python's monotonic clock stands while Linux or macOS sleep. What macOS calls monotonic does not.
+# Python's monotonic clock stops while Linux or macOS sleep. macOS's own monotonic clock does not.
 _COUNTS_SLEEP: int | None = getattr(time, "CLOCK_BOOTTIME", None)
 if _COUNTS_SLEEP is None and sys.platform == "darwin":
     _COUNTS_SLEEP = time.CLOCK_MONOTONIC
@@ -28,14 +28,14 @@ if _COUNTS_SLEEP is None and sys.platform == "darwin":
 def clock_s() -> float:
     """Return seconds of a clock that never goes back, the same in all processes.
 
-    It goes on while the computer sleeps, on Linux and macOS. On other systems it may stand then: a
-    silence is told by the time for which the computer was awake.
+    It goes on while the computer sleeps, on Linux and macOS. On other systems it may stop then: a
+    silence counts only the time for which the computer was awake.
     """
     return time.monotonic() if _COUNTS_SLEEP is None else time.clock_gettime(_COUNTS_SLEEP)
 
 
 class Lateness:
-    """Counts reports that came late one after the other."""
+    """Counts consecutive late reports."""
 
     def __init__(self) -> None:
         self._late = 0
@@ -59,8 +59,8 @@ class Lateness:
 FOLLOWING_M = 1e-3
 """Following error in m that is allowed in addition to twice the lag of the model; rotary axes at
 their radius."""
-_TRAVEL_M = 2e-3  # distance by which the loop may pass an end of travel
-_JUMP = 3.0  # an encoder that moves at more than this times the axis' speed limit has a fault
+_TRAVEL_M = 2e-3  # overshoot of the loop allowed beyond an end of travel
+_JUMP = 3.0  # an encoder faster than this times the axis' speed limit has a fault
 _JUMP_COUNTS = 4.0
 _LOOKED_AT = ("commanded", "measured", "voltage")
 _NONE: FloatArray = np.empty(0)
@@ -71,7 +71,7 @@ class _Axis:
     """An axis with its limits, and the state of its guards."""
 
     name: str
-    channels: tuple[str, ...]  # what is looked at of it, see ``_LOOKED_AT``
+    channels: tuple[str, ...]  # watched channels, see ``_LOOKED_AT``
     lag_s: float  # of its loop, by the model
     room: float  # FOLLOWING_M in m or rad
     count: float  # size of a count, m or rad
@@ -79,9 +79,9 @@ class _Axis:
     low: float
     high: float
     reverses_by_zero: bool
-    speeds: FloatArray  # told at the last ticks that still act on the load, the oldest first
+    speeds: FloatArray  # commanded at the last ticks that still affect the load, oldest first
     last: FloatArray = field(default_factory=lambda: np.full(len(_LOOKED_AT), np.nan))
-    """The last sample of each channel that is looked at; not a number before the first."""
+    """The last sample of each watched channel; NaN before the first."""
     still: tuple[float, float] = (0.0, 0.0)  # encoder and command when the encoder last moved
 
 
@@ -96,7 +96,7 @@ class Guards:
 
     def __init__(self, machine: Machine) -> None:
         tick_s = float(machine.tick_clock.period_s)
-        # Drives that are told positions have no loop and no encoder that could be looked at.
+        # Drives with a position interface have no loop and no encoder to watch.
         answers = {} if machine.told_positions else answers_of(machine)
         scale = machine.counts_per_unit
         self._tick_s, self._switches = tick_s, tuple(machine.inputs)
@@ -136,7 +136,7 @@ class Guards:
         late: bool,
         late_periods: float,
     ) -> str:
-        """Return the text of the fault in a report; empty where there is none.
+        """Return the text of the fault in a report; empty if there is none.
 
         Parameters
         ----------
@@ -157,11 +157,11 @@ class Guards:
         return ""
 
     def _in_order(self, axis: _Axis, samples: Mapping[str, FloatArray]) -> bool:
-        """Return whether no guard of an axis trips; what the next report needs is kept then.
+        """Return whether no guard of an axis trips; update its state then.
 
-        It is the same as ``_trip_of``, in one call for all ticks; that says which guard it is.
+        It is equivalent to ``_trip_of``, in one call for all ticks; that one names the guard.
         """
-        # Copies: locked arrays and parts of others would have machine code of their own.
+        # Copies: numba compiles separate versions for locked arrays and for views.
         told, read, volts = (np.array(samples.get(name, _NONE)) for name in axis.channels)
         if not len(told) or len(told) != len(read):
             return False
@@ -227,7 +227,7 @@ class Guards:
         )
 
     def _with_last(self, axis: _Axis, which: int, samples: Mapping[str, FloatArray]) -> FloatArray:
-        """Return the samples of a channel after the last one of the report before."""
+        """Return the samples of a channel from the last one of the previous report on."""
         found = samples.get(axis.channels[which], _NONE)
         if not len(found):
             return found
@@ -246,32 +246,32 @@ def _too_far(
     moves: float,
     still: tuple[float, float],
 ) -> tuple[int, float, tuple[float, float]]:
-    """Return the first sample that follows too far behind.
+    """Return the first sample whose following error is too large.
 
     Every tick has a limit of its own, so that reports of any length are judged alike.
 
     Parameters
     ----------
     told, read
-        (n,) commanded and measured; the first is the last sample of the report before.
+        (n,) commanded and measured; the first is the last sample of the previous report.
     speeds
-        (m + n - 1,) speeds told, of which each of the last n - 1 and the m before it act on it.
+        (m + n - 1,) commanded speeds; each of the last n - 1 and the m before it affect a sample.
     per_speed, room
         The limit is the largest of those speeds times ``per_speed``, plus ``room``.
     moves, still
-        Encoder and command when the encoder last moved, and how far it has to go for that.
+        Least motion of the encoder that counts, and encoder and command when it last moved.
 
     Returns
     -------
     tuple
-        Its index, 0 where there is none; its limit; and ``still`` at that sample, or the last.
+        Its index, 0 if there is none; its limit; and ``still`` at that sample, or the last.
     """
     memory = len(speeds) - len(told) + 1
     for k in range(1, len(told)):
         if max(abs(read[k] - still[0]), abs(read[k - 1] - still[0])) > moves:
             still = (read[k], told[k])
         error = abs(told[k] - read[k])
-        if error > room:  # elsewhere no speed has to be looked for
+        if error > room:  # else the speeds need not be read
             limit = per_speed * speeds[k - 1 : k + memory].max() + room
             if error > limit:
                 return k, limit, still
@@ -297,10 +297,9 @@ def _in_order(
     told, read, volts
         (n,) samples of the axis; ``volts`` may be empty.
     last, speeds
-        As ``_Axis`` has them. They go on behind the samples where no guard trips, and stay as
-        they are where one does.
+        As in ``_Axis``; advanced past the samples if no guard trips, else unchanged.
     still, reverses_by_zero
-        As ``_Axis`` has them.
+        As in ``_Axis``.
     places
         Largest jump of the encoder in a tick, and the ends of the travel.
     following
@@ -324,7 +323,7 @@ def _in_order(
     whole_told[0] = told[0] if np.isnan(last[0]) else last[0]
     whole_read[0] = read[0] if np.isnan(last[1]) else last[1]
     acting = np.empty(memory + n)
-    # One number after the other: an assignment of an array takes seconds to compile.
+    # Element by element: an array assignment takes seconds to compile.
     for k in range(memory):
         acting[k] = speeds[k]
     for k in range(n):
@@ -373,7 +372,7 @@ class ScanGuards:
         late: bool,
         late_periods: float,
     ) -> str:
-        """Return the text of the fault in a report; empty where there is none.
+        """Return the text of the fault in a report; empty if there is none.
 
         Parameters
         ----------
@@ -398,7 +397,7 @@ class ScanGuards:
 
 
 class TurnGuards:
-    """Checks the reports of one run: that they come in time."""
+    """Checks that the reports of one run come in time."""
 
     def __init__(self) -> None:
         self._lateness = Lateness()
@@ -410,5 +409,5 @@ class TurnGuards:
         late: bool,
         late_periods: float,
     ) -> str:
-        """Return the text of the fault in a report; empty where there is none."""
+        """Return the text of the fault in a report; empty if there is none."""
         return self._lateness.trip(late, late_periods)

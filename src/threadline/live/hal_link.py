@@ -1,7 +1,7 @@
-"""The process that stands between an executor and LinuxCNC's HAL, and the link to it.
+"""The process between an executor and LinuxCNC's HAL, and the link to it.
 
-HAL plays by itself what it was sent: where this process or the executor dies, it plays on to the
-rest that it holds. This process ends it when it stands.
+HAL plays by itself the rows that it holds: if this process or the executor dies, it plays on to the
+rest at their end. This process ends HAL once it stands.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from threadline.live.hal_session import (
     in_use,
     words_to_end,
 )
-from threadline.live.machine_process import be_told, process_link
+from threadline.live.machine_process import machine_end, process_link
 from threadline.live.supervised import ExecutedLink
 from threadline.live.wire import Connection, Message
 from threadline.machine import Machine
 from threadline.proof.kinds import kind_of
 
 _LOOK_S = 0.005
-"""Time from one look at HAL's samples to the next, s."""
-_CHILD = words_of("threadline.live.hal_link", "be_hal")
+"""Interval between two readings of HAL's samples, s."""
+_CHILD = words_of("threadline.live.hal_link", "hal_main")
 
 
 @contextmanager
@@ -50,15 +50,15 @@ def hal_link(machine: Machine, start: IntArray, *, plant: bool) -> Iterator[Conn
         yield connection
 
 
-def be_hal() -> None:
+def hal_main() -> None:
     """Serve as the machine that the parent process describes through a pipe."""
-    end, (machine, start, plant) = be_told()
+    end, (machine, start, plant) = machine_end()
     serve_hal(end, machine, start, plant=plant)
 
 
 def serve_hal(end: socket.socket, machine: Machine, start: IntArray, *, plant: bool) -> None:
     """Serve at a socket until the executor leaves or is gone, and HAL stands."""
-    # A key or a signal is for the executor, which brakes: this process is the machine.
+    # Keys and signals are for the executor, which brakes; this process is the machine.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     connection = Connection(end)
@@ -70,7 +70,7 @@ def serve_hal(end: socket.socket, machine: Machine, start: IntArray, *, plant: b
         return
     rows = HalRows(machine, start, connection.send, hal, plant=plant)
     rows.greet()
-    with suppress(LinkFaultError):  # HAL is gone, or what came is no message: nobody to obey
+    with suppress(LinkFaultError):  # HAL is gone, or bytes are no message: nobody commands
         _serve(connection, rows)
     connection.close()
     hal.close()
@@ -81,17 +81,17 @@ def _serve(connection: Connection, rows: HalRows) -> None:
     while not (connection.lost or rows.left):
         message = connection.receive(looked + _LOOK_S - time.monotonic())
         if (now := time.monotonic()) >= looked + _LOOK_S:
-            rows.go_on(now - looked)  # first: what was played decides on what can be taken
+            rows.go_on(now - looked)  # first: the played rows decide which refills fit
             looked = now
         if message is not None:
             rows.take(message)
 
 
 WHAT = {
-    "loopback": "a loopback: HAL gives back what it is told; nothing is measured",
+    "loopback": "a loopback: HAL returns its commands; nothing is measured",
     "plant": "HAL's plant, a lag for each axis: not the machine",
 }
-"""What is at the far end, by the word behind ``hal:``."""
+"""Description of the far end, by the word after ``hal:``."""
 _PROGRAMS = ("halcmd", "halrun")
 
 
@@ -101,7 +101,7 @@ def check_hal(machine: Machine) -> None:
     Raises
     ------
     OptionError
-        With what is missing.
+        Names what is missing.
     """
     if "ticks" not in kind_of(machine).targets or len(machine.axes) > AXES_AT_MOST:
         raise OptionError(
@@ -110,7 +110,7 @@ def check_hal(machine: Machine) -> None:
         )
     if (10**9 * machine.tick_clock.period_s).denominator != 1:
         raise OptionError(
-            f"the tick of {machine.name} is no whole number of nanoseconds",
+            f"the tick of {machine.name} is not a whole number of nanoseconds",
             remedy="Use --link sim.",
         )
     lacking = [name for name in _PROGRAMS if shutil.which(name) is None]
@@ -140,7 +140,7 @@ class HalLink(ExecutedLink):
     Raises
     ------
     OptionError
-        If there is no such thing, HAL cannot run, or the machine has no encoders.
+        If there is no such link, HAL cannot run, or the machine has no encoders.
     """
 
     def __init__(self, what: str, machine: Machine) -> None:
@@ -160,13 +160,13 @@ class HalLink(ExecutedLink):
 
     @property
     def after_fault(self) -> str:
-        """What HAL has done after a fault."""
-        return "HAL has played what it held, which ends at rest."
+        """Reaction of HAL to a fault, for people."""
+        return "HAL has played the rows that it held, which end at rest."
 
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
-        """Say what is at the far end."""
+        """Return what is at the far end."""
         return [self.label]
 
     def _connected(self, machine: Machine, start: IntArray) -> AbstractContextManager[Connection]:
-        """Start HAL and the process in front of it."""
+        """Start HAL and the process between it and the executor."""
         return hal_link(machine, start, plant=self._plant)

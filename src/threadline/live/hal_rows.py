@@ -1,8 +1,8 @@
-"""Rows of counts that LinuxCNC's HAL plays, behind the messages of an executor.
+"""Rows of counts that LinuxCNC's HAL plays, driven by the messages of an executor.
 
-What was sent is kept here as the simulated machine keeps it, and goes on by the samples of HAL: a
-tick is over when it has come back. What HAL tells the drives has to be what was sent, count by
-count.
+Sent rows are kept here as in the simulated machine, and the clock advances by the samples of HAL: a
+tick is over when its sample has come back. HAL's commands to the drives must equal the sent rows,
+count by count.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from threadline.machine import Machine
 from threadline.twin.row_session import Part, RowSession
 
 _REPORTS_S = 0.005
-"""Lateness is told in periods of reports, which are no shorter than this, in s."""
+"""Lateness is counted in periods of reports, at least this long, in s."""
 
 
 class _Played(RowSession):
-    """Rows that HAL plays: what is read of them is what HAL has sampled."""
+    """Rows that HAL plays: measured values are HAL's samples."""
 
     def __init__(
         self, machine: Machine, start: IntArray, sampled: Callable[[int], Samples], *, plant: bool
@@ -43,16 +43,18 @@ class _Played(RowSession):
         return False  # nothing is wired to HAL
 
     def _read(self, part: Part) -> Mapping[Any, FloatArray]:
-        """Return what came back at the ticks of a part."""
+        """Return the samples of the ticks of a part."""
         found = self._sampled(len(part.travelled))
         self._tick += len(part.travelled)
         wrong = np.abs(found.told - self._start - part.travelled).max(initial=0.0)
         if wrong and not self.failed:
-            self.fail(f"HAL told its drives something else than it was sent, by {wrong:.0f} counts")
+            self.fail(
+                f"HAL's commands to the drives differ from the sent rows by {wrong:.0f} counts"
+            )
         return {"told": found.told, "read": np.rint(found.read)}
 
     def fail(self, why: str) -> None:
-        """Tell of a fault, behind which nothing is known."""
+        """Record a fault, after which nothing is known."""
         self.failed = True
         self._rows.clear()
         self._events.clear()
@@ -109,7 +111,7 @@ class HalRows(SimRows):
     hal
         The running HAL.
     plant
-        Whether there is a plant in it.
+        Whether HAL contains a plant.
     """
 
     def __init__(
@@ -122,7 +124,7 @@ class HalRows(SimRows):
         plant: bool,
     ) -> None:
         self._hal, self._plant = hal, plant
-        self._first_record = 0  # the one of the first tick of the run
+        self._first_record = 0  # record number of the first tick of the run
         self._came: list[Samples] = []
         super().__init__(machine, start, tell)
         self._period_s = float(machine.tick_clock.period_s)
@@ -134,7 +136,7 @@ class HalRows(SimRows):
     def _start_anew(self) -> str:
         why = super()._start_anew()
         self._hal.fill()
-        self._first_record = self._hal.end  # behind what waits, all of which rests
+        self._first_record = self._hal.end  # after the waiting records, all at rest
         self._came = []
         return why
 
@@ -146,13 +148,13 @@ class HalRows(SimRows):
             return why
         moved = np.cumsum(np.asarray(counts, np.float64), axis=0)
         behind = self._start + at + (moved if len(moved) else np.zeros((1, len(at))))
-        # At the tick ``first`` the axes still stand at ``at``, whatever comes behind it.
+        # At the tick ``first`` the axes still stand at ``at``, whatever follows.
         if not self._hal.replace(self._first_record + first + 1, behind):
             return "that tick is past"
         return super()._take_refill(message)
 
     def go_on(self, waited_s: float) -> None:
-        """Take up what HAL has sampled; report it, where a run has begun.
+        """Take HAL's samples; report them if a run has begun.
 
         Parameters
         ----------
@@ -161,7 +163,7 @@ class HalRows(SimRows):
         """
         self._hal.fill()
         found = self._hal.samples()
-        fresh = np.diff(found.record, prepend=-1) > 0  # at an underrun the last one stays
+        fresh = np.diff(found.record, prepend=-1) > 0  # at an underrun the last record repeats
         self._silent_s = 0.0 if len(found.record) else self._silent_s + waited_s
         if not self.begun or self._session.failed:
             return

@@ -1,14 +1,13 @@
-"""The fifos of LinuxCNC's ``streamer`` and ``sampler``, as they lie in shared memory.
+"""The fifos of LinuxCNC's ``streamer`` and ``sampler`` in shared memory.
 
-``halstreamer`` and ``halsampler`` read and write the same memory. They only append, and a braking
-tail has to be replaced by what is sent next, so that the records that wait are written here.
-Layout: ``struct hal_stream_shm`` of LinuxCNC 2.8 and 2.9; it is compared before anything is
-written.
+``halstreamer`` and ``halsampler`` access the same memory, but can only append. A braking tail must
+be replaced by the next refill, so the waiting records are written here. Layout: ``struct
+hal_stream_shm`` of LinuxCNC 2.8 and 2.9; it is checked before anything is written.
 
 A thread plays a record of ``streamer`` at each tick and puts a record into ``sampler``. A record
-holds the positions of all axes twice, as two versions; ``flip`` changes over from one to the other
-for good. So rows that wait can be replaced: they are written as the version that is not in use, and
-a single bit in the record from which on they hold puts all of them in force at once.
+holds the positions of all axes twice, as two versions; ``flip`` switches from one to the other for
+all later records. To replace waiting rows, the unused version of their records is written, and a
+single bit in the first of these records puts all of them in force at once.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _ATTACHED.shmdt.argtypes = [ctypes.c_void_p]
 
 
 def in_use(key: int) -> int:
-    """Return the process that made the shared memory with a key; 0 where nobody uses any."""
+    """Return the process that made the shared memory with a key; 0 if it is unused."""
     for line in _MEMORIES.read_text("ascii").splitlines()[1:]:
         its, _, _, _, maker, _, users, *_ = line.split()
         if int(its) == key and int(users):
@@ -56,7 +55,7 @@ def in_use(key: int) -> int:
 
 
 def remove_left() -> None:
-    """Remove the fifos of a HAL that was killed: memory that nobody uses."""
+    """Remove the fifos of a HAL that was killed: memory without a user."""
     for key in (STREAMER_KEY, SAMPLER_KEY):
         number = int(_ATTACHED.shmget(key, 0, 0))
         if number >= 0 and not in_use(key):
@@ -69,7 +68,7 @@ class HalFifo:
     Parameters
     ----------
     key
-        Of its shared memory.
+        Key of its shared memory.
     depth
         Number of records that it was made for.
     fields
@@ -78,27 +77,25 @@ class HalFifo:
     Attributes
     ----------
     numbers
-        (depth, fields + 1) fields as float64, to be read and written where they are float.
+        (depth, fields + 1) fields as float64; valid for float fields.
     words
         (depth, fields + 1) the low 32 bits of the same.
 
     Raises
     ------
     LinkFaultError
-        If there is none, or it is laid out in another way.
+        If there is none, or its layout differs.
     """
 
     def __init__(self, key: int, depth: int, fields: str) -> None:
-        if platform.machine() not in {"x86_64", "AMD64"}:  # stores are seen in their order there
-            raise LinkFaultError(
-                f"the fifo of HAL is written on x86-64 alone, this is {platform.machine()}"
-            )
+        if platform.machine() not in {"x86_64", "AMD64"}:  # there stores are seen in order
+            raise LinkFaultError(f"the fifo of HAL needs x86-64, this is {platform.machine()}")
         number = int(_ATTACHED.shmget(key, 0, 0))
         at = None if number < 0 else _ATTACHED.shmat(number, None, 0)
         if at is None or at == ctypes.c_void_p(-1).value:
             raise LinkFaultError(
                 "the fifo of HAL is not there, or belongs to somebody else",
-                remedy="Look whether LinuxCNC runs: halcmd show comp.",
+                remedy="Check whether LinuxCNC runs: halcmd show comp.",
             )
         self._at = int(at)
         row = (len(fields) + 1) * _RECORDS_APART
@@ -109,7 +106,7 @@ class HalFifo:
         if told != [_MAGIC, depth, len(fields)] or kinds != [_TYPES[f] for f in fields]:
             self.close()
             raise LinkFaultError(
-                "the fifo of HAL is laid out in another way than that of LinuxCNC 2.9",
+                "the layout of HAL's fifo differs from LinuxCNC 2.9",
                 remedy="Use LinuxCNC 2.8 or 2.9.",
             )
         self.depth = depth
@@ -139,11 +136,11 @@ class HalFifo:
 
     @property
     def overruns(self) -> int:
-        """Number of records that found the fifo full, and were lost."""
+        """Number of records that were lost because the fifo was full."""
         return int(self._head[6])
 
     def take(self) -> tuple[IntArray, FloatArray]:
-        """Return the records that wait, as words and as numbers, and free their room."""
+        """Return the waiting records, as words and as numbers, and free their slots."""
         until = self.written
         slots = (self.read + np.arange((until - self.read) % self.depth)) % self.depth
         words, numbers = self.words[slots].astype(np.int64), self.numbers[slots]
@@ -151,7 +148,7 @@ class HalFifo:
         return words, numbers
 
     def close(self) -> None:
-        """Let go of the memory; nothing of it may be used after that."""
+        """Detach the memory; it must not be used after that."""
         self._head = np.zeros(10, np.uint32)
         self.numbers, self.words = np.zeros((0, 1)), np.zeros((0, 1), np.int32)
         _ATTACHED.shmdt(self._at)
@@ -159,29 +156,29 @@ class HalFifo:
 
 AXES_AT_MOST = 9  # of the 20 fields of a streamer: two for each axis, and two more
 FILL_S = 0.15
-"""Time for which the fifo holds records at rest behind what moves, s."""
+"""Time for which the fifo holds records at rest after the motion, s."""
 SILENT_S = 0.3
-"""Time in s without a tick of HAL's thread after which it is taken to be gone."""
-_HELD_S = 1.2  # rows, tail and rest: what the fifo has room for
+"""Time in s without a tick of HAL's thread after which it counts as gone."""
+_HELD_S = 1.2  # rows, tail and rest: capacity of the fifo
 _SAMPLED_S = 4.0
-_LEAD_S = 0.005  # a row is not replaced any more when it is as near as this
+_LEAD_S = 0.005  # a row this close to being played is not replaced any more
 _PATIENCE_S = 10.0
 _FLIP, _NUMBER = 0, 1  # fields of a record of the streamer
-_OWN = 2  # fields before the positions, there and in the sampler
+_OWN = 2  # fields before the positions, here and in the sampler
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """What HAL has sampled, oldest first.
+    """Samples of HAL, oldest first.
 
     Parameters
     ----------
     record
         (n,) number of the record that was played.
     interval_s
-        (n,) time since the tick before.
+        (n,) time since the previous tick.
     told, read
-        (n, axes) counts that HAL told the drives, and those that came back.
+        (n, axes) counts that HAL commanded, and counts that came back.
     """
 
     record: IntArray
@@ -190,14 +187,14 @@ class Samples:
     read: FloatArray
 
     def at(self, which: slice | NDArray[np.bool_]) -> Samples:
-        """Return some of them."""
+        """Return some of the samples."""
         return Samples(
             self.record[which], self.interval_s[which], self.told[which], self.read[which]
         )
 
     @staticmethod
     def joined(parts: Sequence[Samples]) -> Samples:
-        """Return samples that follow each other as one; at least one part."""
+        """Return consecutive samples joined; at least one part."""
         return Samples(
             np.concatenate([part.record for part in parts]),
             np.concatenate([part.interval_s for part in parts]),
@@ -207,12 +204,12 @@ class Samples:
 
 
 def as_user() -> list[str]:
-    """Return the words before a program of HAL: none, but for root, whom HAL refuses.
+    """Return the words before a HAL command: none, except for root, whom HAL refuses.
 
     Raises
     ------
     OptionError
-        If root has not come by sudo, so that there is no other user to be.
+        If root did not come by sudo, so that no other user is known.
     """
     if os.geteuid() != 0:
         return []
@@ -225,32 +222,32 @@ def as_user() -> list[str]:
 
 
 def words_to_end() -> list[str]:
-    """Return the words of a command that ends a HAL that was left."""
+    """Return the words of a command that ends a HAL left running."""
     return [*as_user(), "env", f"RTAPI_FIFO_PATH={_meeting_place()}", "halrun", "-U"]
 
 
 def _meeting_place() -> Path:
-    """Return where the programs of HAL meet: in the same place for each run of a user."""
+    """Return the working folder of HAL's programs: the same for each run of a user."""
     user = os.geteuid() or os.environ.get("SUDO_UID", "")
     return Path(tempfile.gettempdir()) / f"threadline-hal-{user}"
 
 
 class HalSession:
-    """A running HAL: what is told to its streamer, what its sampler has.
+    """A running HAL: rows for its streamer, samples from its sampler.
 
     Parameters
     ----------
     machine
         Machine whose axes and tick it has.
     start
-        (axes,) counts that it begins at.
+        (axes,) starting position, counts.
     plant
-        Whether axes made of HAL's own components answer; without them it gives back what it tells.
+        Whether axes made of HAL's own components answer; without them it returns its commands.
 
     Raises
     ------
     LinkFaultError
-        If HAL does not start, or is not what it should be.
+        If HAL does not start, or differs from the expected configuration.
     """
 
     def __init__(self, machine: Machine, start: IntArray, *, plant: bool) -> None:
@@ -270,14 +267,14 @@ class HalSession:
         self._tell(_net(machine, self._depth, sampled, plant=plant))
         self._out = HalFifo(STREAMER_KEY, self._depth, "bs" + "f" * told)
         self._in = HalFifo(SAMPLER_KEY, sampled, "ss" + "f" * told)
-        self._end = self._taken = 0  # numbers of the records to be written and to be played next
+        self._end = self._taken = 0  # numbers of the next records to write and to play
         self._stands = start.astype(np.float64)
         self.fill()
         self._tell(["start"])
         if plant:
             self._begin_plant()
 
-    # --- what waits to be played -----------------------------------------------------------
+    # --- waiting records -------------------------------------------------------------------
 
     @property
     def taken(self) -> int:
@@ -291,11 +288,11 @@ class HalSession:
         return self._end
 
     def fill(self) -> None:
-        """Append records at rest where fewer wait than ``FILL_S`` needs."""
+        """Append records at rest if fewer wait than ``FILL_S`` needs."""
         self._reach(self.taken + self._fill)
 
     def replace(self, first: int, positions: FloatArray) -> bool:
-        """Replace what waits from a record on; behind it, HAL rests.
+        """Replace the waiting records from ``first`` on; after them, HAL rests.
 
         Parameters
         ----------
@@ -307,13 +304,14 @@ class HalSession:
         Returns
         -------
         bool
-            Whether it is in force; False where ``first`` is about to be played, and then nothing
-            has changed.
+            Whether it is in force; False if ``first`` is about to be played, and then nothing has
+            changed.
 
         Raises
         ------
         LinkFaultError
-            If it took too long, so that nobody knows; HAL comes to rest by the old or the new rows.
+            If it took too long, so that the outcome is unknown; HAL comes to rest by the old or
+            the new rows.
         """
         if first + len(positions) >= self.taken + self._depth - 2:
             raise LinkFaultError("more rows at once than the fifo of HAL has room for")
@@ -328,7 +326,7 @@ class HalSession:
             self._out.numbers[slots, _OWN + k + spare * self._axes] = following[:, k]
         slot = first % self._depth
         self._out.words[slot, _FLIP] = 1 - self._out.words[slot, _FLIP]  # all of them at once
-        if self.taken >= first:  # too late, or nobody knows
+        if self.taken >= first:  # too late, or unknown
             raise LinkFaultError("HAL has played a row before it could be replaced")
         self._in_force[slots] = spare
         self._stands = following[-1]
@@ -347,15 +345,15 @@ class HalSession:
         self._end = end
         self._out.written = end % self._depth
 
-    # --- what was sampled ------------------------------------------------------------------
+    # --- samples ---------------------------------------------------------------------------
 
     @property
     def lost(self) -> int:
-        """Number of samples that were lost, because nobody had read those before them."""
+        """Number of samples that were lost because nobody read the earlier ones in time."""
         return self._in.overruns
 
     def samples(self) -> Samples:
-        """Return what was sampled since the last call."""
+        """Return the samples since the last call."""
         words, numbers = self._in.take()
         return Samples(
             record=words[:, 0],
@@ -367,12 +365,12 @@ class HalSession:
     # --- HAL itself ------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Let HAL play what it holds, which ends at rest, and end it."""
+        """Let HAL play its remaining rows, which end at rest, and end it."""
         self._play_out()
         self._out.close()
         self._in.close()
         self._run(["halrun", "-U"])
-        remove_left()  # where HAL was killed, its fifos would be in the way of the next one
+        remove_left()  # fifos of a killed HAL would block the next one
         self._folder.cleanup()
 
     def _play_out(self) -> None:
@@ -383,7 +381,7 @@ class HalSession:
                 waiting, since = self._out.waiting, time.monotonic()
 
     def _begin_plant(self) -> None:
-        """Let the plant stand at the start, and let it go."""
+        """Place the plant at the start, and release it."""
         until = time.monotonic() + _PATIENCE_S
         while not len(found := self.samples().read) or (found[-1] != self._stands).any():
             if time.monotonic() > until:
@@ -402,9 +400,9 @@ class HalSession:
             )
 
     def _run(self, words: list[str]) -> tuple[int, str]:
-        """Run a program of HAL; return its status, and the end of what it said."""
+        """Run a program of HAL; return its status, and the end of its output."""
         environment = {**os.environ, "RTAPI_FIFO_PATH": str(_meeting_place())}
-        # What it starts stays, and would hold a pipe open for ever: a file.
+        # Its child processes stay and would keep a pipe open: write to a file.
         with (Path(self._folder.name) / "said").open("w+b") as said:
             done = subprocess.run(  # noqa: S603  # words of ours
                 [*self._words, *words],
@@ -451,7 +449,7 @@ def _net(machine: Machine, depth: int, sampled: int, *, plant: bool) -> list[str
         answers = answers_of(machine)
         lines.append(f"loadrt lowpass names={','.join(f'plant{k}' for k in axes)}")
         for k, axis in enumerate(machine.axes):
-            # A ramp comes T (1 - g) / g behind it, which is to be the lag of the machine's loop.
+            # The lag of a ramp is T (1 - g) / g, which must equal the lag of the machine's loop.
             gain = float(period_s) / (float(period_s) + answers[axis].moments[0])
             functions.append(f"plant{k}")
             nets += [

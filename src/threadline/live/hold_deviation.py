@@ -1,9 +1,9 @@
-"""What a hold does to the work: the distance from the path at which it stands, and the braking.
+"""Effect of a hold on the work: its distance from the path, and vibration due to its braking.
 
-With feed-forward or a shaper the commands are not the path itself: they are made so that the loads
-follow it at the full rate. In a hold the loads come to rest at the commanded positions, which lie
-beside the path. Where the commands are the path, the axes brake along it as hard as their limits
-allow, which may shake a load more than the plan does: that is simulated.
+With feed-forward or a shaper the commands are not the path itself: they make the loads follow it at
+the full rate. In a hold the loads come to rest at the commanded positions, which lie beside the
+path. If the commands are the path, the axes brake along it as hard as their limits allow, which may
+shake a load more than the plan does: that is simulated.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from threadline.live.braking import MOST_PLACES, CountLimits, brake, rise
 from threadline.live.path_window import HALTS, PathWindow, rest_rows
 from threadline.motion.timing import TrajectoryReader
 from threadline.proof.pipeline import simulate
-from threadline.verdict import Result, Spec, Status, judge
+from threadline.verdict import Judge, Result, Spec, Status
 from threadline.verdict.rendering import shown
 
 _AROUND_S = 2.0  # time before and after, in s, in which the nearest place of the path is sought
 _FINER = 4  # points of the path for each tick
 _AT_ONCE = 1 << 13
-_HOLDS = 8  # that are simulated, each where the rows are fastest in a part of the table
-_STANDS_S = 0.5  # of each: the loads come to rest in it
-_MOST_ROWS = 200_000  # of the table that are simulated with holds
-_SPARE = 0.97  # of a limit: what a hold may use of it by its prediction
+_HOLDS = 8  # simulated holds, each at the fastest rows of a part of the table
+_STANDS_S = 0.5  # duration of each: the loads come to rest in it
+_MOST_ROWS = 200_000  # longest table that is simulated with holds
+_SPARE = 0.97  # share of a limit that a hold may use by its prediction
 
 
 def hold_deviation_m(plan: Plan) -> float:
     """Return the largest distance in m from the planned path to the position of a hold.
 
-    Rotary axes are taken at their radius. It is 0 where the commands are the path itself.
+    Rotary axes count at their radius. It is 0 if the commands are the path itself.
     """
-    from scipy.spatial import KDTree  # slow to import, and asked for where a run may be held
+    from scipy.spatial import KDTree  # slow to import, and needed only if a run may be held
 
     motion = plan.motion
     if motion.timed is None:
@@ -64,10 +64,10 @@ def hold_deviation_m(plan: Plan) -> float:
 
 
 def hold_ahead_m(plan: Plan) -> float:
-    """Return the largest distance in m from where loads are meant to be to where a hold has them.
+    """Return the largest distance in m between intended load positions and those in a hold.
 
-    Both at the same instant, at the tool: with feed-forward the motors are ahead of the loads,
-    which come there in a hold. It is 0 where the motors are told what is meant.
+    Both at the same instant, at the tool: with feed-forward the motors lead the loads, which reach
+    the motors' positions in a hold. It is 0 if the commands are the intended motion.
     """
     intended = plan.motion.of_loads
     if intended is None:
@@ -89,20 +89,20 @@ def hold_ahead_m(plan: Plan) -> float:
 
 
 def hold_limit_m(spec: Spec, criterion: str = "contour_error") -> float:
-    """Return the limit of a criterion of place, in m; infinite without one."""
+    """Return the limit of a placement criterion, in m; infinite without one."""
     limits = [c.limit for c in spec.criteria if c.name == criterion and c.limit is not None]
     return min(limits, default=float("inf"))
 
 
 def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
-    """Return whether a hold waits for the next rest, as elsewhere it would be out of spec.
+    """Return whether a hold waits for the next rest, since elsewhere it would be out of spec.
 
     Parameters
     ----------
     plan, spec
-        The plan, and what is asked of it.
+        The plan, and its specification.
     leaves_m
-        The distance from the path at which it would stand; infinite where only rests can be held.
+        Distance of a hold from the path; infinite if only rests can be held.
     """
     if leaves_m > hold_limit_m(spec) or not math.isfinite(leaves_m):
         return True
@@ -111,11 +111,11 @@ def hold_waits(plan: Plan, spec: Spec, leaves_m: float) -> bool:
 
 
 def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
-    """Return the criteria that holds of a run would bring out of specification, as measured.
+    """Return the criteria that a hold would bring out of specification, as measured.
 
     A run that is held at its fastest rows, in ``_HOLDS`` parts of its table, is simulated on the
-    machine as its file says: it brakes and starts again as the executor does. What fails without a
-    hold too is not the fault of a hold.
+    nominal machine: it brakes and starts again as the executor does. A criterion that fails without
+    a hold too is not counted.
     """
     asked = [c for c in spec.criteria if c.limit and not c.hard]
     narrower = tuple(replace(c, limit=_SPARE * (c.limit or 0.0)) for c in asked)
@@ -130,15 +130,15 @@ def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
     operation = window.operations(places[:-1])
     rows = TickBlock(first_tick=0, counts=counts, operation=operation)
     held = simulate(replace(table, blocks=Stream.of([rows])), plan.machine)
-    told = _told(places, until, float(table.clock.period_s))
+    told = _plan_events(places, until, float(table.clock.period_s))
     recording = replace(held, blocks=Stream(_with_events, held.blocks, told, table.clock.name))
     failed = [
         result
-        for result in judge([recording], plan, replace(spec, criteria=narrower)).results
+        for result in Judge(plan, replace(spec, criteria=narrower)).verdict([recording]).results
         if result.status is Status.FAILED
     ]
     if failed:
-        alone = judge([simulate(plan.commands, plan.machine)], plan, spec)
+        alone = Judge(plan, spec).verdict([simulate(plan.commands, plan.machine)])
         bad = {(r.name, r.axis) for r in alone.results if r.status is Status.FAILED}
         failed = [result for result in failed if (result.name, result.axis) not in bad]
     limits = {(c.name, c.axis): c.limit for c in asked}
@@ -148,9 +148,9 @@ def spoiled_by_holds(plan: Plan, spec: Spec) -> tuple[Result, ...]:
 
 
 def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[FloatArray, int]:
-    """Return the (n,) places at the ticks of a run with holds, and the tick behind the last.
+    """Return the (n,) places at the ticks of a run with holds, and the tick after the last hold.
 
-    0 where no row moves. The rest of the table behind the last hold is played as it is.
+    0 if no row moves. The rest of the table after the last hold is played unchanged.
     """
     rows = int(window.reach(_MOST_ROWS))
     radius = plan.machine.radius_m / table.counts_per_unit
@@ -177,8 +177,8 @@ def _held_places(table: TickTable, window: PathWindow, plan: Plan) -> tuple[Floa
     return np.concatenate([places, rest]), until
 
 
-def _told(places: FloatArray, until: int, tick_s: float) -> list[Event]:
-    """Return an event for each tick up to ``until`` at which the run isn't where its clock is."""
+def _plan_events(places: FloatArray, until: int, tick_s: float) -> list[Event]:
+    """Return an event for each tick up to ``until`` at which the plan's time differs."""
     held = np.flatnonzero(places[:until] != np.arange(until))
     return [
         Event(tick=int(k), kind="plan", operation=-1, value=float(places[k]) * tick_s)
@@ -199,14 +199,14 @@ def _with_events(
 
 
 def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Result] = ()) -> str:
-    """Return what the operator has to know of holds before a run; empty where that is nothing.
+    """Return a note on holds for the operator before a run; empty if there is nothing to say.
 
     Parameters
     ----------
     plan
         The plan.
     leaves_m, waits
-        The distance from the path at which it would stand, and whether it waits for a rest.
+        Distance of a hold from the path, and whether it waits for a rest.
     spoiled
         The criteria that a hold would bring out of specification, by simulation.
     """
@@ -232,7 +232,7 @@ def hold_words(plan: Plan, leaves_m: float, *, waits: bool, spoiled: Sequence[Re
 
 
 def rests_within(plan: Plan) -> bool:
-    """Return whether the rows of a plan rest between two motions, or stop, so that a hold may."""
+    """Return whether the rows of a plan rest between two motions, or stop, for a hold."""
     table = tick_table(plan.commands)
     needed, moved = rest_rows(table), -1  # the last row that moves
     for block in table:

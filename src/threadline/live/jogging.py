@@ -1,4 +1,4 @@
-"""Whether the loops of a machine have come to rest, by what their encoders say.
+"""Jogs and moves by hand, and the test whether a machine's loops have come to rest.
 
 Accelerating and braking are state-to-state moves of ruckig, time-optimal within velocity,
 acceleration and jerk. All numbers are in counts and ticks.
@@ -22,16 +22,16 @@ from threadline.live.wire import Message
 from threadline.machine import Machine
 
 STILL_S = 0.1
-"""Time in s of the machine for which every encoder has to stay within a count."""
+"""Time in s of the machine for which every encoder must stay within a count."""
 _COUNTS = 1.5
 
 
 class Stillness:
-    """What the encoders of a machine have said lately; time is that of the machine.
+    """Recent readings of a machine's encoders; time is the machine's.
 
-    The slowest pole of the loops of ``lathe-winder``, that of Y, is 66 ms: once it moves by no more
-    than a count in 100 ms, it is within 0.3 counts of where it comes to rest. A loop that rings on
-    is waited for no longer than a run is recorded after its last row.
+    The slowest pole of the loops of ``lathe-winder``, the one of Y, is 66 ms: once it moves at most
+    a count in 100 ms, it is within 0.3 counts of its final position. A loop that keeps ringing is
+    waited for as long as a run is recorded after its last row.
     """
 
     def __init__(self, machine: Machine) -> None:
@@ -40,16 +40,16 @@ class Stillness:
             f"{name}.measured": _COUNTS / scale
             for name, scale in zip(machine.axes, machine.counts_per_unit, strict=True)
         }
-        self._within: dict[str, tuple[float, float]] = {}  # each encoder, since it was restless
+        self._within: dict[str, tuple[float, float]] = {}  # range of each encoder since it moved
         self._since = 0  # tick from which on all of them were still
 
     def hear(self, tick: int, samples: Mapping[str, FloatArray]) -> None:
-        """Take up a report.
+        """Process a report.
 
         Parameters
         ----------
         tick
-            Tick of the commands at its end.
+            Tick of the commands at the end of the report.
         samples
             (n,) samples of each channel.
         """
@@ -65,15 +65,15 @@ class Stillness:
             self._within[name] = low, high
 
     def settled(self, tick: int, end: int) -> bool:
-        """Return whether all is still at a tick, of a motion whose commands end at tick ``end``.
+        """Return whether all encoders are still at a tick, after commands that ended at ``end``.
 
-        Where there are no encoders, that is the end itself.
+        Without encoders the end itself counts.
         """
         since = max(end, self._since)
         return not self._within or tick >= min(since + self._wait, end + self._most)
 
 
-_KEPT = 4  # ticks that are remembered behind the machine
+_KEPT = 4  # ticks kept behind the machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,24 +136,24 @@ class JogAhead:
         self._before_cut: tuple[int, list[_At], float] | None = None
         self._still = Stillness(machine)
         self.why = ""
-        """Reason of an end before the operator let go; empty where there is none."""
+        """Reason of an end before the operator let go; empty without one."""
 
     @property
     def end(self) -> int:
-        """Tick up to which rows were sent, the braking tail not counted."""
+        """Tick up to which rows were sent, without the braking tail."""
         return self._first + len(self._states) - 1
 
     @property
     def complete(self) -> bool:
-        """Whether the rows that were sent end at rest."""
+        """Whether the sent rows end at rest."""
         return self._target == 0.0 and self._states[-1].velocity == 0.0
 
     def measured(self, tick: int, samples: Mapping[str, FloatArray]) -> None:
-        """Learn from a report that ends at a tick what the encoders say; see ``Stillness``."""
+        """Process the encoder readings of a report that ends at a tick; see ``Stillness``."""
         self._still.hear(tick, samples)
 
     def settled(self, tick: int) -> bool:
-        """Whether the loops have come to rest at a tick, at the end of what was sent."""
+        """Whether the loops have come to rest at a tick, at the end of the sent rows."""
         return self._still.settled(tick, self.end)
 
     def forget(self, tick: int) -> None:
@@ -164,7 +164,7 @@ class JogAhead:
             self._first += gone
 
     def extend(self, until: int) -> Message:
-        """Return the refill with the rows up to tick ``until``, and the tail that brakes."""
+        """Return the refill with the rows up to tick ``until``, and a braking tail."""
         begin, self._before_cut = self.end, None
         for _ in range(begin, until):
             if self.complete:
@@ -215,13 +215,13 @@ class JogAhead:
         return [at, *states]
 
     def _rest(self, at: _At) -> float:
-        """Return the position of the last state of ``_braking``, without those before it."""
+        """Return the position of the last state of ``_braking``, without the others."""
         found = self._trajectory(at, 0.0)
         stays = found.duration <= 1e-9
         return at.position if stays else _state(found, float(found.duration)).position
 
     def _refill(self, begin: int, tail: list[_At]) -> Message:
-        """Return the refill from a tick on, with what brakes after it."""
+        """Return the refill from a tick on, with a braking tail after it."""
         states = [*self._states[begin - self._first :], *tail]
         places = np.rint([state.position for state in states]).astype(np.int64)
         counts = np.zeros((len(places) - 1, len(self._stands)), dtype=np.int64)
@@ -241,7 +241,7 @@ class MoveAhead(JogAhead):
     machine, stands, axis
         As in ``JogAhead``.
     to_counts
-        Position at which it ends, in counts.
+        Final position, in counts.
 
     Raises
     ------
@@ -268,11 +268,11 @@ class MoveAhead(JogAhead):
         asked.max_jerk = self._asked.max_jerk
         self._way, self._ends = Trajectory(1), float(to_counts)
         self._otg.calculate(asked, self._way)
-        self._target = self._ends - self._states[0].position  # not 0: it goes on
+        self._target = self._ends - self._states[0].position  # not 0, which means braking
 
     def _step(self, at: _At, target: float) -> _At:
         tick = self.end + 1
-        if target == 0.0:  # it brakes, or has come to its end
+        if target == 0.0:  # it brakes, or has reached its end
             return super()._step(at, 0.0)
         if tick < self._way.duration:
             return _state(self._way, float(tick))
@@ -283,7 +283,7 @@ class MoveAhead(JogAhead):
 def manual_feed(machine: Machine) -> FloatArray:
     """Return the (axes,) largest speeds of jogs in counts per tick.
 
-    They are the operator's manual feed, or a tenth of the axes' limits without one.
+    This is the operator's manual feed, or without one a tenth of the axes' limits.
     """
     most = CountLimits.of(machine).velocity
     feed = None if machine.operator is None else machine.operator.manual_feed

@@ -1,4 +1,4 @@
-"""How each kind of work is run: one row for each, and no question after the kind elsewhere."""
+"""How each kind of work is run: one row for each; no other code asks for the kind."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ class RunAhead(Protocol):
 
     @property
     def start(self) -> IntArray:
-        """Position at which it begins, in the units of its commands."""
+        """Starting position, in the units of its commands."""
 
     @property
     def settle_ticks(self) -> int:
-        """How long it is recorded after the end."""
+        """Recording time after the end, in ticks."""
 
     @property
     def end(self) -> int:
-        """Tick up to which what was sent lasts."""
+        """Tick up to which the sent part lasts."""
 
     @property
     def complete(self) -> bool:
@@ -57,29 +57,29 @@ class RunAhead(Protocol):
 
     @property
     def halt(self) -> Event | None:
-        """Stop or wait at which what was sent ends."""
+        """Stop or wait at which the sent part ends."""
 
     @property
     def rests(self) -> bool:
-        """Whether what was sent ends at the rest that ``to_rest`` asks for."""
+        """Whether the sent part ends at the rest that ``to_rest`` asks for."""
 
     def refuse_elsewhere(self, stands: IntArray) -> None:
         """Refuse to begin anywhere but at ``start``."""
 
     def hear(self, head: Mapping[str, Any]) -> str:
-        """Learn from the head of a report; return the fault that it tells of, or nothing."""
+        """Process the head of a report; return a fault that it reports, or nothing."""
 
     def met(self, now: Mapping[str, float]) -> bool:
-        """Return whether it stands at a wait whose input has the value waited for."""
+        """Return whether it stands at a wait whose input has the wanted value."""
 
     def pass_halt(self) -> None:
         """Go on after the halt."""
 
     def forget(self, tick: int) -> None:
-        """Delete what lies before a tick."""
+        """Delete data from before a tick."""
 
     def extend(self, until: int) -> Message:
-        """Return the refill up to a tick, with what brings it to rest behind that."""
+        """Return the refill up to a tick, with a part that brings it to rest after that."""
 
     def cut(self, tick: int) -> Message:
         """Return the refill that stops from a tick on."""
@@ -100,11 +100,11 @@ class Watch(Protocol):
     def trip(
         self, tick: int, samples: Mapping[str, FloatArray], late: bool, late_periods: float
     ) -> str:
-        """Return the text of the fault in a report; empty where there is none."""
+        """Return the text of the fault in a report; empty if there is none."""
 
 
 class MakeAhead(Protocol):
-    """Makes what a run sends ahead."""
+    """Makes the object that sends a run ahead."""
 
     def __call__(
         self,
@@ -114,43 +114,43 @@ class MakeAhead(Protocol):
         pass_stops: bool = False,
         loads_follow: bool = False,
     ) -> RunAhead:
-        """Return it for the beginning of a run."""
+        """Return the object for the beginning of a run."""
 
 
 class MakeRest(Protocol):
-    """Makes the commands that do the rest of a job, from an operation on; see ``derived``."""
+    """Makes the commands for the rest of a job, from an operation on; see ``derived``."""
 
     def __call__(
         self, commands: Commands, machine: Machine, operation: int, *, at_rest: bool
     ) -> Rest:
-        """Return them."""
+        """Return the commands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class RunKind:
     """How one kind of work is run.
 
     Parameters
     ----------
     start
-        Returns the position at which commands begin, in their units.
+        Returns the starting position of commands, in their units.
     ahead
-        Makes what is sent ahead to the machine.
+        Makes the object that sends commands ahead to the machine.
     guards
         Makes the guards of a run.
     halts
         Returns the events at which the operator or an input is waited for.
     hold_deviation_m
-        Returns how far beside its path a hold would stand, in m; infinite where work is held at
-        its rests alone.
+        Returns the distance of a hold from the path, in m; infinite if work can be held only at its
+        rests.
     spoiled_by_holds
-        Returns the criteria that a hold anywhere would bring out of specification.
+        Returns the criteria that a hold would bring out of specification.
     rest
-        Makes the commands that do the rest of a job.
+        Makes the commands for the rest of a job.
     loads_follow
-        Whether the commands of a plan tell the motors what the loads need.
-    tells_plan
-        Whether the machine tells the plan's time of what it plays (events ``plan``).
+        Whether the commands of a plan make the loads follow the motion (feed-forward).
+    reports_plan_time
+        Whether the machine reports the plan's time of its rows (events ``plan``).
     by_hand
         Whether its axes can be moved by hand, one at a time.
     """
@@ -164,11 +164,11 @@ class Way:
     spoiled_by_holds: Callable[[Plan, Spec], tuple[Result, ...]] = lambda _, __: ()
     loads_follow: Callable[[Plan], bool] = lambda _: False
     by_hand: bool = False
-    tells_plan: bool = False
+    reports_plan_time: bool = False
 
 
-_WAYS: dict[type[Commands], Way] = {
-    TickTable: Way(
+_RUN_KINDS: dict[type[Commands], RunKind] = {
+    TickTable: RunKind(
         start=lambda commands: tick_table(commands).start_counts,
         ahead=Ahead,
         guards=Guards,
@@ -178,9 +178,9 @@ _WAYS: dict[type[Commands], Way] = {
         rest=rest_of_rows,
         loads_follow=lambda plan: plan.motion.of_loads is not None,
         by_hand=True,
-        tells_plan=True,
+        reports_plan_time=True,
     ),
-    SwitchSchedule: Way(
+    SwitchSchedule: RunKind(
         start=lambda _: np.zeros(0, dtype=np.int64),
         ahead=ScansAhead,
         guards=ScanGuards,
@@ -188,7 +188,7 @@ _WAYS: dict[type[Commands], Way] = {
         hold_deviation_m=lambda _: float("inf"),
         rest=rest_of_scans,
     ),
-    StepPlay: Way(
+    StepPlay: RunKind(
         start=lambda commands: played(commands).start_steps,
         ahead=TurnsAhead,
         guards=lambda _: TurnGuards(),
@@ -199,6 +199,6 @@ _WAYS: dict[type[Commands], Way] = {
 }
 
 
-def way_of(machine: Machine) -> Way:
+def run_kind_of(machine: Machine) -> RunKind:
     """Return how the work of a machine is run."""
-    return _WAYS[kind_of(machine).commands]
+    return _RUN_KINDS[kind_of(machine).commands]

@@ -1,4 +1,4 @@
-"""The links that a run can be sent over, by name."""
+"""The links to machines, by name."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from threadline.live.grbl_operated import GrblOperated
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
 from threadline.live.grbl_words import Port, Program, check_address
 from threadline.live.hal_link import WHAT, HalLink, hal_link
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
 from threadline.live.states import Desk, Sink, State
-from threadline.live.supervised import ExecutedLink, approached, led
+from threadline.live.supervised import ExecutedLink, moved_in_turn, moved_to_begin
 from threadline.live.wire import Connection
 from threadline.machine import Machine
 from threadline.proof.kinds import kind_of
@@ -39,9 +39,9 @@ class Running(Protocol):
 
     state: State
     why: str
-    """Reason of its latest change of state; empty where there was none."""
+    """Reason of its latest change of state; empty without one."""
     stopped_by: str
-    """Who is said to have stopped it, where it is stopped."""
+    """Who stopped it, if it was stopped."""
 
     @property
     def time_s(self) -> float:
@@ -52,26 +52,26 @@ class Link(Protocol):
     """Runs checked plans on the machine at its far end."""
 
     label: str
-    """What is at its far end, where that is neither a machine nor its twin; else empty."""
+    """What is at its far end if it is neither a machine nor its twin; else empty."""
 
     @property
     def after_fault(self) -> str:
-        """What a machine has done after a fault, for people."""
+        """Reaction of the machine to a fault, for people."""
 
     @property
     def sent(self) -> Mapping[str, bytes]:
-        """Files by name of what ``prepare`` made for the machine, other than the plan's rows."""
+        """Files by name that ``prepare`` made for the machine, besides the plan's rows."""
 
     def prepare(self, plan: Plan) -> Sequence[str]:
-        """Make ready what is sent, and return what the operator has to know before it is.
+        """Prepare the data to send, and return notes for the operator.
 
         Nothing moves. ``close`` must follow, with or without a run.
         """
 
     def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:
-        """Return the rest of a job from an operation on, as the machine is sent it by ``run``.
+        """Return the rest of a job from an operation on, as ``run`` sends it to the machine.
 
-        To be called after ``prepare``; ``at_rest`` is as for ``continued``.
+        Call it after ``prepare``; ``at_rest`` is as for ``continued``.
         """
 
     def close(self) -> None:
@@ -89,7 +89,7 @@ class Link(Protocol):
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[Ended, str]:
-        """Run it, or the rest of it; return how it ended, and why.
+        """Run the plan, or the rest of it; return how it ended, and why.
 
         ``again`` and ``confirmed`` are as for ``run_commands``.
         """
@@ -101,7 +101,7 @@ class SimLink(ExecutedLink):
     Parameters
     ----------
     speed
-        Seconds of its time in a second.
+        Seconds of machine time per second.
     fault
         Injected fault, or None.
     """
@@ -113,12 +113,12 @@ class SimLink(ExecutedLink):
         self._fault = fault
 
     def _connected(self, machine: Machine, start: IntArray) -> AbstractContextManager[Connection]:
-        """Return the connection to a process of its own."""
+        """Return the connection to a separate process."""
         return sim_link(machine, start, self._speed, self._fault)
 
     @property
     def after_fault(self) -> str:
-        """What the simulated machine has done after a fault."""
+        """Reaction of the simulated machine to a fault, for people."""
         if self._fault is not None and self._fault.cuts_supply:
             return "Its drives had no supply: how far it coasted is not simulated."
         braked = "The machine has come to rest by itself."
@@ -130,7 +130,7 @@ class SimLink(ExecutedLink):
         return braked
 
     def prepare(self, plan: Plan) -> Sequence[str]:  # noqa: ARG002
-        """Return nothing."""
+        """Return no notes."""
         return ()
 
 
@@ -144,12 +144,12 @@ class GrblLink:
     machine
         The machine that it drives.
     approach
-        Whether its axes are moved to where the program begins, one after the other, before it.
+        Whether its axes first move to where the program begins, one after the other.
 
     Raises
     ------
     OptionError
-        If it is no address, or no program for grbl can be written for the machine.
+        If it is not an address, or no program for grbl can be written for the machine.
     """
 
     label = ""
@@ -162,14 +162,14 @@ class GrblLink:
             )
         self._address, self._approach = address, approach
         self.after_fault = (
-            "The controller was told to hold; without its link it runs out its buffer."
+            "The controller was told to hold; without its link it executes its buffer."
         )
         self._program: Program | None = None
         self._controller: Controller | None = None
         self.sent: Mapping[str, bytes] = {}
 
     def prepare(self, plan: Plan) -> Sequence[str]:
-        """Write the program, and meet the controller; say what it does when the link is lost."""
+        """Write the program, and connect; return notes on what a lost link would do."""
         machine = plan.machine
         self._program, self.sent = written_program(plan)
         self._controller = Controller(Port(self._address), machine)
@@ -198,13 +198,13 @@ class GrblLink:
         one = GrblOperated(self._controller, desk, sink)
         one.enable()
         one.home()
-        if again is not None and (why := approached(one, machine, again, confirmed)):
+        if again is not None and (why := moved_to_begin(one, machine, again, confirmed)):
             return why
         load = Load(plan, program=self._program, rest=None if again is None else again.rest)
         if self._approach and again is None:
             starts = zip(machine.axes, one.starts(load).tolist(), strict=True)
             in_order = sorted(starts, key=lambda way: machine.axes[way[0]].kind != "linear")
-            if why := led(one, machine, in_order, watch):
+            if why := moved_in_turn(one, machine, in_order, watch):
                 return why
         one.run(load, hold_at_rest=False)
         while not one.over:
@@ -214,7 +214,7 @@ class GrblLink:
         return one.ended
 
     def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:  # noqa: ARG002  # it makes its own ramps
-        """Return the rest of a job from an operation on; ``run`` sends the lines that do it."""
+        """Return the rest of a job from an operation on; ``run`` sends its lines."""
         assert self._program is not None
         found, self._program = rest_of_program(self._program, plan, operation)
         self.sent = dict.fromkeys(self.sent, b"".join(self._program.lines))
@@ -229,17 +229,17 @@ class GrblLink:
 def link_of(
     text: str, machine: Machine, speed: float, fault: SimFault | None, *, approach: bool = False
 ) -> Link:
-    """Return the link of that name; ``approach`` is of a controller with grbl.
+    """Return the link with that name; ``approach`` is for a controller with grbl.
 
     Raises
     ------
     OptionError
-        If there is none, or an option has no meaning for it.
+        If there is none, or an option does not apply to it.
     """
     name, _, address = text.partition(":")
     if approach and name != "grbl":
         raise OptionError(
-            f"--approach is of a controller with grbl, and --link is {text[:40]!r}",
+            f"--approach needs a controller with grbl, and --link is {text[:40]!r}",
             remedy="Leave it out: this machine stands where the program begins.",
         )
     if text == "sim":
@@ -255,7 +255,7 @@ def link_of(
         raise OptionError(f"unknown link {text[:40]!r}", remedy=f"Use {', '.join(LINKS)}.")
     if speed != REAL_TIME or fault is not None:
         raise OptionError(
-            "--speed and --inject are of the simulated machine", remedy="Leave them out."
+            "--speed and --inject need the simulated machine", remedy="Leave them out."
         )
     if name == "hal":
         return HalLink(address, machine)
@@ -268,16 +268,16 @@ _NO_HOME = "there is nothing to home: HAL takes where it begins for home"
 
 @dataclass(frozen=True, slots=True)
 class AtLink:
-    """What is at the far end of a link, for people.
+    """The far end of a link, described for people.
 
     Parameters
     ----------
     label
-        What it is, where it is neither a machine nor its twin; else empty.
+        What it is, if it is neither a machine nor its twin; else empty.
     lacks
-        Commands that are not had there, and why.
+        Commands that are not available there, and why.
     notes
-        What the operator has to know of it.
+        Notes for the operator.
     """
 
     label: str = ""
@@ -286,7 +286,7 @@ class AtLink:
 
 
 def at_link(link: str, machine: Machine, speed: float) -> AtLink:
-    """Return what is at the far end of a link; nothing is connected.
+    """Return the description of the far end of a link; nothing is connected.
 
     Raises
     ------
@@ -304,15 +304,15 @@ def at_link(link: str, machine: Machine, speed: float) -> AtLink:
         "",
         {"disable": _BY_ITSELF},
         (
-            "grbl makes its own ramps, and reports what it commanded, ten times a second: nothing "
-            "is measured, inputs and outputs are not reported",
-            "reset resets the controller; where it has no switches, its alarm is cleared, too",
+            "grbl makes its own ramps, and reports its commands ten times a second: nothing is "
+            "measured, inputs and outputs are not reported",
+            "reset resets the controller; if it has no switches, its alarm is cleared, too",
         ),
     )
 
 
 class RowsOperated(Executor):
-    """An executor of rows, as a panel has it; see ``Operated``."""
+    """An executor of rows for a panel; see ``Operated``."""
 
     share_done = None
     age_s = 0.0
@@ -324,25 +324,25 @@ class RowsOperated(Executor):
         return self.far_end.channels
 
     def prepare(self, plan: Plan) -> Load:
-        """Return the plan: its rows are what is sent."""
+        """Return the plan as a load: its rows are sent."""
         return Load(plan)
 
     def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
         """Return the rest of a load from an operation on."""
         commands = load.plan.commands
-        found = self._way.rest(commands, self._machine, operation, at_rest=at_rest)
+        found = self._run_kind.rest(commands, self._machine, operation, at_rest=at_rest)
         return replace(load, rest=found)
 
     def refuse(self, load: Load) -> None:
-        """Refuse a plan that begins elsewhere than the machine stands."""
-        self._way.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
+        """Refuse a plan that does not begin where the machine stands."""
+        self._run_kind.ahead(load.commands, self._machine).refuse_elsewhere(self.stands)
 
     def run(self, load: Load, *, hold_at_rest: bool) -> None:
         """Begin a run; see ``Executor.start``."""
         self.start(
             load.commands,
             hold_at_rest=hold_at_rest,
-            loads_follow=way_of(self._machine).loads_follow(load.plan),
+            loads_follow=run_kind_of(self._machine).loads_follow(load.plan),
             from_rest=load.rest is not None,
         )
 
@@ -351,14 +351,14 @@ class RowsOperated(Executor):
 def operated(
     link: str, machine: Machine, speed: float, desk: Desk, sink: Sink
 ) -> Iterator[Operated]:
-    """Lead to a machine, and yield it as a panel has it; nothing was said to it yet.
+    """Connect to a machine for a panel, and yield it; nothing has been sent to it yet.
 
     Parameters
     ----------
     link
-        Name of a link, as ``at_link`` has checked it.
+        Name of a link, checked by ``at_link``.
     machine, speed
-        The machine; seconds of a simulated one in a second.
+        The machine; seconds of simulated time per second.
     desk, sink
         Queue of the operator's commands; receiver of samples, events and changes of state.
     """

@@ -1,4 +1,4 @@
-"""A process of its own for what is at the far end of a link, and the link to it."""
+"""A separate process for the far end of a link, and the link to it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any
 from threadline.live.wire import Connection
 
 _SEND_S = 2.0
-"""Time in s after which a message that cannot be sent means that the other side is gone."""
+"""Time in s after which an unsent message means that the other side is gone."""
 _JOIN_S = 10.0
 
 
@@ -28,9 +28,9 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
     Parameters
     ----------
     program
-        Words of Python that call ``be_told`` with what serves.
+        Python code that calls ``machine_end`` and serves.
     told
-        What the process is told through a pipe.
+        Object sent to the process through a pipe.
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
@@ -42,7 +42,7 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
     )
     theirs.close()
     assert process.stdin is not None
-    with suppress(BrokenPipeError), process.stdin as pipe:  # it may have died: nobody greets then
+    with suppress(BrokenPipeError), process.stdin as pipe:  # if it died, no greeting will come
         pickle.dump(told, pipe)
     ours.settimeout(_SEND_S)
     connection = Connection(ours)
@@ -57,7 +57,7 @@ def process_link(program: str, told: tuple[Any, ...]) -> Iterator[Connection]:
             process.wait()
 
 
-def be_told() -> tuple[socket.socket, Any]:
-    """Return this process's end of the link, and what the parent process tells it."""
+def machine_end() -> tuple[socket.socket, Any]:
+    """Return this process's end of the link, and the object from the parent process."""
     told = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe of its own
     return socket.socket(fileno=int(sys.argv[1])), told

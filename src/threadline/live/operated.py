@@ -1,4 +1,4 @@
-"""A machine as an operator's panel has it, whatever link leads to it: at rest, by hand, in runs."""
+"""A machine as an operator's panel uses it, over any link: at rest, by hand, in runs."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from threadline.live.states import State
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """A plan, made ready to be sent.
+    """A plan, prepared for sending.
 
     Parameters
     ----------
     plan
         The plan.
     sent
-        Files by name of what was made for the machine, other than the plan's rows.
+        Files by name that were made for the machine, besides the plan's rows.
     notes
-        What the operator has to know before it is sent.
+        Notes for the operator before it is sent.
     program
-        Its lines, where it is sent as lines.
+        Its lines, if it is sent as lines.
     rest
-        What is sent in place of the plan's commands, where a run is continued; else None.
+        Commands sent in place of the plan's, if a run is continued; else None.
     """
 
     plan: Plan
@@ -40,7 +40,7 @@ class Load:
 
     @property
     def commands(self) -> Commands:
-        """What is sent, where that is rows, scans or turns."""
+        """Commands to send, if they are rows, scans or turns."""
         return self.plan.commands if self.rest is None else self.rest.commands
 
 
@@ -53,15 +53,15 @@ class Operated(Protocol):
     late_ticks: int
     latest: Mapping[str, float]
     homed: bool
-    """Whether it is known where the axes are, or where they were when a fault came."""
+    """Whether the positions of the axes are known, or were known when a fault came."""
     stopped_by: str
-    """Who is said to have stopped what moves, where it is stopped."""
+    """Who stopped the motion, if it was stopped."""
     meanwhile: Callable[[], None]
-    """Called again and again while the machine homes, where that is waited for here."""
+    """Called repeatedly while the machine homes, if homing is waited for here."""
 
     @property
     def channels(self) -> tuple[Channel, ...]:
-        """Channels that the machine reports; empty until it was met."""
+        """Channels that the machine reports; empty until it is connected."""
 
     @property
     def stands(self) -> IntArray:
@@ -69,7 +69,7 @@ class Operated(Protocol):
 
     @property
     def lost(self) -> bool:
-        """Whether the link is gone, so that the machine can be had only by connecting again."""
+        """Whether the link is gone, so that only connecting again reaches the machine."""
 
     @property
     def time_s(self) -> float:
@@ -77,21 +77,21 @@ class Operated(Protocol):
 
     @property
     def age_s(self) -> float:
-        """Age of the latest position when a newer one is due, s; 0 where none is due."""
+        """Age of the latest position beyond its due time, s; 0 if none is due."""
 
     @property
     def share_done(self) -> float | None:
-        """Share of a run that was executed, 0 to 1; None where its time tells it."""
+        """Executed share of a run, 0 to 1; None if its time gives it."""
 
     @property
     def under_way(self) -> bool:
-        """Whether a run or a jog has begun and is not over: ``step`` is to be called."""
+        """Whether a run or a jog has begun and is not over: ``step`` must be called."""
 
     def connect(self) -> None:
-        """Meet the machine."""
+        """Connect to the machine."""
 
     def close(self) -> None:
-        """Leave it."""
+        """Disconnect."""
 
     def enable(self) -> None:
         """Switch the drives on."""
@@ -106,16 +106,16 @@ class Operated(Protocol):
         """Leave a fault."""
 
     def stand(self, patience_s: float) -> None:
-        """Listen to a machine at rest, and obey what is asked."""
+        """Listen to a machine at rest, and execute commands."""
 
     def step(self) -> None:
-        """Go on with a motion."""
+        """Continue a motion."""
 
     def jog(self, axis: str, velocity: float) -> None:
         """Move an axis until it is let go."""
 
     def move(self, axis: str, to_counts: int, lease_s: float = ...) -> None:
-        """Move an axis to a place."""
+        """Move an axis to a position."""
 
     def renew(self) -> None:
         """Renew the lease of a motion by hand."""
@@ -124,13 +124,13 @@ class Operated(Protocol):
         """End a motion by hand."""
 
     def prepare(self, plan: Plan) -> Load:
-        """Make a plan ready; nothing is sent, and any thread may call it."""
+        """Prepare a plan; nothing is sent, and any thread may call it."""
 
     def rest(self, load: Load, operation: int, *, at_rest: bool) -> Load:
         """Return the rest of a load from an operation on; ``at_rest`` is as for ``continued``."""
 
     def refuse(self, load: Load) -> None:
-        """Refuse a load that begins elsewhere than the machine stands."""
+        """Refuse a load that does not begin where the machine stands."""
 
     def run(self, load: Load, *, hold_at_rest: bool) -> None:
         """Begin a run."""

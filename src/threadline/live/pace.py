@@ -1,7 +1,7 @@
-"""Which instant of the plan each tick of a run belongs to, where rows aren't played one a tick.
+"""The plan's time at each tick of a run, if rows are not played one per tick.
 
-A hold, a stop and a start from rest play rows at another rate than one a tick. What was played is
-known only where it was played: rows carry their places, and the machine tells what came of them.
+A hold, a stop and a start from rest play rows at another rate than one per tick. Only the machine
+knows which were played: rows carry their places, and the machine reports them.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from threadline.machine import Machine
 
 
 class Pace:
-    """Tells events of the kind ``plan`` of what is played; none while it is one row a tick.
+    """Makes events of the kind ``plan`` from played rows; none at one row per tick.
 
-    Each has the plan's time at its tick. Behind an event the plan goes on by a row a tick, or
-    stands where the event before it has the same time: a tick has its own event only where that
-    isn't so.
+    Each event has the plan's time at its tick. After an event the plan advances one row per tick,
+    or stands still if the previous event had the same time; a tick gets its own event only if it
+    differs from that.
 
     Parameters
     ----------
     clock
-        Whose period a row lasts.
+        Clock whose period a row lasts.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -33,17 +33,17 @@ class Pace:
         self._rate = 1.0
         self._told: float | None = None  # place of the latest event
         self.place = 0.0
-        """Rows of the table that were played, whole or not."""
+        """Number of played rows of the table, whole or not."""
 
     def played(self, first: int, places: FloatArray) -> tuple[Event, ...]:
-        """Return the events of rows that were played.
+        """Return the events of played rows.
 
         Parameters
         ----------
         first
-            Tick at which the first of them was taken up.
+            Tick of the first of them.
         places
-            (n,) rows of the table, whole or not, that were played after each of them.
+            (n,) number of rows of the table, whole or not, played after each of them.
         """
         ahead = self.place + self._rate * np.arange(1.0, len(places) + 1.0)
         if np.array_equal(places, ahead):
@@ -52,7 +52,7 @@ class Pace:
         found: list[Event] = []
         for tick, place in enumerate(places.tolist(), first + 1):
             if place != self.place + self._rate:
-                # As a clock turns its ticks into seconds: a whole row has the time of its tick.
+                # Rounded as a clock converts ticks to seconds: a whole row has its tick's time.
                 time_s = place * self._per_row[0] / self._per_row[1]
                 found.append(Event(tick=tick, kind="plan", operation=-1, value=time_s))
                 self._rate = 0.0 if place == self._told else 1.0

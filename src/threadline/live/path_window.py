@@ -1,4 +1,4 @@
-"""A window on the rows of a tick table, which gives the positions of the axes at any place of it.
+"""A window on the rows of a tick table, with the axis positions at any place in it.
 
 A place is a number of rows, whole or not: at place 7.25 a quarter of row 7 has been travelled.
 """
@@ -18,16 +18,16 @@ HALTS = frozenset(("stop", "wait"))
 """Kinds of events at which a run stands until the operator or an input answers."""
 
 REST_S = 0.05
-"""Shortest rest in s without a count of any axis: slow axes, too, pause between two counts."""
+"""Shortest rest in s without a count of any axis: slow axes pause between two counts, too."""
 
 
 class PathWindow:
-    """The rows around the present place of a run, read as they are needed and deleted later.
+    """The rows around the present place of a run, read when needed and deleted later.
 
     Parameters
     ----------
     table
-        Table that is run; it is read once.
+        Table to run; it is read once.
     pass_stops
         Whether the run goes on at stops of the program.
     """
@@ -38,13 +38,13 @@ class PathWindow:
         self._rest_rows = rest_rows(table)
         axes = len(table.axes)
         self._first = 0  # row of the first kept place
-        self._travelled = np.zeros((1, axes), dtype=np.int64)  # counts at the places kept
+        self._travelled = np.zeros((1, axes), dtype=np.int64)  # counts at the kept places
         self._operation = np.zeros(0, dtype=np.int64)
         self._events: list[Event] = []
         self._all = False
 
     def reach(self, place: float) -> int:
-        """Read rows up to ``place``, if there are as many; return the last place that is known."""
+        """Read rows up to ``place``, if there are as many; return the last known place."""
         while not self._all and self._last < place:
             block = next(self._blocks, None)
             if block is None:
@@ -69,7 +69,7 @@ class PathWindow:
         """Delete the rows before ``place``."""
         gone = min(int(place) - self._first, len(self._operation))
         if gone > 0:
-            # Views: what they are of is left when the next block is read, and is one block at most.
+            # Views: their block stays in memory until the next one is read, one block at most.
             self._travelled = self._travelled[gone:]
             self._operation = self._operation[gone:]
             self._first += gone
@@ -77,7 +77,7 @@ class PathWindow:
     def counts(self, places: FloatArray) -> FloatArray:
         """Return (n, axes) counts from the start at (n,) places, not rounded.
 
-        Between two rows of the table they lie on the straight line between them.
+        Positions between two rows of the table are interpolated linearly.
         """
         return _between(self._travelled, self._first, np.asarray(places, np.float64))
 
@@ -93,7 +93,7 @@ class PathWindow:
         return self._operation[np.clip(at, 0, len(self._operation) - 1)]
 
     def next_rest(self, place: float) -> int | None:
-        """Return the first row of the next rest from ``place`` on; None where none is known.
+        """Return the first row of the next rest from ``place`` on; None if none is known.
 
         In a rest no axis has a count for ``REST_S``.
         """
@@ -130,9 +130,9 @@ class PathWindow:
 
 @njit()
 def _between(travelled: IntArray, first: int, places: FloatArray) -> FloatArray:
-    """Return the (n, axes) counts at places: of rows that lie beside each other, the line between.
+    """Return the (n, axes) counts at places, interpolated linearly between rows.
 
-    It is asked for several times at every refill, of some 50 to 260 places: as machine code.
+    It runs several times at every refill on 50 to 260 places, hence as machine code.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _between(travelled: IntArray, first: int, places: FloatArray) -> FloatArray:
     first
         The first of these places.
     places
-        (n,) places; those beyond what is known are taken at its ends.
+        (n,) places; places outside the known range are clamped to its ends.
     """
     rows = len(travelled) - 1
     found = np.empty((len(places), travelled.shape[1]))

@@ -1,7 +1,7 @@
-"""The part of a schedule that was sent ahead to the controller of a machine with cylinders.
+"""The part of a schedule sent ahead to the controller of a machine with cylinders.
 
-The controller waits for its contacts itself, scan by scan. What it holds ends at a place of the
-schedule that it does not pass, and at a scan from which on it switches everything off.
+The controller waits for its contacts itself, scan by scan. The schedule it holds ends at a place
+that it does not pass, and at a scan from which on it switches everything off.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 from threadline.base.arrays import IntArray
 from threadline.errors import CommandError, LimitError
 from threadline.files import Commands, Event, switch_schedule
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 
 _AT_REST = frozenset(("soft-start", "vacuum"))
-"""Kinds of outputs that may be on while nothing moves: air, and the grip on what is held."""
+"""Kinds of outputs that may be on while nothing moves: air, and grips."""
 _SETTLE_S = 1.0
-"""Time in s for which it is recorded after the end, as in a simulation."""
+"""Recording time in s after the end, as in a simulation."""
 
 
 class ScansAhead:
@@ -29,11 +29,11 @@ class ScansAhead:
     Parameters
     ----------
     commands
-        Schedule that is run.
+        Schedule to run.
     machine
         Machine with its outputs.
     pass_stops, loads_follow
-        Of no meaning here: a move list has no stops for the operator, and cylinders have no loops.
+        Unused: a move list has no stops for the operator, and cylinders have no loops.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class ScansAhead:
         If the schedule is for other outputs.
     """
 
-    keeps_home = False  # a schedule that was broken off leaves cylinders anywhere
+    keeps_home = False  # an interrupted schedule leaves cylinders anywhere
 
     def __init__(
         self,
@@ -91,7 +91,7 @@ class ScansAhead:
 
     @property
     def rests(self) -> bool:
-        """False: what stands at a rest is told so again and again, or it switches off."""
+        """False: a machine at a rest is told so repeatedly, or it switches off."""
         return False
 
     def met(self, now: Mapping[str, float]) -> bool:  # noqa: ARG002
@@ -102,10 +102,10 @@ class ScansAhead:
         """Do nothing: there is no halt."""
 
     def refuse_elsewhere(self, stands: IntArray) -> None:
-        """Do nothing: that cylinders are at their starts, the schedule waits for by itself."""
+        """Do nothing: the schedule itself waits until cylinders are at their starts."""
 
     def hear(self, head: Mapping[str, Any]) -> str:
-        """Learn from a report where the schedule is; return the fault that the machine tells."""
+        """Process the place of the schedule in a report; return a fault of the machine."""
         self._place, self._now = int(head["place"]), int(head["now"])
         self._off = None if head["off"] is None else int(head["off"])
         if self._off is not None:
@@ -126,7 +126,7 @@ class ScansAhead:
         return False
 
     def extend(self, until: int) -> Message:
-        """Return the refill that lets the schedule go on for as long as until scan ``until``."""
+        """Return the refill that lets the schedule go on until about scan ``until``."""
         schedule = self._schedule
         goal = min(self._place + until - self._now, schedule.duration_ticks)
         if self.to_rest:
@@ -144,7 +144,7 @@ class ScansAhead:
             "duration": schedule.duration_ticks if self._ending else None,
             "off": until,
             "last": self._ending,
-            "events": [event_told(event) for event in self._waits[self._told_waits : waits]],
+            "events": [event_row(event) for event in self._waits[self._told_waits : waits]],
         }
         levels = schedule.levels[sent]
         self._check(levels)
@@ -160,12 +160,12 @@ class ScansAhead:
         return Message("refill", {"off": tick, "last": True})
 
     def _check(self, levels: IntArray) -> None:
-        """Refuse rows that switch a cylinder to both sides.
+        """Refuse rows that switch both valves of a cylinder on.
 
         Raises
         ------
         LimitError
-            With the cylinder; the rows are then not sent.
+            Names the cylinder; the rows are then not sent.
         """
         names = list(self._machine.outputs)
         for name, cylinder in self._machine.cylinders.items():
@@ -177,7 +177,7 @@ class ScansAhead:
                     quantity="valves",
                     value_si=2.0,
                     limit_si=1.0,
-                    remedy="Prove the job again; a schedule of ours never does.",
+                    remedy="Prove the job again; Threadline's schedules never do this.",
                 )
 
 

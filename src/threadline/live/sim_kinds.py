@@ -1,7 +1,7 @@
 """Simulated machines with axes, cylinders and an embroidery frame, behind one link.
 
-It holds a piece of the schedule, a place that it does not pass, and a scan from which on it
-switches everything off. Each refill moves both on.
+The simulated valve controller holds a piece of the schedule, a place that it does not pass, and a
+scan from which on it switches everything off. Each refill moves both on.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class SimRows(SimMachine):
         self._session = self._new_session()
         self._rows = np.zeros((0, len(machine.axes)), np.int64)  # held, for the ticks from now on
         self._operations = np.zeros(0, np.int64)  # of these rows
-        self._places = np.zeros(0)  # of the table, behind each of them
+        self._places = np.zeros(0)  # in the table, after each of them
         self._pace = Pace(machine.tick_clock)
         self._events: deque[Event] = deque()
-        self._wanted_until = 0  # tick from which on what is held is the spare tail
+        self._wanted_until = 0  # tick from which on the held rows are the spare tail
         self._position = np.zeros(len(machine.axes), dtype=np.int64)
-        self._last = False  # what is held ends with the last row of the run
+        self._last = False  # the held rows end with the last row of the run
 
     def _new_session(self) -> RowSession:
-        """Return what the rows are played on, at rest at the start."""
+        """Return the session that plays the rows, at rest at the start."""
         return session_of(self._machine, self._start)
 
     @property
@@ -106,7 +106,7 @@ class SimRows(SimMachine):
         return ""
 
     def _take_refill(self, message: Message) -> str:
-        """Replace the rows from a tick on; refuse rows that do not continue those before them."""
+        """Replace the rows from a tick on; refuse rows that do not continue the earlier ones."""
         first, wanted = int(message.head["first"]), int(message.head["wanted"])
         counts, operation = message.arrays["counts"], message.arrays["operation"]
         if why := self._unfit(first, message.arrays["at"]):
@@ -119,7 +119,7 @@ class SimRows(SimMachine):
         )
         places = self._places[:kept]
         stands = places[-1] if len(places) else self._pace.place
-        # A jog has no places: it is no part of a plan.
+        # A jog has no places: it belongs to no plan.
         behind = message.arrays.get("place", stands + np.arange(1.0, len(counts) + 1.0))
         self._places = np.concatenate([places, np.full(len(rest), stands), behind])
         self._events = deque(event for event in self._events if event.tick < first)
@@ -146,12 +146,12 @@ class SimRows(SimMachine):
         while self.tick < until and not self._session.failed:
             room = until - self.tick
             parts.append(self._row_block(room) if len(self._rows) else self._stand(room))
-        if self._session.failed:  # nothing is known of it any more
+        if self._session.failed:  # its state is unknown
             self._hold_nothing()
         return parts
 
     def _row_block(self, room: int) -> RecordingBlock:
-        """Play at most ``room`` of the rows that are held."""
+        """Play at most ``room`` of the held rows."""
         n = min(room, len(self._rows))
         counts, self._rows = self._rows[:n], self._rows[n:]
         operation, self._operations = self._operations[:n], self._operations[n:]
@@ -186,7 +186,7 @@ class SimRows(SimMachine):
 
 
 def _telling(block: RecordingBlock, more: tuple[Event, ...]) -> RecordingBlock:
-    """Return a block that tells of more events, in the order of their ticks."""
+    """Return a block with more events, in the order of their ticks."""
     if not more:
         return block
     return replace(block, events=tuple(sorted([*block.events, *more], key=lambda e: e.tick)))
@@ -231,7 +231,7 @@ class SimScans(SimMachine):
 
     @property
     def position(self) -> IntArray:
-        """(0,): a controller of valves knows no positions."""
+        """(0,): a valve controller has no positions."""
         return np.zeros(0, dtype=np.int64)
 
     def _drop(self) -> None:
@@ -268,7 +268,7 @@ class SimScans(SimMachine):
         self.starved = self.starved or (self._session.ran_dry and not self._last)
         return [block]
 
-    def _told_besides(self) -> dict[str, Any]:
+    def _extra_entries(self) -> dict[str, Any]:
         session = self._session
         return {
             "place": session.place,
@@ -292,7 +292,7 @@ class SimTurns(SimMachine):
         self._session: StitchingSession | None = None  # until it has its tables
         self._idle = 0  # samples without tables
         self._last = False
-        self._until = 0  # sample up to which it was told whether turns begin
+        self._until = 0  # sample up to which the beginnings of turns are known
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -321,7 +321,7 @@ class SimTurns(SimMachine):
             self._session.drop_from(self.tick)
 
     def _home(self, message: Message) -> None:
-        if self._enabled and self.standing:  # the frame goes back to where it was switched on
+        if self._enabled and self.standing:  # the frame returns to its place at switch-on
             self._start, self._session = self._home_at, None
         super()._home(message)
 
@@ -380,7 +380,7 @@ class SimTurns(SimMachine):
         window: tuple[int, int],
         steps_per_unit: FloatArray,
     ) -> StepPlay:
-        """Return commands of this machine; ``window`` is a part of so many of a turn."""
+        """Return commands of this machine; ``window`` is a fraction of a turn."""
         return StepPlay(
             clock=clock,
             counted_by=counted_by,
@@ -397,7 +397,7 @@ class SimTurns(SimMachine):
         )
 
     def _play_a_moment(self) -> None:
-        """Play one turn of one step on each axis: without tables nothing would be played."""
+        """Play one turn with one step on each axis: without tables nothing would be played."""
         axes, machine = len(self._machine.axes), self._machine
         table = StepTable(units=1, intervals=np.ones(1, np.int64))
         play = self._without_turns((table,), machine.tick_clock, "time", (1, 2), np.ones(axes))
@@ -429,5 +429,5 @@ class SimTurns(SimMachine):
             self.starved = True
         return [block]
 
-    def _told_besides(self) -> dict[str, Any]:
+    def _extra_entries(self) -> dict[str, Any]:
         return {"rests_at": 0 if self._session is None else self._session.rests_at}

@@ -1,8 +1,8 @@
-"""Faults that can be injected into the simulated machine, for tests of the guards.
+"""The simulated machine behind a link, and faults that can be injected into it.
 
-It knows nothing of jobs and plans. It holds a piece of the commands that ends at rest, and plays
-it tick by tick. A refill replaces what it holds from a tick on; without refills it comes to rest.
-A real machine has to act in the same way on the same messages.
+It knows nothing of jobs and plans. It holds a piece of the commands that ends at rest, and plays it
+tick by tick. A refill replaces the commands from a tick on; without refills it comes to rest. A
+real machine must react in the same way to the same messages.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from threadline.base.wording import nearest
 from threadline.errors import OptionError
 from threadline.files import Channel, Ended, Event, RecordingBlock
 from threadline.live.far_end import greeting, samples_per_tick
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 from threadline.units import parse_number
 
@@ -43,21 +43,21 @@ class SimFault:
     Parameters
     ----------
     kind
-        One of ``KINDS``. Faults of encoders, reversals, switches and contacts change the reports to
-        the executor alone; the simulated controllers keep their true readings. A broken light grid
-        is one for the controller, too. After a lost link the machine
-        plays the rows that it holds; without power it plays and reports nothing.
+        One of ``KINDS``. Faults of encoders, reversals, switches and contacts only change the
+        reports to the executor; the simulated controllers keep their true readings. A broken light
+        grid affects the controller, too. After a lost link the machine plays its held rows; without
+        power it plays and reports nothing.
     tick
         Tick at which the fault begins.
     where
-        Name of the axis, switch or contact; empty for a fault of none.
+        Name of the axis, switch or contact; empty for a fault of the whole machine.
     """
 
     kind: str
     tick: int
     where: str = ""
 
-    def told(
+    def apply(
         self, at: int, samples: dict[str, FloatArray], machine: Machine, stuck: dict[str, float]
     ) -> None:
         """Change the samples of a report from number ``at`` on, in place.
@@ -65,13 +65,13 @@ class SimFault:
         Parameters
         ----------
         at
-            0 where the fault began before them.
+            First changed sample; 0 if the fault began earlier.
         samples
             (n,) samples of each channel.
         machine
             The machine, for the scale of an encoder.
         stuck
-            Reading of each stuck encoder or contact; it is added when that sticks.
+            Reading of each stuck encoder or contact; added when it begins to stick.
         """
         name = next(iter(samples), "")
         if not name or at >= len(samples[name]):
@@ -91,7 +91,7 @@ class SimFault:
 
     @property
     def cuts_supply(self) -> bool:
-        """Whether it takes the supply of the drives away."""
+        """Whether it cuts the supply of the drives."""
         return self.kind in {"e-stop", "power-loss"}
 
     def silences(self, tick: int) -> bool:
@@ -99,7 +99,7 @@ class SimFault:
         return self.kind in {"lost-link", "power-loss"} and tick >= self.tick
 
     def stops(self, tick: int) -> bool:
-        """Return whether the emergency stop is pressed at ``tick``; it stays so."""
+        """Return whether the emergency stop is pressed at ``tick``; it stays pressed."""
         return self.kind == "e-stop" and tick >= self.tick
 
     def late(self, tick: int) -> float:
@@ -112,7 +112,7 @@ class SimFault:
 
 
 def _places(machine: Machine) -> dict[str, list[str]]:
-    """Return what could have each kind of fault; faults of the whole machine are left out."""
+    """Return the parts that each kind of fault can affect; not for faults of the whole machine."""
     looped = [] if machine.told_positions else list(machine.axes)
     contacts = machine.contacts.items()
     return {
@@ -124,7 +124,7 @@ def _places(machine: Machine) -> dict[str, list[str]]:
 
 
 def parse_fault(text: str, machine: Machine) -> SimFault:
-    """Return the fault that a text like ``"stuck-encoder:X@1.2 s"`` describes.
+    """Return the fault described by a text such as ``"stuck-encoder:X@1.2 s"``.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
     known = places.get(kind)
     if known is not None and not known:
         raise OptionError(
-            f"--inject {kind}: {machine.name} has nothing that could fail so",
+            f"--inject {kind}: {machine.name} has no part with this fault",
             remedy=f"Use one of {', '.join([k for k in KINDS if places.get(k, True)])}.",
         )
     if known is not None and kind not in OF_GRIDS and where is None:
@@ -157,7 +157,7 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
             remedy=f"It has {', '.join(known)}.",
         )
     if where and (known is None or kind in OF_GRIDS):
-        raise OptionError(f"--inject {kind} is of no axis", remedy=f'Write "{kind}@1.2 s".')
+        raise OptionError(f"--inject {kind} takes no axis", remedy=f'Write "{kind}@1.2 s".')
     time_s = parse_number("--inject", when.strip(), "s", "1.2 s")
     if not 0.0 <= time_s <= _LATEST_S:
         raise OptionError(
@@ -168,7 +168,7 @@ def parse_fault(text: str, machine: Machine) -> SimFault:
 
 
 LATE = 0.5
-"""Share of the period by which a report may come later than it is due."""
+"""Share of the period by which a report may be late."""
 
 
 class SimMachine(ABC):
@@ -177,7 +177,7 @@ class SimMachine(ABC):
     Parameters
     ----------
     machine
-        The machine that is simulated.
+        The simulated machine.
     start
         Position when it is switched on, in the units of its commands; it is its home, too.
     tell
@@ -203,7 +203,7 @@ class SimMachine(ABC):
             "enable": self._enable, "disable": self._disable, "home": self._home,
             "begin": self._begin, "refill": self._refill, "finish": self._finish,
             "leave": self._leave, "stop-home": lambda _: None,  # it is home already
-            "go": lambda _: None,  # it only lets time go on (see ``sim_process``)
+            "go": lambda _: None,  # only lets the clock go on (see ``sim_process``)
         }  # fmt: skip
 
     @cached_property
@@ -211,7 +211,7 @@ class SimMachine(ABC):
         """Samples of a recording in a tick of the commands."""
         return samples_per_tick(self._machine, self.channels)
 
-    # --- what each kind of work does in its own way ----------------------------------------
+    # --- specific to each kind of work -----------------------------------------------------
 
     @property
     @abstractmethod
@@ -226,24 +226,24 @@ class SimMachine(ABC):
     @property
     @abstractmethod
     def held(self) -> int:
-        """Number of ticks, or a bound of it, until what it holds has been played; 0 at rest."""
+        """Number of ticks, or a bound of it, until its commands have been played; 0 at rest."""
 
     @property
     @abstractmethod
     def position(self) -> IntArray:
-        """Way commanded since the beginning of the run, in the units of its commands."""
+        """Distance commanded since the beginning of the run, in the units of its commands."""
 
     @abstractmethod
     def _drop(self) -> None:
-        """Drop what it holds; the drives are off."""
+        """Drop its commands; the drives are off."""
 
     @abstractmethod
     def _start_anew(self) -> str:
-        """Set the clock to 0 at the present position; return why that cannot be, or nothing."""
+        """Set the clock to 0 at the present position; return why that is impossible, or nothing."""
 
     @abstractmethod
     def _take_refill(self, message: Message) -> str:
-        """Take up a refill; return why it does not fit, or nothing."""
+        """Accept a refill; return why it does not fit, or nothing."""
 
     @abstractmethod
     def _tell_end(self, ended: Ended, text: str) -> None:
@@ -253,15 +253,15 @@ class SimMachine(ABC):
     def _simulate(self, ticks: int) -> list[RecordingBlock]:
         """Go on for a number of ticks."""
 
-    def _told_besides(self) -> dict[str, Any]:
-        """Return what a report says besides what every kind says."""
+    def _extra_entries(self) -> dict[str, Any]:
+        """Return entries of a report beyond the common ones."""
         return {}
 
-    # --- what every kind does --------------------------------------------------------------
+    # --- common to all kinds ---------------------------------------------------------------
 
     @property
     def silenced(self) -> str:
-        """Kind of the fault because of which it sends no messages; empty without one."""
+        """Kind of the fault that keeps it from sending messages; empty without one."""
         fault = self._fault
         return fault.kind if fault is not None and fault.silences(self.tick) else ""
 
@@ -276,9 +276,9 @@ class SimMachine(ABC):
         return self._begun
 
     def rehearse(self) -> None:
-        """Play a moment on another machine of this kind, so that its code is there beforehand.
+        """Play a moment on another machine of this kind, so that its code is compiled or loaded.
 
-        To load it takes a third of a second: in a run in real time the first tick would be late.
+        Loading takes a third of a second: in real time the first tick of a run would be late.
         """
         type(self)(self._machine, self._start, lambda _: None)._play_a_moment()
 
@@ -334,7 +334,7 @@ class SimMachine(ABC):
         self._enabled = self._homed = self._begun = False
 
     def _home(self, _message: Message) -> None:
-        # It is switched on at its home: there is nothing to look for.
+        # It is switched on at its home: there is nothing to search for.
         if self._enabled:
             self._homed, self.starved = True, False
             self._say("homed", position=(self._start + self.position).tolist())
@@ -353,7 +353,7 @@ class SimMachine(ABC):
         self._number += 1
 
     def _refill(self, message: Message) -> None:
-        """Take up a refill; refuse one that does not continue what came before it."""
+        """Accept a refill; refuse one that does not continue the earlier ones."""
         why = "the drives are off, or the run has not begun"
         if self._begun and self._enabled:
             why = "it has stopped since the last refill came too late" if self.starved else ""
@@ -373,29 +373,29 @@ class SimMachine(ABC):
         sample = parts[0].first_tick[clock.name] if parts else ceil(first * per_tick)
         if self._fault is not None:
             at = max(ceil(self._fault.tick * per_tick) - sample, 0)
-            self._fault.told(at, arrays, self._machine, self._stuck)
+            self._fault.apply(at, arrays, self._machine, self._stuck)
             late_by = max(late_by, self._fault.late(first))
         late = self.tick - first if late_by > LATE else 0
-        events = [event_told(event) for part in parts for event in part.events]
+        events = [event_row(event) for part in parts for event in part.events]
         if self.pressed and self._enabled:
-            # Its supply is cut: what it does then is not simulated.
+            # With its supply cut, its motion is not simulated any more.
             why = "the emergency stop is pressed"
-            events.append(event_told(Event(tick=sample, kind="fault", operation=-1, name=why)))
+            events.append(event_row(Event(tick=sample, kind="fault", operation=-1, name=why)))
             self._drop()
             self._enabled = self._homed = False
         if late:
             told = Event(tick=sample, kind="late", operation=-1, value=float(late * per_tick))
-            events.append(event_told(told))
+            events.append(event_row(told))
         head = {
             "run": self._number, "tick": first, "sample": sample, "now": self.tick,
             "held": self.held, "starved": self.starved, "late": late, "late_by": late_by,
-            "events": events, "position": self.position.tolist(), **self._told_besides(),
+            "events": events, "position": self.position.tolist(), **self._extra_entries(),
         }  # fmt: skip
         self._tell(Message("report", head, arrays))
 
 
 def _joined(parts: list[RecordingBlock]) -> dict[str, FloatArray]:
-    """Return the samples of blocks that follow each other, in arrays that can be written to."""
+    """Return the samples of consecutive blocks, in writable arrays."""
     if len(parts) == 1:
         return {
             name: values

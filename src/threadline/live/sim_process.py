@@ -1,10 +1,11 @@
-"""What is at the far end of a link to the simulated machine: one row for each kind of work.
+"""The process of the simulated machine at the far end of a link: one row for each kind of work.
 
-The process of that machine takes this table alone: to plan and to judge is what others do.
+That process imports only this table, neither the planner nor the judge.
 
 In real time each report is due at an instant; one that comes more than half of its period late is
-counted, and the following ones are not hurried. At any other speed the machine's time goes on only
-after the executor has answered the last report, so that the load of the computer changes nothing.
+counted, and the following ones are not hurried. At any other speed the machine's clock advances
+only after the executor has answered the last report, so that the load of the computer changes
+nothing.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from math import ceil
 
 from threadline.base.arrays import IntArray
 from threadline.base.importing import words_of
-from threadline.live.machine_process import be_told, process_link
+from threadline.live.machine_process import machine_end, process_link
 from threadline.live.sim_kinds import SimRows, SimScans, SimTurns
 from threadline.live.sim_machine import LATE, SimFault, SimMachine
 from threadline.live.wire import Connection, Message
@@ -30,26 +31,26 @@ _SIMULATED: dict[str, type[SimMachine]] = {
     "switches": SimScans,
     "steps": SimTurns,
 }
-"""By the name of what machines are commanded by."""
+"""By the value of ``Machine.commanded_by``."""
 
 
 def simulated_of(machine: Machine) -> type[SimMachine]:
-    """Return the type of the simulated machine that does what ``machine`` does."""
+    """Return the type of the simulated machine for ``machine``."""
     return _SIMULATED[machine.commanded_by]
 
 
 REAL_TIME = 1.0
 SLOWER = "sim:slower"
-"""Link to a simulated machine at real time where it can, and slower where the computer is busy."""
+"""Link to a simulated machine that runs in real time, or slower while the computer is busy."""
 IN_STEP = math.nextafter(REAL_TIME, 0.0)
-"""Its speed: as good as real time, and its time waits for the executor as at any other."""
+"""Its speed: practically real time, but its clock waits for the executor as at any other."""
 HOMING_S = 0.5
-"""Time that homing takes in real time, s; the simulated machine stands at its home already."""
+"""Duration of homing in real time, s; the simulated machine stands at its home already."""
 LEAST_SPEED = 1e-3
 """Least speed: at a lower one the machine's reports come later than the executor waits."""
 _WAKE_S = 0.005
 """Shortest period of reports in s; several shorter ticks are played at a time."""
-_CHILD = words_of("threadline.live.sim_process", "be_machine")
+_CHILD = words_of("threadline.live.sim_process", "machine_main")
 
 
 def group_ticks(machine: Machine, speed: float) -> int:
@@ -62,16 +63,16 @@ def group_ticks(machine: Machine, speed: float) -> int:
 def sim_link(
     machine: Machine, start: IntArray, speed: float, fault: SimFault | None = None
 ) -> Iterator[Connection]:
-    """Start a simulated machine in a process of its own, and yield the link to it.
+    """Start a simulated machine in a separate process, and yield the link to it.
 
     Parameters
     ----------
     machine
-        The machine that is simulated.
+        The simulated machine.
     start
         Position when it is switched on, in the units of its commands.
     speed
-        Seconds of its time in a second: 1 is real time, 0 is as fast as possible.
+        Seconds of machine time per second: 1 is real time, 0 is as fast as possible.
     fault
         Injected fault, or None.
     """
@@ -79,9 +80,9 @@ def sim_link(
         yield connection
 
 
-def be_machine() -> None:
+def machine_main() -> None:
     """Serve as the simulated machine that the parent process describes through a pipe."""
-    end, told = be_told()
+    end, told = machine_end()
     serve(end, *told)
 
 
@@ -93,7 +94,7 @@ def serve(
     fault: SimFault | None = None,
 ) -> None:
     """Serve as a simulated machine at the socket ``end`` until the executor leaves or is gone."""
-    # A key or a signal is for the executor, which brakes: this process is the machine.
+    # Keys and signals are for the executor, which brakes; this process is the machine.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     connection = Connection(end)
@@ -106,7 +107,7 @@ def serve(
         if speed == REAL_TIME:
             _in_real_time(connection, simulated, group, period_s)
         else:
-            _in_step(connection, simulated, group, period_s / speed if speed else 0.0)
+            in_step(connection, simulated, group, period_s / speed if speed else 0.0)
         while (
             not simulated.standing and simulated.silenced != "power-loss"
         ):  # the executor is gone: play the braking tail
@@ -114,8 +115,8 @@ def serve(
     connection.close()
 
 
-def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s: float) -> None:
-    """Play the ticks that each answer asks for, a group at least, at ``period_s`` for each."""
+def in_step(connection: Connection, simulated: SimMachine, group: int, period_s: float) -> None:
+    """Play the ticks that each answer asks for, at least a group, at ``period_s`` for each."""
     due = time.monotonic()
     while not (connection.lost or simulated.left):
         message = connection.receive()
@@ -134,7 +135,7 @@ def _in_step(connection: Connection, simulated: SimMachine, group: int, period_s
 def _in_real_time(
     connection: Connection, simulated: SimMachine, group: int, period_s: float
 ) -> None:
-    """Play a group of ticks at each instant at which one is due."""
+    """Play a group of ticks at each due instant."""
     due: float | None = None
     while not (connection.lost or simulated.left):
         wait_s = None if due is None else due - time.monotonic()
@@ -143,7 +144,7 @@ def _in_real_time(
             _home(connection, simulated, message)
         elif message is not None:
             simulated.take(message)
-            # Rows that are none are a motion too: one to where it stands, which is over at once.
+            # Empty rows are a motion too: to the present position, and over at once.
             if due is None and simulated.begun and message.kind == "refill":
                 due = time.monotonic()
             continue
@@ -159,7 +160,7 @@ def _in_real_time(
 
 
 def _home(connection: Connection, simulated: SimMachine, asked: Message) -> None:
-    """Take the time that homing takes, and heed a stop in it."""
+    """Wait for the duration of homing, and accept a stop during it."""
     until = time.monotonic() + HOMING_S
     while (left_s := until - time.monotonic()) > 0.0 and not connection.lost:
         message = connection.receive(left_s)

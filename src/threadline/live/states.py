@@ -1,4 +1,4 @@
-"""The states of an executor, and all transitions between them.
+"""The states of an executor, all transitions between them, and the operator's command queue.
 
 A cause without a transition is refused and changes nothing. ``docs/safety.md`` prints the table.
 """
@@ -32,7 +32,7 @@ class State(StrEnum):
 
 
 class Cause(StrEnum):
-    """Cause of a transition: a command of the operator, or something that is reported."""
+    """Cause of a transition: a command of the operator, or a reported event."""
 
     ENABLE = "enable"
     DISABLE = "disable"
@@ -95,7 +95,7 @@ _NOT_HOMED = frozenset({_C.HOME, _C.DISABLE, _C.RESET, _C.AT_REST_UNHOMED})
 
 
 def homed_after(cause: Cause, before: bool) -> bool:
-    """Return whether it is known where the axes are after a transition, or were before a fault."""
+    """Return whether the axis positions are known after a transition, or were before a fault."""
     return cause is Cause.HOMED or (before and cause not in _NOT_HOMED)
 
 
@@ -131,7 +131,7 @@ class Desk:
         self._writes.setblocking(False)
 
     def ask(self, cause: Cause) -> None:
-        """Ask for something; may be called in a signal handler and from any thread."""
+        """Queue a command; may be called in a signal handler and from any thread."""
         if cause is Cause.STOP:
             self._stop = True
         else:
@@ -139,12 +139,12 @@ class Desk:
         self.wake()
 
     def wake(self) -> None:
-        """Wake an executor that waits, for something that is not in the queue."""
+        """Wake a waiting executor, for something that is not in the queue."""
         with suppress(OSError):  # full: it is woken already
             self._writes.send(b"!")
 
     def take(self) -> Cause | None:
-        """Return the next command, a stop before any other; None where there is none.
+        """Return the next command, a stop before any other; None if there is none.
 
         A stop drops all commands before it, so that a waiting resume cannot undo it.
         """
@@ -159,7 +159,7 @@ class Desk:
         return self._reads.fileno()
 
     def woken(self) -> None:
-        """Clear the signal of waiting commands."""
+        """Clear the wake-up signal."""
         with suppress(OSError):
             while self._reads.recv(4096):
                 pass
@@ -171,7 +171,7 @@ class Desk:
 
 
 class Sink(Protocol):
-    """The receiver of what happens in a run."""
+    """The receiver of the events and samples of a run."""
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
         """Receive the channels of the blocks that follow."""

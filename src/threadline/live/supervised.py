@@ -16,7 +16,7 @@ from threadline.jobs.feed_times import SLOWER
 from threadline.live.continuing import Continued, ContinuedSink
 from threadline.live.derived import Rest
 from threadline.live.executor import Executor
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.states import Desk, Sink, State
 from threadline.live.wire import Connection
 from threadline.machine import Machine
@@ -24,13 +24,13 @@ from threadline.proof.proof_file import ProofFile, check_proof, read_proof
 from threadline.verdict import Spec
 
 _ASK_S = 0.05
-"""Time in s from one look for an answer of the operator to the next."""
+"""Interval in s at which the operator's answer is polled."""
 
 
 def check_runnable(
     proof_file: Path, plan: Plan, spec: Spec, override: str | None, key: bytes | None = None
 ) -> ProofFile:
-    """Return the proof of a plan, if it allows the plan to be run.
+    """Return the proof of a plan, if it permits running it.
 
     Parameters
     ----------
@@ -39,14 +39,14 @@ def check_runnable(
     plan, spec
         The plan, and the specification that it was judged by.
     override
-        Reason to run a plan that is out of specification; None to run only one that is not.
+        Reason to run a plan that is out of specification; None runs only a passed one.
     key
-        What the proof has to be signed with; None does not look for a signature.
+        Key that must have signed the proof; None requires no signature.
 
     Raises
     ------
     ProofError
-        If the proof is of another plan, is not signed with the key, or is out of specification and
+        If the proof belongs to another plan, is not signed with the key, or is out of spec and
         ``override`` is None.
     OptionError
         If there is an override for a plan in specification.
@@ -56,7 +56,7 @@ def check_runnable(
     differences = check_proof(proof, plan, spec)
     if differences:
         raise ProofError(
-            f"it is no proof of what is to be run: {'; '.join(map(str, differences))}",
+            f"the proof does not match the run: {'; '.join(map(str, differences))}",
             place=place,
             remedy="Prove the job again.",
         )
@@ -84,10 +84,10 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
     Raises
     ------
     PlanError
-        With the line of a wait for an input that the machine lacks, or of a stop without answer.
+        Names the line of a wait for a missing input, or of a stop without an answer.
     """
     known = {*plan.machine.inputs, *plan.machine.contacts}
-    for event in way_of(plan.machine).halts(plan.commands):
+    for event in run_kind_of(plan.machine).halts(plan.commands):
         lacking = event.kind == "wait" and event.name not in known
         if not lacking and (event.kind != "stop" or answered):
             continue
@@ -95,7 +95,7 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
         raise PlanError(
             f"after this it waits for the input {event.name!r}, which {plan.machine.name} lacks"
             if lacking
-            else "the program stops after this, and nobody is at the keys to let it go on",
+            else "the program stops after this, and nobody is at the keys to resume",
             place=Place(plan.job.file, line),
             remedy="Take the wait out, or run it where there is such an input."
             if lacking
@@ -104,7 +104,7 @@ def check_halts(plan: Plan, *, answered: bool) -> None:
 
 
 def check_override(override: str | None) -> None:
-    """Refuse an override that gives no reason.
+    """Refuse an override without a reason.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def run_commands(
     Parameters
     ----------
     commands
-        Those of a plan that ``check_runnable`` has passed.
+        Commands of a plan that ``check_runnable`` has passed.
     machine, link
         The machine, and the link to it.
     desk, sink, speed
@@ -147,7 +147,7 @@ def run_commands(
     watch
         Called after each step, for progress.
     again
-        The rest of a run that was broken off, which is run in place of the commands.
+        The rest of an interrupted run, which is run in place of the commands.
     confirmed
         Called while the machine stands at home before such a run: whether the operator has
         confirmed it; None while nobody has answered.
@@ -168,7 +168,7 @@ def run_commands(
         if executor.state is not State.IDLE:
             executor.close()
             return Ended.STOPPED, "stopped by the operator while it homed", 0
-        if again is not None and (why := approached(executor, machine, again, confirmed)):
+        if again is not None and (why := moved_to_begin(executor, machine, again, confirmed)):
             executor.close()
             return (*why, executor.late_ticks)
         executor.start(
@@ -188,8 +188,8 @@ def run_commands(
     return ended, text, executor.late_ticks
 
 
-class Led(Protocol):
-    """A machine at home that is moved by hand; see ``Operated``."""
+class MovedByHand(Protocol):
+    """A homed machine that is moved by hand; see ``Operated``."""
 
     state: State
     ended: tuple[Ended, str] | None
@@ -201,27 +201,27 @@ class Led(Protocol):
         """Commanded position, (axes,) in counts."""
 
     def stand(self, patience_s: float) -> None:
-        """Listen to the machine at rest, and obey what is asked."""
+        """Listen to the machine at rest, and execute commands."""
 
     def move(self, axis: str, to_counts: int) -> None:
-        """Move an axis to a place."""
+        """Move an axis to a position."""
 
     def renew(self) -> None:
         """Renew the lease of a motion by hand."""
 
     def step(self) -> None:
-        """Go on with a motion."""
+        """Continue a motion."""
 
 
-LedT = TypeVar("LedT", bound=Led)
+MovedT = TypeVar("MovedT", bound=MovedByHand)
 
 
-def approached(
-    executor: Led, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
+def moved_to_begin(
+    executor: MovedByHand, machine: Machine, again: Continued, confirmed: Callable[[], bool | None]
 ) -> tuple[Ended, str] | None:
-    """Wait for the operator, and move to where the work begins; return why that came to an end.
+    """Wait for the operator, and move to where the work begins; return why that failed.
 
-    None where the machine stands there.
+    None if the machine stands there.
     """
     answer = None
     while executor.state is State.IDLE and not executor.stops and answer is None:
@@ -229,18 +229,18 @@ def approached(
         executor.stand(0.0 if answer else _ASK_S)
     if not answer or executor.stops:
         return Ended.STOPPED, "nobody has confirmed that it may go on"
-    return led(executor, machine, again.approach)
+    return moved_in_turn(executor, machine, again.approach)
 
 
-def led(
-    executor: LedT,
+def moved_in_turn(
+    executor: MovedT,
     machine: Machine,
     ways: Iterable[tuple[str, int]],
-    watch: Callable[[LedT], None] = lambda _: None,
+    watch: Callable[[MovedT], None] = lambda _: None,
 ) -> tuple[Ended, str] | None:
-    """Move axes one after the other, at their manual feeds; return why that came to an end.
+    """Move axes one after the other, at their manual feeds; return why that failed.
 
-    None where the machine stands at the end of all.
+    None if the machine stands at the end of all moves.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ def led(
 
 
 def _failed(proof: ProofFile) -> str:
-    """Return the criteria that are not passed, each once: failed, then not measured."""
+    """Return the criteria that have not passed, each once: failed, then not measured."""
     criteria = proof.content["verdict"]["criteria"]
     found = dict.fromkeys(
         f"{criterion['name']} {criterion['axis'] or ''}".strip()
@@ -279,12 +279,12 @@ def _failed(proof: ProofFile) -> str:
 
 
 class ExecutedLink(ABC):
-    """A link to a machine that is begun with each run, and ends with it.
+    """A link to a machine that is started for each run, and ends with it.
 
     Parameters
     ----------
     speed
-        Seconds of the machine's time in a second.
+        Seconds of machine time per second.
     """
 
     def __init__(self, speed: float) -> None:
@@ -296,12 +296,14 @@ class ExecutedLink(ABC):
 
     @property
     def sent(self) -> Mapping[str, bytes]:
-        """Nothing: the rows of the plan are what it is sent."""
+        """Nothing: only the rows of the plan are sent."""
         return {}
 
     def rest(self, plan: Plan, operation: int, *, at_rest: bool) -> Rest:
-        """Return the rest of a job from an operation on, as the machine is sent it."""
-        return way_of(plan.machine).rest(plan.commands, plan.machine, operation, at_rest=at_rest)
+        """Return the rest of a job from an operation on, as sent to the machine."""
+        return run_kind_of(plan.machine).rest(
+            plan.commands, plan.machine, operation, at_rest=at_rest
+        )
 
     def close(self) -> None:  # noqa: B027  # a link that holds a port has something to close
         """Do nothing: the machine ends with its run."""
@@ -318,18 +320,18 @@ class ExecutedLink(ABC):
         again: Continued | None = None,
         confirmed: Callable[[], bool | None] = lambda: True,
     ) -> tuple[Ended, str]:
-        """Run it; return how it ended, and why."""
-        way = way_of(plan.machine)
+        """Run the plan; return how it ended, and why."""
+        run_kind = run_kind_of(plan.machine)
         ended, text, _ = run_commands(
             plan.commands,
             plan.machine,
-            self._connected(plan.machine, way.start(plan.commands)),
+            self._connected(plan.machine, run_kind.start(plan.commands)),
             desk,
             sink,
             speed=self._speed,
             pass_stops=pass_stops,
             hold_at_rest=hold_at_rest,
-            loads_follow=way.loads_follow(plan),
+            loads_follow=run_kind.loads_follow(plan),
             watch=watch,
             again=again,
             confirmed=confirmed,

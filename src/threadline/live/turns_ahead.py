@@ -1,7 +1,7 @@
-"""The turns of a shaft that were sent ahead to an embroidery frame.
+"""The turns of a shaft sent ahead to an embroidery frame.
 
-A turn moves the frame from rest to rest, so that what was sent ends at rest by itself: to stop is
-to send no more turns, and to take those back that have not begun.
+A turn moves the frame from rest to rest, so that the sent turns end at rest by themselves: to stop,
+send no more turns, and withdraw those that have not begun.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.errors import CommandError, LimitError
 from threadline.files import Commands, Event, StepPlay, played
-from threadline.live.wire import Message, event_told
+from threadline.live.wire import Message, event_row
 from threadline.machine import Machine
 
 _REST_S = 2.0
-"""Time in s for which it is recorded after the last turn, as in a simulation."""
+"""Recording time in s after the last turn, as in a simulation."""
 _COLUMNS = ("begin", "window", "table", "sign", "start", "needle", "operation")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turn:
-    """One turn: its columns, and the events that are due from its begin on, in samples."""
+    """One turn: its columns, and the events due from its beginning on, in samples."""
 
     begin: int
     window: int
@@ -44,20 +44,20 @@ class TurnsAhead:
     Parameters
     ----------
     commands
-        Step tables that are played.
+        Step tables to play.
     machine
         Machine with its axes.
     pass_stops, loads_follow
-        Of no meaning here: tables have no stops, and their axes are not told loads.
+        Unused: tables have no stops, and their axes have no feed-forward.
 
     Attributes
     ----------
     end
-        Sample up to which it is told which turns begin.
+        Sample up to which the beginnings of turns are known.
     start
-        (A,) steps at which it begins.
+        (A,) starting position in steps.
     to_rest
-        Of no meaning here: every turn ends at rest.
+        Unused: every turn ends at rest.
 
     Raises
     ------
@@ -90,7 +90,7 @@ class TurnsAhead:
         self.to_rest = False
         self._turns = _turns_of(play, self._every)
         self._waiting: list[_Turn] = []  # read, and not sent
-        self._sent: list[_Turn] = []  # sent, and perhaps not begun; begins as they were sent
+        self._sent: list[_Turn] = []  # sent, perhaps not begun, with their beginnings as sent
         self._all = False
         self._number = 0  # of turns that the machine has
         self._shift = 0  # timer counts by which the program is late
@@ -115,7 +115,7 @@ class TurnsAhead:
         Raises
         ------
         CommandError
-            With both positions, in steps.
+            Names both positions, in steps.
         """
         if not np.array_equal(stands, self.start):
             raise CommandError(
@@ -125,7 +125,7 @@ class TurnsAhead:
             )
 
     def hear(self, head: Mapping[str, Any]) -> str:  # noqa: ARG002
-        """Return nothing: where turns are is known from their beginnings."""
+        """Return nothing: the place of turns is known from their beginnings."""
         return ""
 
     def met(self, now: Mapping[str, float]) -> bool:  # noqa: ARG002
@@ -136,7 +136,7 @@ class TurnsAhead:
         """Do nothing: there is no halt."""
 
     def forget(self, tick: int) -> None:
-        """Delete the turns that have begun, but for the last one."""
+        """Delete the turns that have begun, except the last one."""
         while len(self._sent) > 1 and self._sent[1].begin < tick * self._every:
             self._sent.pop(0)
 
@@ -176,7 +176,7 @@ class TurnsAhead:
             "until": until,
             "last": last,
             "following": following,
-            "events": [event_told(event) for turn in sent for event in turn.events],
+            "events": [event_row(event) for turn in sent for event in turn.events],
         }
         if not self._told_tables:
             self._tell_tables(head, arrays)
@@ -186,7 +186,7 @@ class TurnsAhead:
         return Message("refill", head, arrays)
 
     def cut(self, tick: int) -> Message:
-        """Return the message that takes the turns back that begin at a tick, or later."""
+        """Return the message that withdraws the turns that begin at a tick, or later."""
         self._before = (
             list(self._waiting), list(self._sent), self._number, self.end, self._stands.copy(),
         )  # fmt: skip
@@ -210,7 +210,7 @@ class TurnsAhead:
         return True
 
     def _read(self, count: int) -> bool:
-        """Read turns until there are ``count`` that wait; return whether there are."""
+        """Read turns until ``count`` wait; return whether there are as many."""
         while len(self._waiting) < count and not self._all:
             turn = next(self._turns, None)
             if turn is None:
@@ -251,7 +251,7 @@ class TurnsAhead:
         Raises
         ------
         LimitError
-            With the axis; the turns are then not sent.
+            Names the axis; the turns are then not sent.
         """
         for turn in turns:
             self._stands = self._stands + turn.sign * self._lengths[turn.table]
@@ -274,13 +274,13 @@ class TurnsAhead:
 
 
 def _turns_of(play: StepPlay, every: int) -> Iterator[_Turn]:
-    """Yield the turns of a program; their events carry samples, as those of a recording."""
+    """Yield the turns of a program; their events count in samples, as in a recording."""
     for block in play:
         for k in range(len(block)):
             number = block.first_stitch + k
             begin, last = int(block.begin[k]), k == len(block) - 1
             due = [(event, begin) for event in block.events if event.tick == number]
-            if last:  # what is due behind its turns
+            if last:  # events due after its last turn
                 late = (event for event in block.events if event.tick > number)
                 due += [(event, play.duration_ticks) for event in late]
             yield _Turn(

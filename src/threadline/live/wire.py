@@ -2,8 +2,8 @@
 
 A message is four bytes of length, four bytes of the length of its head, the head (JSON, UTF-8),
 and the bytes of its arrays in the order in which the head names them; integers are little-endian.
-Arrays of one type and shape that follow each other are named together.
-Nothing in a message is code, and nothing is longer than ``MOST_BYTES``.
+Consecutive arrays of one type and shape are named together. Nothing in a message is code, and
+nothing is longer than ``MOST_BYTES``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Message:
     Parameters
     ----------
     kind
-        Sort of the message, such as ``"refill"``.
+        Type of the message, such as ``"refill"``.
     head
         Values that JSON can hold, by name.
     arrays
@@ -53,7 +53,7 @@ class Message:
 
     def encoded(self) -> bytes:
         """Return the bytes of the message."""
-        named: list[tuple[list[str], str, tuple[int, ...]]] = []  # those of one form together
+        named: list[tuple[list[str], str, tuple[int, ...]]] = []  # arrays of one form together
         parts: list[bytes] = []
         for name, a in self.arrays.items():
             form = "<i8" if a.dtype.kind == "i" else "<f8"
@@ -69,7 +69,7 @@ class Message:
 
 
 def _refuse(why: str) -> LinkFaultError:
-    return LinkFaultError(f"the link sent something that is no message: {why}")
+    return LinkFaultError(f"the link sent bytes that are not a message: {why}")
 
 
 def decoded(content: bytes) -> Message:
@@ -107,13 +107,13 @@ def decoded(content: bytes) -> Message:
     return Message(kind, head, arrays)
 
 
-def event_told(event: Event) -> list[Any]:
-    """Return an event as the list that stands for it in the head of a message."""
+def event_row(event: Event) -> list[Any]:
+    """Return an event as a list for the head of a message."""
     return [event.tick, event.kind, event.operation, event.name, event.value]
 
 
 def event_of(told: Any) -> Event:
-    """Return the event that ``event_told`` wrote.
+    """Return the event that ``event_row`` wrote.
 
     Raises
     ------
@@ -151,7 +151,7 @@ class Connection:
 
     @property
     def waiting(self) -> bool:
-        """Whether a whole message was read that ``receive`` has not returned yet."""
+        """Whether a complete message is buffered that ``receive`` has not returned yet."""
         return len(self._bytes) >= 4 and len(self._bytes) >= 4 + self._length()
 
     def _length(self) -> int:
@@ -173,7 +173,7 @@ class Connection:
         Raises
         ------
         LinkFaultError
-            If what comes is no message.
+            If the received bytes are not a message.
         """
         while not self.waiting:
             if self.lost or not self._readable(timeout_s):

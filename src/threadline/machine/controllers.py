@@ -1,7 +1,7 @@
 """Digital controllers: difference equations on the error in counts, output in DAC levels.
 
-Each runs on its own clock; where the references come from a slower one, ``reference_clock``
-names it. With ``e`` the error at this tick and ``e'`` the one before:
+Each runs on its own clock; if the references come on a slower clock, ``reference_clock`` names it.
+With ``e`` the error at this tick and ``e'`` the error at the preceding tick:
 
 ========  =======================================================================
 ``p``     ``u = kp e``  (the winder's thesis calls it PE, proportional error)
@@ -11,10 +11,10 @@ names it. With ``e`` the error at this tick and ``e'`` the one before:
 ``lead``  ``u = K (e - A e') - B u'``, the motion chip's filter ``K (z - A) / (z + B)``
 ========  =======================================================================
 
-``proportional-velocity`` is another mode of that chip: ``u = K (r - r' - (y - y'))`` for references
-r and readings y, which is ``K (e - e')``, a gain on the error of speed in counts per tick. In two
-more modes the filter ``lead`` follows positions that the chip generates itself on the filter's
-clock, in 256ths of a count:
+``proportional-velocity`` is another mode of that chip: ``u = K (r - r' - (y - y')) = K (e - e')``
+for references r and readings y, a gain on the speed error in counts per tick. In two more modes the
+filter ``lead`` follows positions that the chip itself generates on the filter's clock, in 256ths of
+a count:
 
 =====================  ==========================================================
 ``integral-velocity``  sums up a speed, which approaches the difference of the last two references
@@ -46,11 +46,10 @@ VELOCITY_LOW, VELOCITY_HIGH = -128.0, 127.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Dac:
-    """The controller's output: ``2**bits`` levels over ``-range .. +range``, clamped.
+    """Output converter of the controller: ``2**bits`` levels over ``-range .. +range``, clamped.
 
-    ``rounding`` gives the level for an output between two levels; ``"nearest"`` takes the even one
-    for an output half-way. With ``zero_on_reversal`` the DAC puts out 0 V at the first tick after a
-    change of sign.
+    ``rounding`` chooses the level for an output between two levels; ``"nearest"`` rounds half to
+    even. With ``zero_on_reversal`` the output is 0 V at the first tick after a change of sign.
     """
 
     bits: Annotated[Quantity, Units(("bit",), positive=True, whole=True, most=32)]
@@ -142,8 +141,8 @@ class LeadFilter:
         for name, value in (("zero", self.zero.si), ("pole", self.pole.si)):
             if not COEFFICIENT_LOW <= value <= COEFFICIENT_HIGH:
                 raise ValueError(
-                    f"{name} of a lead filter is {value:g}, outside 1/256 ... 255/256, which is "
-                    f"all that its eight bits hold"
+                    f"{name} of a lead filter is {value:g}, outside 1/256 ... 255/256, the "
+                    f"range of its eight bits"
                 )
         return self
 
@@ -157,7 +156,7 @@ class LeadController(LeadFilter):
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class ProfileController(LeadFilter):
-    """The motion chip where it generates positions itself.
+    """The motion chip in modes in which it generates positions itself.
 
     ``acceleration`` is held in 15 bits, in 256ths of a count per tick squared.
     """
@@ -169,22 +168,22 @@ class ProfileController(LeadFilter):
         value = self.acceleration.si
         if not 1.0 <= np.rint(256.0 * value) <= ACCELERATION_MOST:
             raise ValueError(
-                f"acceleration of a profile is {value:g} count/tick^2, outside 1/256 ... 127 "
-                f"255/256, which is all that its fifteen bits hold"
+                f"acceleration of a profile is {value:g} count/tick^2, outside 1/256 ... "
+                f"127 255/256, the range of its fifteen bits"
             )
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class IntegralVelocityController(ProfileController):
-    """The motion chip's integral velocity mode: it sums up the speed of its references."""
+    """The motion chip's integral velocity mode: it integrates the speed of its references."""
 
     kind: Literal["integral-velocity"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class TrapezoidController(ProfileController):
-    """The motion chip's trapezoid mode: it makes a trapezoid of speed to each reference.
+    """The motion chip's trapezoid mode: a trapezoidal speed profile to each reference.
 
     ``velocity`` is held in 7 bits, in counts per tick.
     """
@@ -195,7 +194,7 @@ class TrapezoidController(ProfileController):
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class VelocityController:
-    """The motion chip's proportional velocity mode: a gain on the error of speed."""
+    """The motion chip's proportional velocity mode: a gain on the speed error."""
 
     kind: Literal["proportional-velocity"]
     clock: str

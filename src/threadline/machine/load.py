@@ -1,4 +1,4 @@
-"""Keys that a machine file lacks, all of them at once, each with an example of its value."""
+"""Load machine files: bases, overlays, checks, and errors that name file, line and remedy."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class MissingKey:
     location
         Parts of its dotted name.
     form
-        Example of the line that would add it.
+        Example of a line that adds it.
     """
 
     location: tuple[str, ...]
@@ -103,7 +103,8 @@ def missing_keys(
         form = sample(node, _kind(content, location))
         found.append(MissingKey(location, _assigned(location, node, form)))
     if found and not {"axes", "cylinders"} & set(content):
-        # Rules that need several keys are checked only when all others are right: too late here.
+        # Pydantic checks rules over several keys only if all keys are valid, which is too late
+        # here.
         node = field_node(_AXES)
         found.append(MissingKey(_AXES, _assigned(_AXES, node, sample(node, "linear"))))
     if found and "bodies" not in content and not _limits_alone(content):
@@ -181,7 +182,7 @@ def _assigned(location: tuple[str, ...], node: Mapping[str, Any], form: str) -> 
 
 
 def _unit(units: Sequence[str], kind: str) -> str:
-    """Return the unit that suits the kind of a part, or the first one for any kind."""
+    """Return the unit for the kind of a part, or the first unit for any other kind."""
     turning = [unit for unit in units if "rad" in unit or "N*m" in unit or "kg*m" in unit]
     if kind == "rotary" and turning:
         return turning[0]
@@ -202,7 +203,7 @@ def _axes_of(content: Mapping[str, Any]) -> list[str]:
 
 
 def _kind(content: Mapping[str, Any], location: tuple[str, ...]) -> str:
-    """Return the kind or mode of the part that a key belongs to, as far as the file says."""
+    """Return the kind or mode of a key's part; empty if the file does not give it."""
     part: Any = content
     for key in location[:-1]:
         part = part.get(key, {}) if isinstance(part, Mapping) else {}
@@ -219,7 +220,7 @@ _OURS = ("sha256", "file", "reference", "parameters")
 
 
 def library_names() -> tuple[str, ...]:
-    """Return the names of the machines that come with Threadline."""
+    """Return the names of the machines in Threadline's library."""
     folder = resources.files("threadline.machine") / "library"
     names = (entry.name for entry in folder.iterdir())
     return tuple(
@@ -240,10 +241,9 @@ def library_file(name: str) -> Path:
 
 
 def overlay_names(reference: str | Path) -> tuple[str, ...]:
-    """Return the overlays of a machine with which it can be loaded.
+    """Return the overlays with which a machine can be loaded.
 
-    A machine file that is based on another inherits overlays from it, some of which may need parts
-    that it does not have.
+    A machine inherits the overlays of its base; some may need parts that it does not have.
 
     Raises
     ------
@@ -306,7 +306,7 @@ def load_machine(reference: str | Path) -> Machine:
 
 
 def split_reference(reference: str) -> tuple[str, list[str]]:
-    """Return the machine and the overlays of a reference; paths may hold plus signs."""
+    """Return the machine and the overlays of a reference; paths may contain plus signs."""
     end = reference.rfind(".toml") + len(".toml")
     if end < len(".toml") or reference[end : end + 1] not in {"", "+"}:
         end = 0
@@ -315,7 +315,7 @@ def split_reference(reference: str) -> tuple[str, list[str]]:
 
 
 def _overlaid(content: dict[str, Any], overlays: list[str], name: str, file: str) -> dict[str, Any]:
-    """Return ``content`` with some of its overlays merged into it, in their order."""
+    """Return ``content`` with the given overlays merged into it in order."""
     available = content.get("overlays", {})
     if not isinstance(available, dict) or not all(isinstance(o, dict) for o in available.values()):
         raise MachineError(
@@ -342,7 +342,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
         raise MachineError(
             f"machine files are based on each other in a circle: {' -> '.join([*seen, name])}",
             place=Place(above_file, line_of(above, ("base",))),
-            remedy="Take one base out.",
+            remedy="Remove one base.",
         )
     text, file = _read(name)
     try:
@@ -355,7 +355,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
             raise MachineError(
                 f"unknown key {key!r}",
                 place=Place(file, line_of(text, (key,))),
-                remedy="Take it out: it is found out from the file itself.",
+                remedy="Remove it: Threadline computes it.",
             )
     base = content.pop("base", None)
     if base is None:
@@ -378,7 +378,7 @@ def _resolve(name: str, seen: tuple[str, ...]) -> tuple[dict[str, Any], str, str
 
 @lru_cache(maxsize=16)
 def _parsed(text: str) -> dict[str, Any]:
-    """Return what a text says, for nobody to change: searches read the same base many times."""
+    """Return a parsed text, not to be modified; cached because searches read a base many times."""
     return tomllib.loads(text)
 
 
@@ -386,7 +386,7 @@ def _read(name: str) -> tuple[str, str]:
     if name.endswith(".toml"):
         path = Path(name)
         for specification in (path.with_suffix(".spec.toml"), path.with_name("spec.toml")):
-            note_input(specification)  # it belongs to the machine, whoever reads it
+            note_input(specification)  # an input, because it belongs to the machine
         return read_text(path, _MAX_BYTES, MachineError, "machine file"), name
     _check_name(name)
     entry = resources.files("threadline.machine") / "library" / f"{name}.toml"
@@ -426,14 +426,14 @@ def place_in(machine: Machine, key: str) -> Place | None:
     try:
         name, overlays = split_reference(machine.reference)
         text, _ = _read(name)
-    except MachineError:  # gone since
+    except MachineError:  # removed since loading
         return Place(machine.file)
     return _Text(text, machine.file, overlays).place(*key.split("."))
 
 
 @dataclass(frozen=True, slots=True)
 class _Text:
-    """A machine file as it was written, with those of its overlays that are in force."""
+    """The text of a machine file with its active overlays."""
 
     text: str
     file: str
@@ -448,7 +448,7 @@ class _Text:
 
 def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoReturn:
     errors = error.errors(include_url=False)
-    # A misspelt key is also a missing one; only its own error says what to mend.
+    # A misspelt key also causes a "missing" error; the error of the unknown key is more useful.
     unknown = {"unexpected_keyword_argument", "extra_forbidden"}
     first = next((e for e in errors if e["type"] in unknown), errors[0])
     # Pydantic puts the tag of a union and "[key]" into the location; the file has neither.
@@ -463,7 +463,7 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
         )
         others = kinds_with(tagged)
         if others:
-            hint = f"It is of kind {' or '.join(map(repr, others))}: change kind, or take it out."
+            hint = f"Kind {' or '.join(map(repr, others))} has it: change kind, or remove the key."
         raise MachineError(f"unknown key {where!r}", place=place, remedy=hint) from error
     missing = missing_keys(errors, content)
     if missing and first["type"] in MISSING:
@@ -479,12 +479,12 @@ def _refuse(error: ValidationError, content: dict[str, Any], text: _Text) -> NoR
     message, remedy = field_fault(first)
     named = _REFERENCE.match(message)
     if not location and named:
-        # What checks references sees the whole machine; its message begins with the key.
+        # Checks of references see the whole machine; their messages begin with the key.
         place = text.place(*named[1].split("."), *([named[2]] if named[2] else []))
     said = f"{where}: {message}" if where else message
     named = _DESIGN_KEY.match(message)
     if location[:1] == ("design",) and first["type"] == "value_error" and named:
-        # What checks a table as a whole puts the key below it in front.
+        # Checks of a whole table begin their message with the key in it.
         place = text.place(*location, *named[1].split("."))
         said = f"{where}.{message}"
     if first["type"] == "too_long" and isinstance(first["input"], dict):

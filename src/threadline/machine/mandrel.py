@@ -1,4 +1,4 @@
-"""The radius of a mandrel along the axis beside it."""
+"""The profile of a mandrel: its radius along a linear axis."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _MOST_PLACES = 1000
 class Mandrel:
     """Radii ``radius`` at the positions ``at`` of the linear axis ``along``.
 
-    Between two places the radius is that of a cone, and beyond the first and the last place it
-    stays as it is there.
+    Between two positions the mandrel is a cone; beyond the first and last position the radius is
+    constant.
     """
 
     along: str
@@ -32,13 +32,13 @@ class Mandrel:
     def _a_table(self) -> Mandrel:
         if len(self.at) != len(self.radius) or len(self.at) < 2:
             raise ValueError(
-                f"a profile has a radius for each of at least 2 places; this one has "
-                f"{len(self.at)} places and {len(self.radius)} radii"
+                f"a profile needs a radius for each of at least 2 positions; this one has "
+                f"{len(self.at)} positions and {len(self.radius)} radii"
             )
         for before, after in zip(self.at, self.at[1:], strict=False):
             if before.si >= after.si:
                 raise ValueError(
-                    f"the places of a profile increase; {before.si:g} m is followed by "
+                    f"the positions of a profile must increase; {before.si:g} m is followed by "
                     f"{after.si:g} m"
                 )
         return self
@@ -51,7 +51,7 @@ class Mandrel:
 
 @plain_dataclass(frozen=True, slots=True, eq=False)
 class _Cones:
-    """The share of its largest radius at which the axis in column ``turning`` acts."""
+    """Radius of the axis in column ``turning`` along column ``along``, / its largest radius."""
 
     turning: int
     along: int
@@ -72,16 +72,17 @@ class _Cones:
 
 @plain_dataclass(frozen=True, slots=True, eq=False)
 class LocalRadii:
-    """How much nearer to its centre than at its largest radius each axis acts, by place.
+    """Local radius of each axis as a share of its largest radius, by position.
 
-    A small difference of positions, times ``radius_m`` of the path, times the shares at its place,
-    is a length on the surface. Shares are above 0, and at most 1: of every axis without a profile.
+    A small difference of positions, times ``radius_m`` of the path, times the shares at that
+    position, is a length on the surface. Shares are above 0 and at most 1; they are 1 for an axis
+    without a profile.
     """
 
     cones: tuple[_Cones, ...]
 
     def shares(self, positions: FloatArray, axis: int = -1) -> FloatArray:
-        """Return the shares at ``positions``, an array of the same shape; axes lie on ``axis``."""
+        """Return the shares at ``positions``, same shape; ``axis`` is the axes' dimension."""
         places = np.moveaxis(positions, axis, -1)
         shares = np.ones_like(places)
         for cones in self.cones:
@@ -89,7 +90,7 @@ class LocalRadii:
         return np.ascontiguousarray(np.moveaxis(shares, -1, axis))
 
     def most_between(self, positions: FloatArray) -> FloatArray:
-        """Return (n - 1, axes) the largest shares on the ways between n ``positions``."""
+        """Return the largest shares, (n - 1, axes), on the segments between n ``positions``."""
         most = np.ones_like(positions[1:])
         for cones in self.cones:
             places = positions[:, cones.along]
@@ -98,13 +99,13 @@ class LocalRadii:
 
 
 def local_radii(profiles: Mapping[str, Mandrel], axes: Sequence[str]) -> LocalRadii | None:
-    """Return the shares for a path of ``axes``, or None where they are 1 everywhere.
+    """Return the shares for a path of ``axes``, or None if they are 1 everywhere.
 
     Parameters
     ----------
     profiles
-        By the name of the axis that turns. A path that leaves out this axis, or the one that the
-        profile goes along, has the largest radius everywhere.
+        By the name of the rotary axis. A path without this axis, or without the linear axis of the
+        profile, has the largest radius everywhere.
     """
     cones = tuple(
         _Cones(

@@ -1,4 +1,4 @@
-"""What the axes of a machine may do, as arrays in the order of its axes."""
+"""The machine as data: its parts, checked references, and limits as arrays over its axes."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class AxisArrays:
 
     @property
     def acceleration_limit(self) -> FloatArray:
-        """(axes,) m/s^2 or rad/s^2, of speeding up and braking alike: the lower of both."""
+        """(axes,) m/s^2 or rad/s^2: the lower of the limits of speeding up and braking."""
         return np.minimum(*self.sides)
 
     @property
@@ -83,7 +83,7 @@ class AxisArrays:
         return self._column("acceleration"), np.array([limit.si for limit in braking])
 
     def least_acceleration(self, axes: Sequence[str]) -> float:
-        """Return the acceleration that each of ``axes`` and the path allow, braking too: m/s^2."""
+        """Return the lowest acceleration or deceleration limit of ``axes`` and the path, m/s^2."""
         column = [list(self.axes).index(axis) for axis in axes]
         own = [] if self.path is None else [self.path.acceleration, self.path.deceleration]
         along = [limit.si for limit in own if limit is not None]
@@ -108,14 +108,14 @@ class AxisArrays:
 
     @property
     def radius_m(self) -> FloatArray:
-        """(axes,) 1 for a linear axis, for a rotary one its own radius, else that of the tool.
+        """(axes,) 1 for a linear axis; for a rotary axis its radius, else the tool's, in m.
 
-        With a profile it is the largest.
+        With a profile it is the largest radius.
         """
         return np.array([acts_at_m(axis, self.tool) for axis in self.axes.values()])
 
     def local_radii(self, axes: Sequence[str]) -> LocalRadii | None:
-        """Return by how much less the radii are from place to place, for a path of ``axes``."""
+        """Return the local radii as shares of the largest radii, for a path of ``axes``."""
         profiles = {
             name: axis.profile for name, axis in self.axes.items() if axis.profile is not None
         }
@@ -131,51 +131,50 @@ NUMBERED = (
     "inputs", "cylinders", "outputs", "contacts", "plc", "shaft", "tables", "path", "tool",
     "operator",
 )  # fmt: skip
-"""Fields of ``Machine`` whose numbers may have tolerances."""
+"""Fields of ``Machine`` whose numbers can have tolerances."""
 _WITH_DYNAMICS = ("bodies", "links", "sensors", "controllers", "cylinders", "tables", "design")
 CommandedBy = Literal["ticks", "switches", "steps"]
-"""The kinds of commands that a machine may take."""
+"""The kinds of commands of machines."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Machine(AxisArrays):
-    """A machine as its TOML file describes it; every number in SI with tolerance and provenance.
+    """A machine from its TOML file; every number in SI with tolerance and provenance.
 
     Parameters
     ----------
     name, title, sources
-        Name, one-line description and references, for people.
+        Name, one-line description and references, for display.
     tick_budget
-        Largest number of ticks that a job may take.
+        Largest number of ticks of a job.
     clocks, bodies, links, drives, sensors, controllers, axes, inputs
         Parts of the network and of its control, by name. All arrays over axes have the order of
         ``axes``.
     cylinders, outputs, contacts, plc
-        Pneumatic axes of an on/off machine and the PLC that switches them. Such a machine may have
-        no ``axes``.
+        Pneumatic axes of an on/off machine and its PLC. Such a machine may have no ``axes``.
     path
-        What the tool may do along its path, whatever its axes do.
+        Limits of the tool along its path, in addition to limits of the axes.
     tool
-        Radius at which rotary axes act that have none of their own.
+        Radius of rotary axes without a radius.
     operator
         Settings of the operator.
     programs
         How its controller reads part programs.
     planner
-        The motion planner of a firmware that plans the motion between blocks by itself.
+        Settings of the firmware's motion planner, if the controller plans the motion itself.
     shaft, tables
-        Main shaft of an embroidery machine, and the controller that plays step tables between its
+        Main shaft of an embroidery machine, and the controller that plays step tables between
         stitches.
     design
         Numbers that ``threadline design`` may change.
     tolerances
-        How its numbers vary within their ``+-``.
+        How its numbers vary within their tolerances ``+-``.
     guide
         Connectors and presets, for ``threadline guide``.
     sha256
         Hash of the content, base file and overlays included.
     file, reference
-        Path of its file, and the name by which ``load_machine`` reads it again.
+        Path of its file, and the argument of ``load_machine``.
     parameters
         Path of the parameter file whose settings replaced those of the machine file; empty without
         one.
@@ -218,7 +217,7 @@ class Machine(AxisArrays):
             beside = {name: getattr(self, name) for name in _WITH_DYNAMICS}
             check_limits_alone(self.drives, self.axes, beside)
         elif not self.bodies:
-            raise ValueError("a machine needs [bodies.x], at least one")
+            raise ValueError("a machine needs at least one [bodies.x]")
         for name, link in self.links.items():
             check_known(link.stretch, self.bodies, f"links.{name}.stretch", "body")
             if link.eccentric is not None:
@@ -266,16 +265,16 @@ class Machine(AxisArrays):
         check_asked_of_paths(self.path, self.axes, self.cylinders, self.tables)
         self._on_off_references()
         self._stitching_references()
-        if self.tolerances != Tolerances():  # a variant is made often, and names nothing mostly
+        if self.tolerances != Tolerances():  # most variants name none; the check is slow
             numbers = [quantities(getattr(self, table), table) for table in NUMBERED]
             check_named(self.tolerances, [path for of in numbers for path, _ in of])
         return self
 
     def _on_off_references(self) -> None:
         if not self.axes and not self.cylinders:
-            raise ValueError("a machine needs [axes.X] or [cylinders.X], at least one")
+            raise ValueError("a machine needs at least one [axes.X] or [cylinders.X]")
         if self.cylinders and self.plc is None:
-            raise ValueError("cylinders are switched by a PLC: [plc] is missing")
+            raise ValueError("a PLC switches cylinders: [plc] is missing")
         if self.plc is not None:
             check_known([self.plc.clock], self.clocks, "plc.clock", "clock")
             scan_s = self.clocks[self.plc.clock].si
@@ -287,7 +286,7 @@ class Machine(AxisArrays):
             if self.plc.watchdog.si > MOST_SCANS * scan_s:
                 raise ValueError(
                     f"plc.watchdog: {1e3 * self.plc.watchdog.si:g} ms is longer than {MOST_SCANS} "
-                    f"scans, {1e3 * MOST_SCANS * scan_s:g} ms: it would watch nothing"
+                    f"scans, {1e3 * MOST_SCANS * scan_s:g} ms: it would protect nothing"
                 )
         used: dict[str, str] = {}
         for name, cylinder in self.cylinders.items():
@@ -320,12 +319,12 @@ class Machine(AxisArrays):
             return
         check_known([self.tables.clock], self.clocks, "tables.clock", "clock")
         if self.cylinders or not self.axes:
-            raise ValueError("tables: step tables move [axes.X], and no cylinders beside them")
+            raise ValueError("tables: step tables move [axes.X] and exclude cylinders")
         for name, axis in self.axes.items():
             at = f"axes.{name}"
             steps = axis.counts.si * self.tables.unit.si
             if axis.kind != "linear" or not axis.drive:
-                raise ValueError(f"{at}: step tables move linear axes with a drive that is told")
+                raise ValueError(f"{at}: step tables need linear axes with a position drive")
             if abs(steps - round(steps)) > 1e-6 * steps or not round(steps):
                 raise ValueError(
                     f"{at}.counts: {steps:.6g} steps in tables.unit; it must be a whole number"
@@ -333,22 +332,23 @@ class Machine(AxisArrays):
 
     @property
     def place(self) -> Place | None:
-        """Place of its file, for an error; None for a machine that was not read from a file."""
+        """Its file, for errors; None for a machine without a file."""
         return Place(self.file) if self.file else None
 
     @property
     def commanded_by(self) -> CommandedBy:
-        """Kind of commands that it takes, by which ``KINDS`` lists its work."""
+        """Kind of its commands, the key of ``KINDS``."""
         if self.shaft is not None:
             return "steps"
         return "switches" if self.cylinders else "ticks"
 
     @property
     def moving(self) -> dict[str, str]:
-        """Everything that moves, by name, each with its kind.
+        """Kind of every moving part, by name.
 
-        A kind is ``linear`` or ``rotary`` (an axis with a loop), ``stepper``, ``pulse-servo``,
-        ``kinematic``, ``cylinder``, or ``stepped`` (an axis that plays tables between stitches).
+        A kind is ``linear`` or ``rotary`` (an axis with a control loop), ``stepper``,
+        ``pulse-servo``, ``kinematic``, ``cylinder``, or ``stepped`` (an axis that plays tables
+        between stitches).
         """
         if self.tables is not None:
             return dict.fromkeys(self.axes, "stepped")
@@ -370,17 +370,17 @@ class Machine(AxisArrays):
 
     @property
     def position_sources(self) -> dict[str, Source]:
-        """Drives that are given positions and whose load is known, by name."""
+        """Position-commanded drives with known loads, by name."""
         return {n: d for n, d in self.drives.items() if isinstance(d, Stepper | PulseServo)}
 
     @property
     def without_dynamics(self) -> bool:
-        """Whether its file has limits alone: nothing is known of what its drives move."""
+        """Whether its file has only limits, and no bodies behind its drives."""
         return any(isinstance(drive, Kinematic) for drive in self.drives.values())
 
     @property
     def told_positions(self) -> bool:
-        """Whether its drives are told positions: it has axes, and none with a loop."""
+        """Whether its drives take positions, so that Threadline closes no control loop."""
         return any(axis.drive for axis in self.axes.values())
 
     @property
@@ -408,12 +408,12 @@ class Machine(AxisArrays):
 
     @property
     def command_clock(self) -> Clock:
-        """The clock on which its commands are given: the scan of a PLC, else ``tick_clock``."""
+        """The clock of its commands: the scan of a PLC, else ``tick_clock``."""
         return self.tick_clock if self.plc is None else self.clock(self.plc.clock)
 
     @property
     def tick_clock(self) -> Clock:
-        """The clock on which the axes' references are given: that of the first axis."""
+        """The clock of the axes' references, from the first axis."""
         name = next(iter(self.axes))
         told = self.drives.get(self.axes[name].drive)
         if told is not None and not isinstance(told, DcMotor):
@@ -423,7 +423,7 @@ class Machine(AxisArrays):
 
 
 def clocked(machine: Machine) -> list[tuple[str, str]]:
-    """Return the kind of each controller, and the scan of a PLC, each with the name of its clock.
+    """Return the kind of each controller (and PLC) with the name of its clock.
 
     >>> from threadline.machine.load import load_machine
     >>> clocked(load_machine("letter-placer"))
@@ -434,14 +434,14 @@ def clocked(machine: Machine) -> list[tuple[str, str]]:
 
 
 def check_dynamics(asked: str, *machines: Machine | None) -> None:
-    """Refuse a question that needs dynamics about machines of which only limits are known.
+    """Refuse a question that needs dynamics for machines that have only limits.
 
     Parameters
     ----------
     asked
         The question, as the subject of a sentence: ``"how axis X swings"``.
     machines
-        The machines that it is about; None for one that was not given.
+        The machines; None is skipped.
 
     Raises
     ------
@@ -452,7 +452,7 @@ def check_dynamics(asked: str, *machines: Machine | None) -> None:
         if machine is not None and machine.without_dynamics:
             raise OptionError(
                 f"the machine file of {machine.name} has no dynamics, only limits: {asked} "
-                "cannot be told from it",
+                "cannot be computed",
                 place=machine.place,
-                remedy="Leave it out, or describe the bodies and drives: docs/machines.md.",
+                remedy="Omit it, or describe the bodies and drives: docs/machines.md.",
             )

@@ -1,4 +1,4 @@
-"""The machine's own controller: the settings of its motion planner, and how it reads programs."""
+"""Settings of the controller: its motion planner, and how it reads part programs."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pydantic.dataclasses import dataclass
 from threadline.machine.parts import STRICT, check_known
 from threadline.machine.quantity import Quantity, Units
 
-_RING = 16  # BLOCK_BUFFER_SIZE, as grbl 1.1 and Marlin 2.1 come
-_DUET_RING = 60  # the moves that a Duet 3 holds
-_CRUISE_RATIO = 0.5  # Klipper's own default
+_RING = 16  # default BLOCK_BUFFER_SIZE of grbl 1.1 and Marlin 2.1
+_DUET_RING = 60  # default number of moves in the queue of a Duet 3
+_CRUISE_RATIO = 0.5  # Klipper's default
 
 Deviation = Annotated[Quantity, Units(("m",), not_negative=True)]
 Speed = Annotated[Quantity, Units(("m/s",), not_negative=True)]
@@ -25,11 +25,11 @@ Ring = Annotated[Quantity, Units(("",), positive=True, whole=True, most=4096)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class GrblPlanner:
-    """The planner of grbl and FluidNC: trapezoids of speed, and corners by junction deviation.
+    """The planner of grbl and FluidNC: trapezoidal speed, cornering by junction deviation.
 
-    ``blocks`` is the size of the ring buffer of blocks, 16 when left out; one block of it is always
-    empty. ``left_out``, of every planner, says what the firmware does besides: a motion is planned
-    without it, and told so.
+    ``blocks`` is the size of the ring buffer of blocks, 16 by default; one block in it is always
+    empty. ``left_out``, in every planner, lists functions of the firmware that change the motion
+    but are not planned; every plan reports them.
     """
 
     kind: Literal["grbl"]
@@ -39,19 +39,18 @@ class GrblPlanner:
 
     @property
     def look_ahead(self) -> int:
-        """Number of blocks that are planned together, the one under way included."""
+        """Number of blocks planned together, including the current one."""
         return max(1, (_RING if self.blocks is None else round(self.blocks.si)) - 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class MarlinPlanner:
-    """Marlin's planner: trapezoids of speed, and corners by junction deviation or speed jumps.
+    """Marlin's planner: trapezoidal speed, cornering by junction deviation or speed jumps.
 
-    ``jump`` is the jump of speed that Marlin calls jerk, which an axis may make at a corner
-    (``M205 X Y Z``), by the axis' letter. ``acceleration`` limits every move (``M204 T``) where it
-    is less than the limits of the axes. ``least_speed`` is the speed of a move whose F is slower
-    (``M205 T``). Moves that take less than ``short_time`` (``M205 B``), 20 ms when left out, are
-    made slower while few of them wait.
+    ``jump`` is the speed jump of an axis at a corner, which Marlin calls jerk (``M205 X Y Z``), by
+    the axis' letter. ``acceleration`` limits every move (``M204 T``) in addition to the limits of
+    the axes. ``least_speed`` is the lowest speed of a move (``M205 T``). Moves shorter than
+    ``short_time`` (``M205 B``), 20 ms by default, are slowed down while few moves are queued.
     """
 
     kind: Literal["marlin"]
@@ -67,8 +66,8 @@ class MarlinPlanner:
     def _one_rule(self) -> MarlinPlanner:
         if (self.junction_deviation is None) != bool(self.jump):
             raise ValueError(
-                "corners are taken by junction_deviation (M205 J) or by jump (M205 X Y Z): give "
-                "one of them"
+                "corner speed follows junction_deviation (M205 J) or jump (M205 X Y Z): give "
+                "exactly one of them"
             )
         return self
 
@@ -80,13 +79,13 @@ class MarlinPlanner:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class KlipperPlanner:
-    """Klipper's planner: trapezoids with a least cruise, and corners by square corner velocity.
+    """Klipper's planner: trapezoids with a minimum cruise, cornering by square corner velocity.
 
     ``velocity`` and ``acceleration`` are ``max_velocity`` and ``max_accel`` of Klipper's
-    ``[printer]``; ``minimum_cruise_ratio`` is 50 % when left out, as in Klipper. ``jump`` is the
-    step of speed that an axis beside X, Y and Z may make (``INSTANTANEOUS_CORNER_VELOCITY``), by
-    the axis' letter, 1 mm/s or deg/s when left out; ``alone`` its acceleration in moves without X,
-    Y and Z (``accel`` of ``[manual_stepper]``).
+    ``[printer]``; ``minimum_cruise_ratio`` is 50 % by default, as in Klipper. ``jump`` is the speed
+    jump of an axis other than X, Y and Z (``INSTANTANEOUS_CORNER_VELOCITY``), by the axis' letter,
+    1 mm/s or deg/s by default; ``alone`` is its acceleration in moves without X, Y and Z (``accel``
+    of ``[manual_stepper]``).
     """
 
     kind: Literal["klipper"]
@@ -108,18 +107,18 @@ class KlipperPlanner:
 
     @property
     def cruise_ratio(self) -> float:
-        """Least share of a move's length at constant speed."""
+        """Minimum share of a move's length at constant speed."""
         return _CRUISE_RATIO if self.minimum_cruise_ratio is None else self.minimum_cruise_ratio.si
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class RepRapPlanner:
-    """RepRapFirmware's planner: trapezoids of speed, and corners by jumps of each axis' speed.
+    """RepRapFirmware's planner: trapezoidal speed, cornering by a speed jump of each axis.
 
     ``jump`` is the "maximum instantaneous speed change" of an axis (``M566``), by the axis' letter.
-    ``policy`` is ``P`` of ``M566``: with 0, and when left out, a move of X or Y and one of other
-    axes alone meet at rest; with 1 they do not. ``acceleration`` limits the moves of X and Y
-    (``M204 T``). ``blocks`` is the number of moves that are held, 60 when left out.
+    ``policy`` is ``P`` of ``M566``: with 0, the default, the machine stops between a move with X or
+    Y and a move of other axes only; with 1 it does not. ``acceleration`` limits the moves of X and
+    Y (``M204 T``). ``blocks`` is the length of the move queue, 60 by default.
     """
 
     kind: Literal["reprapfirmware"]
@@ -131,7 +130,7 @@ class RepRapPlanner:
 
     @property
     def joins_all(self) -> bool:
-        """Whether moves of X or Y and moves of other axes alone go into each other."""
+        """Whether moves with and without X or Y follow each other without a stop."""
         return self.policy is not None and self.policy.si == 1.0
 
     @property
@@ -142,11 +141,11 @@ class RepRapPlanner:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class LinuxCncPlanner:
-    """LinuxCNC's trajectory planner: arcs in corners, moves that overlap, 50 moves of look-ahead.
+    """LinuxCNC's trajectory planner: arcs in corners, overlapping moves, 50 moves of look-ahead.
 
-    ``tolerance`` is P of G64; without it corners are left as far as accelerations allow.
-    ``cam_tolerance`` is Q, within which moves become one: P when left out, 0 for none. With
-    ``exact_stop`` (G61) every move ends at rest, unless the next goes straight on.
+    ``tolerance`` is P of G64; without it only the accelerations limit the rounding of corners.
+    ``cam_tolerance`` is Q, within which moves are merged: P by default, 0 for none. With
+    ``exact_stop`` (G61) every move ends at rest, unless the next move continues straight.
     """
 
     kind: Literal["linuxcnc"]
@@ -158,10 +157,10 @@ class LinuxCncPlanner:
     @model_validator(mode="after")
     def _one_mode(self) -> LinuxCncPlanner:
         if self.exact_stop and self.tolerance is not None:
-            raise ValueError("with exact_stop (G61) there is no tolerance (G64 P): take one out")
+            raise ValueError("exact_stop (G61) excludes a tolerance (G64 P): remove one of them")
         if self.exact_stop and self.cam_tolerance is not None:
             raise ValueError(
-                "with exact_stop (G61) there is no cam_tolerance (G64 Q): take one out"
+                "exact_stop (G61) excludes a cam_tolerance (G64 Q): remove one of them"
             )
         return self
 
@@ -183,12 +182,12 @@ FirmwarePlanner = Annotated[
 
 
 def check_by_axis(planner: FirmwarePlanner, axes: Collection[str], rotary: Collection[str]) -> None:
-    """Check that what a planner gives by axis names one, in the unit of its kind.
+    """Check that a planner's values by axis name existing axes and have their units.
 
     Raises
     ------
     ValueError
-        If an axis does not exist, or turns where the number is of a way, or the other way about.
+        If an axis does not exist, or the unit is linear for a rotary axis or vice versa.
     """
     for key, unit in (("jump", "/s"), ("alone", "/s^2")):
         given: dict[str, Quantity] = getattr(planner, key, {})
@@ -202,12 +201,12 @@ def check_units_of_axes(
     axes: Collection[str],
     rotary: Collection[str],
 ) -> None:
-    """Check numbers by axis, of ``unit`` behind m or rad, as ``check_by_axis`` does."""
+    """Check values by axis, whose unit is m or rad followed by ``unit``, as ``check_by_axis``."""
     check_known(given, axes, key, "axis")
     for name, value in given.items():
         own = f"{'rad' if name in rotary else 'm'}{unit}"
         if value.unit != own:
-            raise ValueError(f"{key}.{name} is in {value.unit}, the axis in {own}")
+            raise ValueError(f"{key}.{name} is in {value.unit}, but the axis needs {own}")
 
 
 FeedRule = Literal[
@@ -226,10 +225,9 @@ Offset = Annotated[Quantity, Units(("m", "rad"))]
 class Programs:
     """How the controller of the machine reads part programs.
 
-    ``feed_mode`` is the rule for the meaning of F, that of the dialect when left out. ``base_axes``
-    are the axes whose speed F is under the rule ``base-axes``, and are given with no other.
-    ``offsets`` are the places of G54 to G59 in the machine's own system, by axis; what is not given
-    is 0.
+    ``feed_mode`` is the rule for the meaning of F, by default the dialect's rule. ``base_axes`` are
+    the axes whose speed F gives under the rule ``base-axes``; other rules have none. ``offsets``
+    are the origins of G54 to G59 in machine coordinates, by axis; a missing offset is 0.
     """
 
     dialect: DialectName = "winder"
@@ -241,7 +239,7 @@ class Programs:
     def _base(self) -> Programs:
         if (self.feed_mode == "base-axes") != bool(self.base_axes):
             raise ValueError(
-                'base_axes go with feed_mode = "base-axes", and only with it: CADFIL\'s mode 1 '
+                'base_axes and feed_mode = "base-axes" need each other: CADFIL\'s mode 1 '
                 'has base_axes = ["A"], mode 2 ["A", "X"]'
             )
         return self

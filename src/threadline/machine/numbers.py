@@ -1,4 +1,4 @@
-"""Numbers of a machine by their dotted names: read, replaced, and found in its file."""
+"""Read and replace numbers of a machine by their dotted names, and find them in its file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ADAPTER: TypeAdapter[Machine] = TypeAdapter(Machine)
 
 @cache
 def schema() -> dict[str, Any]:
-    """Return the JSON schema of a machine file; it is cached, since making it takes long."""
+    """Return the JSON schema of a machine file, cached because it is slow to make."""
     return ADAPTER.json_schema(mode="validation")
 
 
@@ -52,9 +52,9 @@ def field_names(location: tuple[str, ...]) -> list[str]:
 
 
 def kinds_with(location: tuple[str, ...]) -> list[str]:
-    """Return the kinds of a part that have the last key of ``location``, which its own kind lacks.
+    """Return the kinds of a part that have the last key of ``location``, which its kind lacks.
 
-    There are none for a part without kinds.
+    Empty for a part without kinds.
     """
     among, key = location[:-2], location[-1]
     kinds = field_node(among).get("discriminator", {}).get("mapping", {})
@@ -62,7 +62,7 @@ def kinds_with(location: tuple[str, ...]) -> list[str]:
 
 
 def plain_node(node: Any) -> dict[str, Any]:
-    """Return a node of the schema with references resolved, and of an optional key the value."""
+    """Return a schema node with references resolved; for an optional key, its non-null variant."""
     definitions = schema().get("$defs", {})
     while isinstance(node, dict):
         if "$ref" in node:
@@ -81,13 +81,13 @@ def in_file(location: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def line_of(text: str, location: tuple[str, ...], overlays: Sequence[str] = ()) -> int:
-    """Return the line (from 1) of the deepest part of ``location`` that the text holds; 0 for none.
+    """Return the line (from 1) of the deepest part of ``location`` in the text; 0 for none.
 
     Parameters
     ----------
     overlays
-        Overlays of the file that were applied. The last one that holds at least as much of
-        ``location`` as the file itself gives the line.
+        Applied overlays of the file. The last one that contains at least as much of ``location`` as
+        the file itself gives the line.
     """
     best, best_depth = _deepest(text, location)
     for overlay in overlays:
@@ -98,7 +98,7 @@ def line_of(text: str, location: tuple[str, ...], overlays: Sequence[str] = ()) 
 
 
 def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
-    """Return the line of the deepest part of ``location``, and how many of its keys lead there."""
+    """Return the line of the deepest part of ``location``, and its depth in keys."""
     table: tuple[str, ...] = ()
     best, best_depth = 0, 0
     for number, line in enumerate(text.splitlines(), start=1):
@@ -113,7 +113,7 @@ def _deepest(text: str, location: tuple[str, ...]) -> tuple[int, int]:
             continue
         depth = len(path) if path == location[: len(path)] else 0
         if header and depth == 0 and location == table[: len(location)]:
-            depth = len(location)  # a header such as [a.b.c] opens the tables a and a.b, too
+            depth = len(location)  # a header [a.b.c] also opens the tables a and a.b
         if depth > best_depth:
             best, best_depth = number, depth
     return best, best_depth
@@ -136,18 +136,18 @@ def number_at(machine: Machine, path: str) -> Quantity:
     if not isinstance(node, Quantity):
         raise OptionError(
             f"machine {machine.name!r} has no number {path!r}",
-            remedy="Name one that its file gives.",
+            remedy="Name a number in its file.",
         )
     return node
 
 
 def number_tables(texts: Mapping[str, str]) -> list[str]:
-    r"""Return the lines of a machine file that set numbers, in tables that a blank line begins.
+    r"""Return lines of a machine file that set numbers, with a blank line before each table.
 
     Parameters
     ----------
     texts
-        Path of each number, as ``number_at`` takes it, to its text with unit and tolerance.
+        Path of each number, as in ``number_at``, to its text with unit and tolerance.
 
     Examples
     --------
@@ -164,21 +164,21 @@ def number_tables(texts: Mapping[str, str]) -> list[str]:
 
 
 def is_whole(machine: Machine, path: str) -> bool:
-    """Return whether a number must be a whole one, such as the bits of a converter."""
+    """Return whether a number must be whole, such as the bits of a converter."""
     node: Any = machine
     *above, last = path.split(".")
     for key in above:
         node = node.get(key) if isinstance(node, Mapping) else getattr(node, key, None)
     if isinstance(node, Mapping) or node is None:
         return False
-    kind: Any = type(node)  # mypy takes a type for what cannot be hashed
+    kind: Any = type(node)  # Any: mypy would say that a type is not hashable
     return last in _whole_numbers(kind)
 
 
 @cache
 def _whole_numbers(kind: Any) -> frozenset[str]:
-    """Return the keys of a part of a machine that are whole numbers."""
-    marked = get_type_hints(kind, include_extras=True)  # some ms: the text of every type is read
+    """Return the keys of a part that are whole numbers."""
+    marked = get_type_hints(kind, include_extras=True)  # takes some ms, hence the cache
     return frozenset(
         key
         for key, hint in marked.items()
@@ -187,10 +187,10 @@ def _whole_numbers(kind: Any) -> frozenset[str]:
 
 
 def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
-    """Return ``machine`` with other numbers (in SI, by their dotted names) and a hash of its own.
+    """Return ``machine`` with new numbers (SI, by dotted names) and a new hash.
 
-    Tolerances stay the same share of the value. A time is converted to an exact fraction of a
-    second, within 1e-18 s.
+    Relative tolerances are kept. A time is converted to an exact fraction of a second, within 1e-18
+    s.
 
     Raises
     ------
@@ -214,7 +214,7 @@ def with_numbers(machine: Machine, numbers: Mapping[str, float]) -> Machine:
         )
     note = repr(sorted((path, float(value)) for path, value in numbers.items()))
     new["sha256"] = hashlib.sha256((machine.sha256 + note).encode()).hexdigest()
-    # At once: of two numbers that hold together, one alone may be refused.
+    # All at once: a check of two related numbers may refuse one without the other.
     made: Machine = _replaced(machine, new)
     return made
 

@@ -1,6 +1,6 @@
-"""FW-CNC.PAR, the parameter file of the 1994 controller, as an overlay of a machine.
+"""FW-CNC.PAR, the parameter file of the 1994 controller, applied to a machine.
 
-Three lines of comment, then a whole number and a comment behind a semicolon on each line::
+Three lines of comment; then, on each line, a whole number, a semicolon and a comment::
 
     20  ; Initial feed rate for manual control
     10  ; Normal feed rate
@@ -8,9 +8,8 @@ Three lines of comment, then a whole number and a comment behind a semicolon on 
     20  ; Number of interrupts after which actual positions are recorded
     4   ; Number of knot points to be interpolated between two points
 
-The thesis planned to have the number of axes and the gains in it as well. They follow in the
-same form: the number of axes n, then Kp and Kd once for all axes, or n times, in the order of the
-machine's axes.
+The thesis planned to add the number of axes and the gains. They follow in the same form: the number
+of axes n, then Kp and Kd once for all axes, or n times in the order of the machine's axes.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _BASIC = ("manual feed", "normal feed", "feed limit", "record every", "knots bet
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Parameter:
-    """A number of the file and its line."""
+    """A number in the file and its line."""
 
     value: int
     line: int
@@ -51,12 +50,12 @@ def read_parameters(path: str | Path, machine: Machine) -> Machine:
     path
         The parameter file.
     machine
-        Machine that has all other numbers. If the file gives fewer axes, the first ones are kept.
+        Machine with all other numbers. If the file gives fewer axes, the first ones are kept.
 
     Raises
     ------
     MachineError
-        With file and line, if the file cannot be read or does not fit the machine.
+        If the file cannot be read or does not fit the machine; names file and line.
     """
     path = Path(path)
     data = _read(path)
@@ -84,7 +83,7 @@ def read_parameters(path: str | Path, machine: Machine) -> Machine:
                 f"the controller {key!r} of axis {name} is {controller.kind}: Kp and Kd are "
                 "gains of a pd controller",
                 place=Place(str(path), kp.line),
-                remedy="Take the gains out of the file.",
+                remedy="Remove the gains from the file.",
             )
         controllers[key] = _with_gains(controller, kp, kd, path)
     sha256 = hashlib.sha256(machine.sha256.encode() + data).hexdigest()
@@ -113,7 +112,7 @@ def _read(path: Path) -> bytes:
 
 
 def _parse(data: bytes, path: Path) -> list[Parameter]:
-    # The comments are of 1994 and for people: any byte above ASCII is theirs.
+    # latin-1 accepts any byte: comments of 1994 may have any encoding.
     lines = data.decode("latin-1").removesuffix("\x1a").splitlines()
     while lines and not lines[-1].strip():
         lines.pop()

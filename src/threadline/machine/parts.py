@@ -1,8 +1,8 @@
 """The parts of a machine: bodies and links between them, drives, sensors, axes, switches.
 
 Every part is data from the machine file. A machine is a network: each body has one coordinate, and
-each link a stretch that is a weighted sum of coordinates. A belt between a motor, a head and a
-frame, a rack on the ground and a gear are links that differ in their weights.
+each link a stretch that is a weighted sum of coordinates. A belt between motor, head and frame, a
+rack on the ground, and a gear are links with different weights.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STRICT = ConfigDict(extra="forbid", defer_build=True)
 
 PositiveTime = Annotated[Quantity, Units(("s",), positive=True)]
 Period = Annotated[Quantity, Units(("s",), positive=True, most=3600.0)]
-"""Of a clock: what is held for longer than an hour is held by nothing that samples."""
+"""Period of a clock, at most one hour: no sampled controller is slower."""
 
 Coefficient = Annotated[Quantity, Units(("", "m/rad", "rad/m"))]
 Resolution = Annotated[Quantity, Units(("count/rad", "count/m"), positive=True)]
@@ -33,8 +33,8 @@ Position = Annotated[Quantity, Units(("m", "rad"))]
 def _weighing(coefficients: dict[str, Quantity]) -> dict[str, Quantity]:
     if not any(coefficient.si for coefficient in coefficients.values()):
         raise ValueError(
-            f"every coefficient is 0 ({', '.join(coefficients)}), so that it does nothing. "
-            "Give one that is not, like the radius of a pulley or 1."
+            f"every coefficient is 0 ({', '.join(coefficients)}), so it has no effect. "
+            "Give one that is not 0, like the radius of a pulley or 1."
         )
     return coefficients
 
@@ -42,7 +42,7 @@ def _weighing(coefficients: dict[str, Quantity]) -> dict[str, Quantity]:
 Rounding = Literal["nearest", "floor", "truncate"]
 """Direction of rounding: to the nearest whole number, down, or towards zero."""
 Weights = Annotated[dict[str, Coefficient], Field(min_length=1), AfterValidator(_weighing)]
-"""Weights of coordinates in a stretch, a load or the direction of a force; one is not 0."""
+"""Weights of coordinates in a stretch, a load or a direction of force; at least one is not 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -78,11 +78,10 @@ class Body:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Eccentric:
-    """An eccentric gear, which makes the play of a link ``play + width cos(angle)``.
+    """An eccentric gear, by which the play of a link becomes ``play + width cos(angle)``.
 
-    ``angle`` gives the gear's angle in rad as a weighted sum of coordinates, and ``phase`` that
-    angle at the start of the machine; ``width`` is the amplitude by which the full width of the
-    play varies.
+    ``angle`` is the gear's angle in rad as a weighted sum of coordinates, and ``phase`` its value
+    at the start of the machine; ``width`` is the amplitude of the full width of the play.
     """
 
     angle: dict[str, Annotated[Quantity, Units(("", "rad/m"))]] = Field(min_length=1)
@@ -94,10 +93,10 @@ class Eccentric:
 class Link:
     """A spring and damper whose stretch is ``sum(coefficient * coordinate)``.
 
-    With ``preload`` the link is a belt of two runs: each has its share of the stiffness and is
-    slack while it has no tension. ``first_run`` is the share of the run that a positive stretch
-    tightens, a half when left out. ``play`` is the full width of a dead band, which ``eccentric``
-    makes vary with the angle of a gear.
+    With ``preload`` the link is a belt of two runs: each has a share of the stiffness and goes
+    slack without tension. ``first_run`` is the share of the run that a positive stretch tightens, a
+    half by default. ``play`` is the full width of the backlash; with ``eccentric`` it varies with
+    the angle of a gear.
     """
 
     stretch: Weights
@@ -120,26 +119,26 @@ class Link:
         ):
             if part is not None and part.unit != wanted:
                 raise ValueError(
-                    f"{name} is in {part.unit}; beside a stiffness in {self.stiffness.unit} "
-                    f"it is in {wanted}"
+                    f"{name} is in {part.unit}; with a stiffness in {self.stiffness.unit} "
+                    f"it must be in {wanted}"
                 )
         if self.first_run is not None and not (self.preload and self.first_run.si < 1.0):
-            raise ValueError("first_run is a share between 0 and 1, of a belt with a preload")
+            raise ValueError("first_run must be a share between 0 and 1, and needs a preload")
         if self.eccentric is not None and (
             self.play is None or self.eccentric.width.si > self.play.si
         ):
-            raise ValueError("an eccentric gear needs a play at least as wide as it varies")
+            raise ValueError("an eccentric gear needs a play of at least its width")
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Amplifier:
-    """Turns the controller's voltage into a voltage (mode voltage) or current (mode current).
+    """Amplifier: the controller's voltage sets a voltage (mode voltage) or current (mode current).
 
-    ``limits`` says how the current of a motor with inductance is limited: as a state that stays at
-    the limit (``state``), or at the output of an integrator that goes on beyond it (``output``, as
-    in simulations with a saturation block). ``reserve`` is the share of voltage and current limits
-    that a plan leaves to the loop.
+    ``limits`` is the kind of current limit of a motor with inductance: ``state`` stops the current
+    at the limit; ``output`` clips the output of an integrator that winds up (as in simulations with
+    a saturation block). ``reserve`` is the share of the voltage and current limits that a plan
+    leaves to the control loop.
     """
 
     mode: Literal["voltage", "current"]
@@ -176,9 +175,9 @@ class DcMotor:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Encoder:
-    """An encoder that reads ``sum(resolution * coordinate)`` in whole counts.
+    """An encoder whose reading is ``sum(resolution * coordinate)`` in whole counts.
 
-    ``rounding`` gives the reading at a position between two counts.
+    ``rounding`` gives the reading between two counts.
     """
 
     kind: Literal["encoder"]
@@ -202,15 +201,14 @@ class Axis:
     """An axis that jobs move: its scale, travel and hard limits.
 
     ``controller`` names the controller that moves it, or ``drive`` a stepper or pulse servo.
-    ``deceleration`` is what it may brake with, where that is not its ``acceleration``.
-    ``load`` gives the position of the mass that does the work, in axis units, as a weighted sum of
-    coordinates; without it, the load is what the sensor or the drive of the axis counts, not
-    rounded. ``frame`` gives the position of the frame in the same way. ``endless`` axes have no
-    travel. ``stroke`` is the way between the two ends of the axis, of an axis on which a job may
-    begin anywhere: the greatest position less the least is never more. ``radius`` is the distance
-    at which a rotary axis acts on the work, that of the tool when left out; ``profile`` gives it
-    by the place of a linear axis instead, for a mandrel. ``working_velocity``
-    is the speed of daily work, for which warnings are computed.
+    ``deceleration`` is the limit of braking, by default ``acceleration``. ``load`` is the position
+    of the mass that does the work, in axis units, as a weighted sum of coordinates; by default it
+    is the position that the sensor or drive of the axis counts, not rounded. ``frame`` is the
+    position of the frame in the same form. ``endless`` axes have no travel. ``stroke`` is the
+    distance between the two ends of an axis on which a job may begin anywhere: no job may span
+    more. ``radius`` is the distance at which a rotary axis acts on the work, by default the tool's;
+    for a mandrel, ``profile`` gives it along a linear axis instead. ``working_velocity`` is the
+    speed of daily work, used for warnings.
     """
 
     kind: Literal["linear", "rotary"]
@@ -245,14 +243,14 @@ class Axis:
                 raise ValueError(f"{name} of a {self.kind} axis is in {wanted}, not {part.unit}")
         if bool(self.controller) == bool(self.drive):
             raise ValueError(
-                "an axis has either a controller, whose loop moves it, or a drive that is told "
+                "an axis has either a controller, which closes a loop, or a drive that takes "
                 "positions"
             )
         if self.radius is not None and self.kind == "linear":
-            raise ValueError("a linear axis has no radius: take it out")
+            raise ValueError("a linear axis has no radius: remove it")
         if self.profile is not None and (self.kind == "linear" or self.radius is not None):
             raise ValueError(
-                "a profile is of a rotary axis, and takes the place of its radius: take one out"
+                "a profile belongs to a rotary axis and replaces its radius: remove one of them"
             )
         if (self.travel is None) != self.endless:
             raise ValueError('an axis has either travel = ["min", "max"] or endless = true')
@@ -261,18 +259,18 @@ class Axis:
             if low.unit != length or high.unit != length:
                 raise ValueError(f"travel of a {self.kind} axis is in {length}")
             if low.si >= high.si:
-                raise ValueError(f"travel runs from {low.si} to {high.si} {length}: nothing left")
+                raise ValueError(f"travel must increase, got {low.si} to {high.si} {length}")
         if self.stroke is not None:
             if self.travel is None:
-                raise ValueError("an endless axis has no stroke: take it out")
+                raise ValueError("an endless axis has no stroke: remove it")
             if self.stroke.unit != length or self.stroke.si <= 0.0:
-                raise ValueError(f"the stroke of a {self.kind} axis is above 0, in {length}")
+                raise ValueError(f"the stroke of a {self.kind} axis must be above 0, in {length}")
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class LimitSwitch:
-    """Cuts a drive's supply once the axis is at or past ``at``, on the side ``beyond``."""
+    """A switch that cuts a drive's supply while the axis is at ``at`` or ``beyond`` it."""
 
     kind: Literal["limit-switch"]
     axis: str
@@ -286,8 +284,8 @@ def switches_in_the_way(
 ) -> Iterator[tuple[str, str, str]]:
     """Yield key, fault and remedy of each limit switch within the travel of its axis.
 
-    It would cut the supply of a motor in the midst of a motion that keeps all limits. That is for
-    the numbers of a file: a machine drawn within its tolerances may have one a little nearer.
+    Such a switch would cut the supply of a motor during a motion within all limits. Call this for
+    the nominal machine only: a variant within the tolerances may have a switch a little nearer.
     """
     for name, switch in inputs.items():
         axis = axes[switch.axis]
@@ -301,7 +299,7 @@ def switches_in_the_way(
         yield (
             f"inputs.{name}.at",
             f"the limit switch cuts drives.{switch.cuts} from {told[0]} on, within the travel of "
-            f"axes.{switch.axis}, {told[1]} to {told[2]}: a job that keeps its limits would lose "
+            f"axes.{switch.axis}, {told[1]} to {told[2]}: a job within its limits would lose "
             "its motor there",
             f"End the travel before the switch, or place the switch {'above' if above else 'below'}"
             f" {told[2] if above else told[1]}.",
@@ -314,7 +312,7 @@ def _place(value_si: float, kind: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Tool:
-    """The tool: ``radius`` is the distance at which rotary axes act."""
+    """The tool; ``radius`` is the distance at which rotary axes act on the work."""
 
     radius: Annotated[Quantity, Units(("m",), positive=True)]
 
@@ -323,8 +321,8 @@ class Tool:
 class Operator:
     """The operator's settings, as in the parameter file of the 1994 controller.
 
-    ``manual_feed``, ``limit_feed`` and ``knots_between`` act in that controller alone and may be
-    left out.
+    ``manual_feed``, ``limit_feed`` and ``knots_between`` are optional: only that controller uses
+    them.
     """
 
     normal_feed: Annotated[Quantity, Units(("count/tick",), positive=True)]
@@ -335,19 +333,19 @@ class Operator:
 
 
 def check_known(names: Iterable[str], among: Iterable[str], where: str, what: str) -> None:
-    """Check that what a key names exists.
+    """Check that the names in a key exist.
 
     Parameters
     ----------
     names, among
-        Those that the key gives; those that there are.
+        Names in the key; names that exist.
     where, what
-        The key; what it names, for people.
+        The key; the kind of thing that it names, for the error.
 
     Raises
     ------
     ValueError
-        With the first name that is none of ``among``.
+        If a name is not in ``among``; names the first one.
     """
     known = list(among)
     for name in names:
@@ -363,7 +361,7 @@ _Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Connector:
-    """A connector: what and where it is, and the signal at each pin that is used."""
+    """A connector: its purpose and location, and the signal at each used pin."""
 
     title: Said
     pins: dict[_Pin, Said] = Field(min_length=1)
@@ -371,10 +369,9 @@ class Connector:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Guide:
-    """What ``threadline guide`` prints besides what follows from the other parts.
+    """Additional content of ``threadline guide``, which cannot be derived from other parts.
 
-    ``presets`` are the steps that the drives ask for by their own manual, before the steps of
-    calibration that are the same for every such drive.
+    ``presets`` are the steps from the manual of the drives, before the general calibration steps.
     """
 
     presets: tuple[Said, ...] = ()

@@ -1,8 +1,8 @@
-"""Parts of an on/off machine: cylinders, the valves that set their speed, contacts and the PLC.
+"""Parts of an on/off machine: cylinders, valves that set their speed, contacts and the PLC.
 
 A flow control behind an open valve lets the exhaust out at a set rate. The open valves therefore
-set the *speed* of the piston and not its force: it is ``speed`` times the sum of their flows, since
-flow controls of one direction work in parallel. Every subset of them gives a level.
+set the *speed* of the piston, not its force: ``speed`` times the sum of their flows, because flow
+controls of one direction work in parallel. Every subset of them gives a speed level.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ Length = Annotated[Quantity, Units(("m",), positive=True)]
 ShortTime = Annotated[Quantity, Units(("s",), positive=True, most=100.0)]
 """A delay or lag of compressed air, of at most 100 s; one second is long."""
 REST_LAGS = 4.0
-"""Number of lags after the end of the flow at which a cylinder is at rest within 2 %."""
+"""Time after the end of the flow, in lags, until a cylinder is at rest within 2 %."""
 MOST_SCANS = 100
-"""Longest watchdog, in scans. Plants set a few scans; what waits longer watches nothing."""
+"""Longest watchdog, in scans. Plants use a few scans; a longer watchdog protects nothing."""
 TIMES = (".delay", ".opens", ".closes")
-"""Ends of the paths of numbers that are instants of a simulation."""
-# A byte and its bit, or the number of a bit alone. Without leading zeros each has one spelling.
+"""Last parts of the paths of numbers that are instants of a simulation."""
+# A byte and its bit, or the number of a bit. No leading zeros, so each bit has one spelling.
 InputAddress = Annotated[str, Field(pattern=r"^%IX(0|[1-9][0-9]{0,3})(\.[0-7])?$")]
 OutputAddress = Annotated[str, Field(pattern=r"^%QX(0|[1-9][0-9]{0,3})(\.[0-7])?$")]
 Fraction = Annotated[Quantity, Units(("",), positive=True)]
@@ -36,8 +36,8 @@ Fraction = Annotated[Quantity, Units(("",), positive=True)]
 class Output:
     """A digital output of the PLC.
 
-    ``ramp`` is how long a soft-start valve takes to put the circuit under pressure. ``needs`` is
-    the interlock of a tool or a vacuum: end switches that are on wherever it may be.
+    ``ramp`` is the time that a soft-start valve takes to pressurise the circuit. ``needs`` is the
+    interlock of a tool or a vacuum: end switches that must be on while the output is on.
     """
 
     kind: Literal["direction", "flow", "soft-start", "vacuum", "tool"]
@@ -47,16 +47,16 @@ class Output:
 
     @property
     def ramp_s(self) -> float:
-        """Longest time until the circuit is under pressure, its tolerance included; 0 without."""
+        """Longest time until the circuit is under pressure, with tolerance; 0 without a ramp."""
         return 0.0 if self.ramp is None else self.ramp.most
 
     @model_validator(mode="after")
     def _of_its_kind(self) -> Output:
         if (self.kind == "soft-start") != (self.ramp is not None):
-            raise ValueError("ramp is what a soft-start valve has, and no other output")
+            raise ValueError("a soft-start valve needs a ramp; other outputs have none")
         if self.needs and self.kind not in {"tool", "vacuum"}:
             raise ValueError(
-                f"needs is what a tool, a vacuum or a cylinder has, and no {self.kind} output"
+                f"only a tool, a vacuum or a cylinder has needs, not a {self.kind} output"
             )
         return self
 
@@ -65,10 +65,10 @@ class Output:
 class Contact:
     """A digital input of the PLC.
 
-    ``light-grid`` and ``enable`` are true while the machine may move; ``start`` asks for a cycle,
-    ``home`` for the return to the home position, and ``acknowledge`` clears a fault. A ``contact``
-    with a ``cylinder`` is an end switch that closes once the cylinder is at ``at`` or beyond it;
-    without one it is an input from outside the machine.
+    ``light-grid`` and ``enable`` are true while the machine may move; ``start`` starts a cycle,
+    ``home`` the return to the home position, and ``acknowledge`` clears a fault. A ``contact`` with
+    a ``cylinder`` is an end switch, closed while the cylinder is at ``at`` or beyond; without a
+    cylinder it is an external input.
     """
 
     kind: Literal["light-grid", "enable", "start", "acknowledge", "home", "contact"]
@@ -91,9 +91,9 @@ class Contact:
 class Way:
     """One direction of a cylinder: the valve that selects it, and its flow controls.
 
-    ``opens`` and ``closes`` pass between the command of one of these valves and its flow, and
-    between the command that ends it and the end of the flow; what is common to both may stand in
-    the ``delay`` of the cylinder. None is at once.
+    ``opens`` is the delay from the command of one of these valves to its flow, and ``closes`` from
+    the end of the command to the end of the flow; a delay common to both may be in the ``delay`` of
+    the cylinder. None means no delay.
     """
 
     valve: str
@@ -102,7 +102,7 @@ class Way:
     closes: ShortTime | None = None
 
     def levels(self) -> dict[tuple[str, ...], float]:
-        """Return every set of open flow controls with its level, the empty set included."""
+        """Return every set of open flow controls, including the empty set, with its level."""
         names = list(self.flows)
         return {
             chosen: sum(self.flows[n].si for n in chosen)
@@ -112,16 +112,16 @@ class Way:
 
     @property
     def opens_s(self) -> float:
-        """Return the delay from the command to the opening of its valves."""
+        """Delay from the command to the opening of its valves, s."""
         return 0.0 if self.opens is None else self.opens.si
 
     @property
     def closes_s(self) -> float:
-        """Return the delay from the command to the closing of its valves."""
+        """Delay from the command to the closing of its valves, s."""
         return 0.0 if self.closes is None else self.closes.si
 
     def least_hold_s(self, plc: Plc) -> float:
-        """Return the shortest time between two switchings of one of its valves."""
+        """Return the shortest allowed time between two switchings of one of its valves, s."""
         return max(plc.dwell.si, self.opens_s, self.closes_s)
 
     @property
@@ -134,8 +134,8 @@ class Way:
 class Cushion:
     """End cushioning: over the last ``length`` of the stroke the exhaust is throttled to ``flow``.
 
-    A piston whose exhaust is metered moves at the speed of the flow whatever force opposes it, so a
-    cushion slows it by reducing the flow.
+    A piston with metered exhaust moves at the speed of the flow, independent of the opposing force,
+    so a cushion slows it by reducing the flow.
     """
 
     length: Length
@@ -144,7 +144,7 @@ class Cushion:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Cylinder:
-    """A pneumatic axis: valves set the speed of a flow, which moves the piston through the air.
+    """A pneumatic axis: valves set the speed of a flow, which moves the piston by an air spring.
 
     The piston pushes the body ``pushes``, and its reaction acts on ``reacts_on``. ``delay`` is the
     time from a valve's command to the first flow, and ``lag`` the time constant of the flow's
@@ -152,7 +152,7 @@ class Cylinder:
     over which its damping builds up after each standstill. ``friction`` and ``stiction`` act
     between piston and housing. ``frame`` gives the position whose vibration is judged, as a
     weighted sum of coordinates. ``needs`` is its interlock: end switches of other cylinders that
-    have to be on whenever it moves.
+    must be on while it moves.
     """
 
     pushes: str
@@ -185,11 +185,11 @@ class Cylinder:
         return self.forward if forward else self.back
 
     def rest_s(self, forward: bool) -> float:
-        """Return how long after its last switching it has come to rest."""
+        """Return the time from its last switching to its rest, s."""
         return self.way(forward).closes_s + self.delay.si + REST_LAGS * self.lag.si
 
     def longest_rest_s(self, forward: bool) -> float:
-        """Return the same for a cylinder that is as slow as its tolerances let it be."""
+        """Return the time from its last switching to its rest, at the end of its tolerances."""
         closes = self.way(forward).closes
         shut_s = 0.0 if closes is None else closes.most
         return shut_s + self.delay.most + REST_LAGS * self.lag.most
@@ -211,12 +211,12 @@ class Plc:
 
 
 def check_addresses(outputs: Mapping[str, Output], contacts: Mapping[str, Contact]) -> None:
-    """Check that no two inputs or outputs are one bit: ``%IX8`` and ``%IX1.0`` are the same.
+    """Check that no two inputs or outputs share a bit: ``%IX8`` and ``%IX1.0`` are the same.
 
     Raises
     ------
     ValueError
-        With both names.
+        If two share a bit; names both.
     """
     taken: dict[tuple[str, int], str] = {}
     for table, parts in (("outputs", outputs), ("contacts", contacts)):
@@ -224,9 +224,7 @@ def check_addresses(outputs: Mapping[str, Output], contacts: Mapping[str, Contac
             number, _, bit = part.address[3:].partition(".")
             key = table, 8 * int(number) + int(bit) if bit else int(number)
             if key in taken:
-                raise ValueError(
-                    f"{table}.{name}.address: {part.address} is that of {taken[key]} already"
-                )
+                raise ValueError(f"{table}.{name}.address: {taken[key]} already has {part.address}")
             taken[key] = name
 
 
@@ -235,13 +233,13 @@ def check_contacts(
     outputs: Mapping[str, Output],
     contacts: Mapping[str, Contact],
 ) -> None:
-    """Check that every end switch goes on and off, and that interlocks name end switches.
+    """Check that every end switch can be on and off, and that interlocks name end switches.
 
     Raises
     ------
     ValueError
-        If a switch is on, or off, wherever its cylinder stands; if an interlock names no end
-        switch, or that of a cylinder one of its own.
+        If a switch is always on or always off; if an interlock names something else than an end
+        switch, or a cylinder's interlock names its own end switch.
     """
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:
@@ -260,12 +258,12 @@ def check_contacts(
             if name not in contacts or contacts[name].cylinder is None:
                 known = [n for n, c in contacts.items() if c.cylinder not in {None, own}]
                 raise ValueError(
-                    f"{where}.needs names {name!r}, which is no end switch; "
+                    f"{where}.needs names {name!r}, which is not an end switch; "
                     f"there are: {', '.join(known)}"
                 )
             if contacts[name].cylinder == own:
                 raise ValueError(
-                    f"{where}.needs names {name!r}, an end switch of {own} itself, which goes off "
+                    f"{where}.needs names {name!r}, an end switch of {own} itself, which opens "
                     "as it moves"
                 )
 
@@ -273,10 +271,10 @@ def check_contacts(
 def switch_faults(
     cylinders: Mapping[str, Cylinder], contacts: Mapping[str, Contact]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield key, fault and remedy of each end switch that its tolerance leaves useless.
+    """Yield key, fault and remedy of each end switch whose tolerance makes it useless.
 
-    That is for the numbers of a file: a machine drawn within them keeps the tolerances, which may
-    lie partly outside.
+    Call this for the nominal machine only: a variant keeps the tolerances, which may then lie
+    partly outside.
     """
     for name, contact in contacts.items():
         if contact.cylinder is None or contact.at is None:

@@ -1,4 +1,4 @@
-"""A number of a machine file: value, unit, tolerance and provenance, in one readable string.
+"""A number in a machine file: value, unit, tolerance and provenance in one readable string.
 
 ``"4 kg +- 5 %, printed: section 6.2"`` or ``"5 ms exact, printed"``.
 """
@@ -26,7 +26,7 @@ from threadline.units import (
 )
 
 LEAST_SI, MOST_SI = 1e-15, 1e15
-"""The smallest and the largest magnitude of a machine's number that is not 0."""
+"""Smallest and largest magnitude of a number that is not 0."""
 _MOST_PARTS = 10**18
 _SHOWN = 120
 _FORM = re.compile(
@@ -39,7 +39,7 @@ _TOLERANCE = re.compile(r"(?:\s|^)exact\b|\+-|\+/-|±")
 
 
 class Provenance(StrEnum):
-    """How a number is known."""
+    """Source of a number."""
 
     PRINTED = "printed"
     CHECKED = "checked"
@@ -61,9 +61,9 @@ class Quantity:
     unit
         SI unit; empty for a number without unit.
     tolerance_si
-        Half the width of the interval in which the true value lies, in ``unit``.
+        Half width of the interval of the true value, in ``unit``.
     provenance, note
-        How the number is known, and its source.
+        Kind of source, and the source.
     exact_s
         A time as an exact fraction of a second; None for every other number.
     """
@@ -87,7 +87,7 @@ class Quantity:
 
 
 def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
-    """Return the quantity written in ``text``; its unit must be of the kind of one of ``units``.
+    """Return the quantity in ``text``; its dimension must match one of ``units``.
 
     >>> q = parse_machine_quantity("4 kg +- 5 %, printed: section 6.2", ("kg",))
     >>> q.si, round(q.tolerance_si, 12), q.provenance.value, q.note
@@ -125,12 +125,12 @@ def parse_machine_quantity(text: str, units: tuple[str, ...]) -> Quantity:
 
 
 def _check_size(text: str, quantity: Quantity) -> None:
-    """Refuse numbers so large or small that squares and ratios of them would overflow.
+    """Refuse numbers so large or small that their squares and ratios would overflow.
 
     Raises
     ------
     ValueError
-        If the number is such a one, or a time with too many digits.
+        If the number is too large or small, or a time has too many digits.
     """
     size, wide = abs(quantity.si), quantity.tolerance_si
     if size > MOST_SI or wide > MOST_SI or 0.0 < size < LEAST_SI:
@@ -141,13 +141,13 @@ def _check_size(text: str, quantity: Quantity) -> None:
     exact = quantity.exact_s
     if exact is not None and exact.denominator > _MOST_PARTS:
         raise ValueError(
-            f"{text[:_SHOWN]!r} has more digits than a time is counted in: the finest part of a "
+            f"{text[:_SHOWN]!r} has too many digits for a time: the finest part of a "
             f"second is 1/{_MOST_PARTS:.0e}. Give fewer digits."
         )
 
 
 def _faulty(text: str) -> UnitError:
-    """Return the error of a text that is no number of a machine, with the parts that it lacks."""
+    """Return the error for a text that is not a quantity; it names the missing parts."""
     refuse_decimal_comma(text)
     head, _, tail = text.partition(",")
     tolerance = _TOLERANCE.search(head)
@@ -156,7 +156,7 @@ def _faulty(text: str) -> UnitError:
     word = tail.partition(":")[0].strip()
     lacks = [] if tolerance else ["no tolerance"]
     if word not in list(Provenance):
-        # A comma may have been forgotten before it, or the colon after it.
+        # The comma before it, or the colon after it, may be missing.
         lacks.append("no provenance" if not word else f"no provenance but {word[:40]!r}")
     return UnitError(
         f"{text!r} has {' and '.join(lacks) or 'another form'}",
@@ -178,10 +178,10 @@ def _matching_unit(written: str, units: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Units:
-    """Marks a field of the machine model with the SI units and the values that it may have.
+    """Annotation of a field of the machine model: its SI units and its allowed values.
 
-    A ``positive`` number must be above 0 at both ends of its tolerance. A ``certain`` one, unless
-    its value is exactly 0, must be above 0 at both ends, too. ``most`` is the largest value.
+    A ``positive`` number must be above 0 over its whole tolerance. A ``certain`` number must be
+    either exactly 0 or above 0 over its whole tolerance. ``most`` is the largest value.
     """
 
     units: tuple[str, ...]
@@ -194,7 +194,7 @@ class Units:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Tell pydantic to read a string of the machine file into a ``Quantity``."""
+        """Let pydantic parse a string of the machine file into a ``Quantity``."""
         return core_schema.no_info_plain_validator_function(
             self._read, json_schema_input_schema=core_schema.str_schema()
         )
@@ -221,7 +221,7 @@ class Units:
             raise ValueError(f"{value!r} must not be negative.")
         if (self.positive or self.certain) and 0 < quantity.si <= quantity.tolerance_si:
             raise ValueError(
-                f"{value!r} would not be above zero at the end of its tolerance. "
+                f"{value!r} would not be above zero at the lower end of its tolerance. "
                 "Give a tolerance below 100 %."
             )
         if self.whole and not quantity.si.is_integer():

@@ -1,4 +1,4 @@
-"""The radii at which the rotary axes of a machine act on one job."""
+"""The option ``--radius``: radii of the rotary axes for one job."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ _RADIUS = "radius_mm"
 def with_radii(machine: Machine, text: str | None) -> Machine:
     """Return ``machine`` with radii of its rotary axes, given like ``"A=40 mm, B=2 mm"``.
 
-    A mandrel may have one for each place of a linear axis: ``"A=20 mm at X 0 mm; 50 mm at X 100
-    mm"``. With None the machine is returned as it is.
+    A mandrel may have a radius at each of several positions of a linear axis: ``"A=20 mm at X 0 mm;
+    50 mm at X 100 mm"``. With None the machine is returned unchanged.
 
     Raises
     ------
@@ -58,10 +58,10 @@ def with_radii(machine: Machine, text: str | None) -> Machine:
 
 
 def written_out(text: str) -> str:
-    """Return the text of ``--radius`` with each table (``A=mandrel.csv``) as its rows.
+    """Return the text of ``--radius`` with each table (``A=mandrel.csv``) replaced by its rows.
 
-    What is kept of the options of a plan says then what the table said. A table has the columns
-    ``X_mm`` (or of another linear axis) and ``radius_mm``.
+    The stored options of a plan then contain the table. A table has the columns ``X_mm`` (or
+    another linear axis) and ``radius_mm``.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def _with_radius(axis: Axis, written: str, machine: Machine, told: str) -> Axis:
     beside = along.pop()
     if beside not in machine.axes or machine.axes[beside].kind != "linear":
         raise OptionError(
-            f"{told} goes along {beside}, which is no linear axis of {machine.name!r}", remedy=_FORM
+            f"{told} is along {beside}, not a linear axis of {machine.name!r}", remedy=_FORM
         )
     try:
         profile = Mandrel(
@@ -119,15 +119,15 @@ def _rows(table: Path) -> str:
     if len(header) != 2 or len(named) != 1 or _RADIUS not in header:
         raise OptionError(
             f"{table}: a table of radii has the columns X_mm and {_RADIUS}",
-            remedy=f"Begin it with the line X_mm,{_RADIUS} (X: the axis beside the mandrel).",
+            remedy=f"Begin it with the line X_mm,{_RADIUS} (X: the axis along the mandrel).",
         )
     radius, place = header.index(_RADIUS), 1 - header.index(_RADIUS)
     told = []
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header) or any("," in cell or ";" in cell for cell in row):
             raise OptionError(
-                f"{table}: row {number} has {len(row)} columns, its header {len(header)}",
-                remedy="Give each row a place and a radius, with points in numbers.",
+                f"{table}: row {number} has {len(row)} columns, the header has {len(header)}",
+                remedy="Give each row a position and a radius, with decimal points.",
             )
         told.append(f"{row[radius].strip()} mm at {named[0]} {row[place].strip()} mm")
     return "; ".join(told)

@@ -1,6 +1,6 @@
-"""Parts of a machine that moves a frame between strokes of its needles: main shaft and tables.
+"""Parts of an embroidery machine: main shaft and step tables.
 
-Each turn of the shaft has a window in which a controller moves the frame by tables of steps. After
+Each turn of the shaft has a window in which the controller moves the frame by step tables. After
 the window the needles enter the cloth and leave it again.
 """
 
@@ -19,17 +19,17 @@ from threadline.machine.quantity import Quantity, Units
 Angle = Annotated[Quantity, Units(("rad",), positive=True, most=2.0 * pi)]
 Length = Annotated[Quantity, Units(("m",), positive=True)]
 _FINEST = 360_000
-"""Parts of a turn that an angle is given in: a thousandth of a degree."""
+"""Resolution of an angle, in parts of a turn: a thousandth of a degree."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Shaft:
-    """The main shaft: one stitch in each turn.
+    """The main shaft, which makes one stitch per turn.
 
-    The angle of the shaft is 0 where the frame may begin to move, and ``window`` where it must rest
-    again. The needle is in the cloth from ``needle_enters`` to ``needle_leaves``. ``turn`` is the
-    time of a turn at the highest speed, ``slowest_turn`` that at the lowest. Without an
-    ``acceleration`` the shaft cannot change its speed while it sews.
+    The frame may move from shaft angle 0 to ``window``, and must be at rest afterwards. The needle
+    is in the cloth from ``needle_enters`` to ``needle_leaves``. ``turn`` is the time of a turn at
+    the highest speed, ``slowest_turn`` at the lowest. Without an ``acceleration`` the shaft cannot
+    change its speed during sewing.
     """
 
     turn: PositiveTime
@@ -43,16 +43,16 @@ class Shaft:
     def _in_order(self) -> Shaft:
         if not self.window.si <= self.needle_enters.si < self.needle_leaves.si:
             raise ValueError(
-                "the needle enters at the end of the window or later, and leaves after that: "
+                "the needle must enter at the end of the window or later, and then leave: "
                 "window <= needle_enters < needle_leaves"
             )
         if self.window_share == 0:
             raise ValueError(
-                f"the window is {self.window.si * 180.0 / pi:.3g} deg; angles are given to a "
+                f"the window is {self.window.si * 180.0 / pi:.3g} deg; the resolution is a "
                 "thousandth of a degree"
             )
         if self.window_share >= 1:
-            raise ValueError("the window must end before the turn does")
+            raise ValueError("the window must end before the turn ends")
         if self.slowest_turn.si < self.turn.si:
             raise ValueError(
                 f"slowest_turn, {self.slowest_turn.si:g} s, is shorter than turn, "
@@ -62,7 +62,7 @@ class Shaft:
 
     @property
     def window_share(self) -> Fraction:
-        """Part of a turn in which the frame may move, to a thousandth of a degree."""
+        """Share of a turn in which the frame may move, to a thousandth of a degree."""
         return Fraction(round(self.window.si / (2.0 * pi) * _FINEST), _FINEST)
 
     @property
@@ -77,8 +77,8 @@ class Tables:
     """The controller's tables of step intervals, one for each length from ``unit`` to ``longest``.
 
     Intervals are whole periods of ``clock``. Before each move the controller loads a table for
-    every axis that moves, which takes ``fetch`` each, and its largest rate of steps is
-    ``step_rate``. ``law`` names the default motion law of the tables.
+    every moving axis, which takes ``fetch`` per table. Its largest step rate is ``step_rate``.
+    ``law`` is the default motion law of the tables.
     """
 
     clock: str
@@ -92,10 +92,10 @@ class Tables:
     def _whole(self) -> Tables:
         units = self.longest.si / self.unit.si
         if abs(units - round(units)) > 1e-6 * units or not 1 <= round(units) <= 100_000:
-            raise ValueError(f"longest is {units:.6g} units: it must be a whole number of them")
+            raise ValueError(f"longest is {units:.6g} units: it must be a whole number")
         return self
 
     @property
     def longest_units(self) -> int:
-        """Units of the longest move."""
+        """Length of the longest move, in units."""
         return round(self.longest.si / self.unit.si)

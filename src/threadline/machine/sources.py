@@ -1,10 +1,9 @@
-"""Drives that are given positions: steppers and pulse-controlled servos.
+"""Position-commanded drives: steppers, pulse-controlled servos and kinematic drives.
 
-Such a drive makes the coordinate of its body a prescribed one: it follows the commands whatever
-force opposes it. The force determines the torque that the drive needs. Where that is more than the
-drive has, a stepper loses steps and a servo stops with a fault.
-Of a kinematic drive nothing is known but that it is given positions: it has no body, and its axis
-has limits alone.
+Such a drive prescribes the coordinate of its body: it follows the commands against any force. The
+force determines the torque that the drive needs. If the needed torque exceeds the available torque,
+a stepper loses steps and a servo stops with a fault. A kinematic drive has no known body or motor;
+its axis has only limits.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ Speed = Annotated[Quantity, Units(("rad/s", "m/s"), not_negative=True)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class CurvePoint:
-    """A point of a data sheet's curve: the largest torque (force) at a speed."""
+    """A point of a data sheet's torque curve: the largest torque (force) at a speed."""
 
     speed: Speed
     torque: Torque
@@ -35,11 +34,11 @@ class CurvePoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Winding:
-    """The winding of a stepper, from which its pull-out torque follows.
+    """The winding of a stepper, which determines its pull-out torque.
 
     ``current`` is the amplitude of the sine in a phase, and ``holding_torque`` the torque at that
-    current; ``resistance`` and ``inductance`` are those of a phase, and ``supply`` is the voltage
-    of the driver.
+    current; ``resistance`` and ``inductance`` are per phase, and ``supply`` is the voltage of the
+    driver.
     """
 
     holding_torque: Torque
@@ -54,9 +53,9 @@ class Stepper:
     """A stepping motor that moves ``body`` in steps; the body's inertia includes its rotor's.
 
     ``full_steps`` is the number of full steps per rad (m) of the body, each divided into
-    ``microsteps``. The largest torque at a speed is a ``curve`` of a data sheet, or follows from
+    ``microsteps``. The largest torque at a speed is a ``curve`` from a data sheet, or follows from
     the ``winding``. ``microstep_error`` is the largest distance of the motor, at rest, from its
-    microstep; ``detent`` is the torque that the motor holds without current.
+    microstep; ``detent`` is the holding torque without current.
     """
 
     kind: Literal["stepper"]
@@ -74,7 +73,7 @@ class Stepper:
         if bool(self.curve) == (self.winding is not None):
             raise ValueError("a stepper has either a curve or a winding")
         if self.curve and (len(self.curve) < 2 or self.curve[0].speed.si != 0.0):
-            raise ValueError("a curve has two points at least, and begins at speed 0")
+            raise ValueError("a curve needs at least two points and must begin at speed 0")
         if any(b.speed.si <= a.speed.si for a, b in pairwise(self.curve)):
             raise ValueError("the speeds of a curve must rise")
         for slower, faster in pairwise(self.curve):
@@ -82,7 +81,7 @@ class Stepper:
                 raise ValueError(
                     f"the torque of a curve rises, from {slower.torque.si:g} at "
                     f"{slower.speed.si:g} to {faster.torque.si:g} at {faster.speed.si:g}; the "
-                    "largest torque of a stepper falls with its speed, so leave a bump out"
+                    "largest torque of a stepper falls with its speed, so omit a bump"
                 )
         return self
 
@@ -106,17 +105,16 @@ class Stepper:
 
     @property
     def stiffness(self) -> float:
-        """Stiffness about a step in N m/rad (N/m): the slope of a sine with four steps a period."""
+        """Stiffness at a step in N m/rad (N/m): the slope of a sine with four steps per period."""
         held = self.curve[0].torque if self.winding is None else self.winding.holding_torque
         return float(held.si * self.full_steps.si * np.pi / 2.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class PulseServo:
-    """A servo with a loop of its own, which follows pulses with a bandwidth up to a torque limit.
+    """A servo with an internal loop, which follows pulses with a bandwidth up to a torque limit.
 
-    Its shaft follows the command as a critically damped second-order lag, whatever force opposes
-    it.
+    Its shaft follows the command as a critically damped second-order lag, independent of the load.
     """
 
     kind: Literal["pulse-servo"]
@@ -132,48 +130,48 @@ class PulseServo:
         return self.resolution.si
 
     def most_torque(self, speed_si: FloatArray) -> FloatArray:
-        """Return the (k,) largest torques in N m (N), which are the same at every speed."""
+        """Return the (k,) largest torques in N m (N), independent of the speed."""
         return np.full(np.shape(speed_si), self.torque_limit.si)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Kinematic:
-    """A drive that is given positions on ``clock``; its motor and its load are unknown."""
+    """A drive that takes positions on ``clock``; its motor and its load are unknown."""
 
     kind: Literal["kinematic"]
     clock: str
 
 
 Source = Stepper | PulseServo
-"""Drives whose load is known."""
+"""Position-commanded drives with known loads."""
 
 
 def check_limits_alone(
     drives: Mapping[str, object], axes: Mapping[str, Axis], tables: Mapping[str, object]
 ) -> None:
-    """Refuse what has dynamics beside kinematic drives; a ``ValueError`` begins with the key."""
-    why = "beside kinematic drives, of which only limits are known"
+    """Refuse parts with dynamics next to kinematic drives; a ``ValueError`` begins with the key."""
+    why = "is not allowed with kinematic drives, for which only limits are known"
     for name, drive in drives.items():
         if not isinstance(drive, Kinematic):
-            raise ValueError(f"drives.{name}: a drive of another kind {why}: make all of one sort")
+            raise ValueError(f"drives.{name}: a drive of another kind {why}: use one kind")
     for name, axis in axes.items():
         for key, weights in (("load", axis.load), ("frame", axis.frame)):
             if weights is not None:
-                raise ValueError(f"axes.{name}.{key}: a {key} {why}: take it out")
+                raise ValueError(f"axes.{name}.{key}: a {key} {why}: remove it")
     for table, parts in tables.items():
         if parts:
-            raise ValueError(f"{table}: [{table}] {why}: take it out")
+            raise ValueError(f"{table}: [{table}] {why}: remove it")
 
 
 def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> FloatArray:
     """Return the (k,) pull-out torques in N m of a two-phase stepper.
 
-    In the frame that turns with the rotor, current i and voltage v are complex amplitudes with
+    In the rotor's frame, current i and voltage v are complex amplitudes with
     ``v = (R + j w_e L) i + j k w`` and the torque ``k Im i``. The electrical speed is
     ``w_e = p w``, with p a quarter of the full steps in a turn. The driver gives |v| <= V and
     |i| <= I, so i lies in two discs, and the largest torque is at the highest point of their
     intersection (Kenjo and Sugawara, *Stepping Motors and their Microprocessor Controls*, chapter
-    4; the equations are those of any synchronous machine).
+    4; the equations hold for any synchronous machine).
 
     Parameters
     ----------
@@ -187,18 +185,18 @@ def pull_out_torque(winding: Winding, full_steps: float, speed: FloatArray) -> F
     most, volts = winding.current.si, winding.supply.si
     k, resistance = winding.holding_torque.si / most, winding.resistance.si
     w = np.asarray(speed, dtype=np.float64)
-    # A turn has 2 pi full_steps of them, four to an electrical turn.
+    # A turn has 2 pi full_steps steps, and an electrical turn has four.
     reactance = w * (2.0 * np.pi * full_steps / 4.0 * winding.inductance.si)
     size = np.sqrt(resistance * resistance + reactance * reactance)
     radius = volts / size
-    # The disc of voltages is about -j k w / (R + j w_e L): across and up, no torque at standstill.
+    # The voltage disc has its centre at -j k w / (R + j w_e L), with coordinates across and up.
     share = -k * w / (size * size)
     across, up = share * reactance, share * resistance
     top = up + radius
     found = np.where(across * across + top * top <= most * most, top, -np.inf)
     inside = across * across + (most - up) ** 2 <= radius * radius
     found = np.where(inside, most, found)
-    # Where neither top lies in the other disc, the highest point is a crossing of the two circles.
+    # If neither top lies in the other disc, the highest point is an intersection of the circles.
     neither = np.flatnonzero(np.isneginf(found))
     if len(neither):
         across, up, radius = across.flat[neither], up.flat[neither], radius.flat[neither]

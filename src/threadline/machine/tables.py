@@ -1,9 +1,9 @@
-"""Tables of a machine file about other numbers: what a redesign may change, and what varies.
+"""The tables ``[design]`` and ``[tolerances]``: numbers that a redesign may change, or that vary.
 
-Nothing but ``threadline design`` reads this table: it changes no motion and no simulation.
+Only ``threadline design`` reads ``[design]``; it does not affect motions or simulations.
 
-``+-`` is the half width of the interval that holds a number. Unless this table says otherwise,
-numbers are distributed uniformly over their intervals and independent of each other.
+``+-`` is the half width of a number's interval. Unless ``[tolerances]`` says otherwise, numbers are
+independent and uniformly distributed over their intervals.
 """
 
 from __future__ import annotations
@@ -31,28 +31,27 @@ Factor = Annotated[float, Field(gt=0.0, lt=1e6, strict=True)]
 MOST_MARGIN_DEG = 90.0
 MOST_PARAMETERS = 8
 MOST_TOLERANCES = 4
-"""Most parameters with a tolerance, since all 2 to this power corners are simulated."""
+"""Largest number of parameters with a tolerance: all 2^n corners are simulated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DesignParameter:
-    """Numbers of the machine that change together by one factor.
+    """Numbers of the machine that a common factor changes.
 
     Parameters
     ----------
     of
         Dotted names of the numbers in the file, such as ``"links.x_belt.stiffness"``.
     factor
-        Least and largest factor on the values of the file; ``range`` can be given in its place.
+        Smallest and largest factor on the values of the file; alternatively give ``range``.
     range
-        Least and largest value with their units; the numbers must then be equal in the file.
+        Smallest and largest value with units; the numbers must then be equal in the file.
     weight
         A change by a factor costs ``weight |ln factor|``.
     tolerance
-        Share by which the numbers may differ from the design; with ``--corners`` it is
-        simulated at both ends.
+        Relative tolerance of the numbers; with ``--corners`` both ends are simulated.
     note
-        Text for people.
+        Remark.
     """
 
     of: tuple[NumberPath, ...] = Field(min_length=1)
@@ -74,7 +73,7 @@ class DesignParameter:
 
     @property
     def spread(self) -> float:
-        """The tolerance as a number; 0 where there is none."""
+        """The tolerance as a number; 0 for none."""
         return 0.0 if self.tolerance is None else parse_quantity(self.tolerance, "")
 
 
@@ -86,13 +85,13 @@ Seconds = Annotated[Quantity, Units(("s",), not_negative=True)]
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class DesignSettings:
-    """Settings that a redesign may change at no cost, each with its least and largest value.
+    """Settings that a redesign may change at no cost, each with its smallest and largest value.
 
     Parameters
     ----------
     crossover, phase_margin
-        Crossover and phase margin for which the lead filters of all axes are designed. Without them
-        the gains stay as they are.
+        Crossover frequency and phase margin of the lead filters of all axes. Without them the gains
+        do not change.
     acceleration
         Share of the machine's acceleration and jerk limits that the planner uses.
     needle_delay
@@ -119,17 +118,16 @@ class DesignSettings:
             most = math.degrees(self.phase_margin[1].si)
             if most > MOST_MARGIN_DEG * (1.0 + 1e-9):
                 raise ValueError(
-                    f"phase_margin: it reaches {most:g} deg, at most {MOST_MARGIN_DEG:g} deg"
+                    f"phase_margin: it reaches {most:g} deg, limit {MOST_MARGIN_DEG:g} deg"
                 )
         return self
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class KnownDesign:
-    """A design from elsewhere, which is plotted beside the one that was found.
+    """A published design, plotted together with the design found.
 
-    ``factors`` maps names of parameters to their factors; those that are left out have the factor
-    1.
+    ``factors`` maps names of parameters to their factors, by default 1.
     """
 
     title: str
@@ -158,14 +156,14 @@ class Design:
             for name in known.factors:
                 if name not in self.parameters:
                     raise ValueError(
-                        f"known.{title}.factors: {name!r} is no parameter; there are: "
+                        f"known.{title}.factors: {name!r} is not a parameter; there are: "
                         f"{', '.join(self.parameters)}"
                     )
         loose = [name for name, parameter in self.parameters.items() if parameter.spread > 0]
         if len(loose) > MOST_TOLERANCES:
             raise ValueError(
                 f"parameters.{loose[MOST_TOLERANCES]}.tolerance: {len(loose)} parameters have a "
-                f"tolerance, at most {MOST_TOLERANCES}"
+                f"tolerance, limit {MOST_TOLERANCES}"
             )
         return self
 
@@ -177,7 +175,7 @@ NumberPattern = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
 class Tolerances:
-    """How the numbers of a machine vary within their ``+-``.
+    """How the numbers of a machine vary within their tolerances.
 
     Numbers are named by their dotted names in the file, such as ``"links.x_belt.stiffness"``; ``*``
     stands for any text in a name.
@@ -185,11 +183,11 @@ class Tolerances:
     Parameters
     ----------
     normal
-        Numbers that are distributed normally: ``+-`` is two standard deviations.
+        Numbers with a normal distribution: ``+-`` is two standard deviations.
     exclude
         Numbers that do not vary.
     groups
-        Numbers that vary together, all at the same place in their tolerances.
+        Numbers that vary together, all at the same relative position in their tolerances.
     """
 
     normal: tuple[NumberPattern, ...] = ()
@@ -200,7 +198,7 @@ class Tolerances:
     def _each_in_one_group(self) -> Tolerances:
         for name, members in self.groups.items():
             if not members:
-                raise ValueError(f"groups.{name}: a group without numbers moves nothing")
+                raise ValueError(f"groups.{name}: the group has no numbers")
         return self
 
     def named(self) -> Iterator[tuple[str, str]]:
@@ -217,12 +215,12 @@ def matches(path: str, patterns: tuple[str, ...]) -> bool:
 
 
 def check_named(tolerances: Tolerances, paths: Sequence[str]) -> None:
-    """Refuse patterns that name none of the numbers ``paths``, and a number in two groups.
+    """Refuse patterns that match none of the numbers ``paths``, and a number in two groups.
 
     Raises
     ------
     ValueError
-        Beginning with the key in the file.
+        The message begins with the key in the file.
     """
     for where, pattern in tolerances.named():
         if not any(matches(path, (pattern,)) for path in paths):
@@ -240,7 +238,7 @@ def check_named(tolerances: Tolerances, paths: Sequence[str]) -> None:
 
 
 def quantities(part: Any, path: str = "") -> Iterator[tuple[str, Quantity]]:
-    """Yield every number below ``part`` with its dotted name, in the order of the file's parts."""
+    """Yield every number in ``part`` with its dotted name, in the order of the file."""
     if isinstance(part, Quantity):
         yield path, part
     elif isinstance(part, Mapping):

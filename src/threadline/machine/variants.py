@@ -1,9 +1,9 @@
-"""Machines within the tolerances of a file: drawn at random, at the corners, one number at a time.
+"""Variants of a machine within its tolerances: random, at corners, or one number at a time.
 
-A *part* is the place of a number in its tolerance: -1 at the lower end, 0 at the value of the file,
-1 at the upper end. Every way of choosing k variants gives (k, n) parts for the n numbers of
-``uncertain(machine)``. ``numbers_at`` turns parts into the numbers of a batch, and ``variant`` into
-one machine with the same numbers.
+A *part* is the relative position of a number in its tolerance: -1 at the lower end, 0 at the
+nominal value, 1 at the upper end. Every choice of k variants gives (k, n) parts for the n numbers
+of ``uncertain(machine)``. ``numbers_at`` converts parts into the numbers of a batch, and
+``variant`` converts a row of parts into a machine with the same numbers.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from threadline.machine.quantity import Quantity
 from threadline.machine.tables import matches, quantities
 
 MOST_CORNERS = 12
-"""Most numbers that may vary for ``corners``, which then are 2 to this power."""
+"""Largest number n of varying numbers for ``corners``, which returns 2^n variants."""
 FARTHEST = 3.0
 """Standard deviations at which a normal distribution is cut off."""
 _PER_PART = 2.0
-"""Standard deviations in a tolerance."""
+"""Standard deviations per tolerance."""
 _DELAY_STEPS = 100
-"""A dead time is drawn in whole hundredths of its tolerance, so that variants share instants."""
+"""Dead times vary in hundredths of their tolerance, so that variants share instants."""
 _MACHINE = (
     "bodies.*", "links.*", "drives.*", "sensors.*", "controllers.*", "inputs.*", "cylinders.*",
     "contacts.*",
@@ -43,12 +43,12 @@ _PLANNED = (
     "axes.*.travel.*", "axes.*.stroke", "axes.*.working_velocity", "outputs.*", "plc.*", "path.*",
     "tool.*", "operator.*",
 )  # fmt: skip
-"""Numbers that plans depend on and motions do not: they are the same in every variant."""
+"""Numbers that affect only plans; they are nominal in every variant."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Uncertain:
-    """A number that varies, or a group of numbers that move together.
+    """A number that varies, or a group of numbers that vary together.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ class Uncertain:
     numbers
         Dotted names of its numbers in the file.
     normal
-        Whether it is distributed normally, cut off at 3 standard deviations, which are 1.5
-        tolerances. Otherwise its distribution is uniform.
+        Whether its distribution is normal, truncated at 3 standard deviations, which are 1.5
+        tolerances. Otherwise it is uniform.
     """
 
     name: str
@@ -67,14 +67,14 @@ class Uncertain:
 
     @property
     def farthest(self) -> float:
-        """How far it is off at most, in parts of its tolerance."""
+        """Its largest deviation, in tolerances."""
         return FARTHEST / _PER_PART if self.normal else 1.0
 
 
 def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     """Return the n numbers and groups of ``machine`` that vary, in the order of its file.
 
-    A group is in the place of its first number. Limits that only plans depend on (velocity, travel,
+    A group is at the position of its first number. Limits that affect only plans (velocity, travel,
     the shortest dwell of a valve) do not vary.
 
     Raises
@@ -82,7 +82,7 @@ def uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     OptionError
         If a number has a tolerance but no variant can change it.
     """
-    # Each variant of a machine asks for those of the same machine.
+    # Cached, because every variant of a machine needs them.
     return _RECENT.of(machine, lambda: _uncertain(machine))
 
 
@@ -107,7 +107,7 @@ def _uncertain(machine: Machine) -> tuple[Uncertain, ...]:
 
 
 def not_drawn(machine: Machine) -> dict[str, str]:
-    """Return the numbers with a tolerance that are the same in every variant, and why each is."""
+    """Return the numbers with a tolerance that do not vary, each with its reason."""
     found = {}
     for path, quantity in _numbers(machine):
         if quantity.tolerance_si == 0.0:
@@ -115,34 +115,34 @@ def not_drawn(machine: Machine) -> dict[str, str]:
         if matches(path, machine.tolerances.exclude):
             found[path] = "excluded by the machine file"
         elif matches(path, _PLANNED):
-            found[path] = "only plans go by it"
+            found[path] = "it affects only plans"
     return found
 
 
 def check_uncertain(machine: Machine) -> tuple[Uncertain, ...]:
-    """Return the numbers and groups of ``machine`` that vary, of which there must be one at least.
+    """Return the numbers and groups of ``machine`` that vary; refuse a machine without any.
 
     Raises
     ------
     OptionError
-        If there is none, or one that no variant can change.
+        If nothing varies, or a number cannot vary.
     """
     found = uncertain(machine)
     if not found:
         raise OptionError(
-            f"no number of {machine.name} has a tolerance that may vary",
+            f"no number of {machine.name} varies",
             place=machine.place,
-            remedy='Write them in the machine file: "111 kg +- 10 %".',
+            remedy='Write tolerances in the machine file: "111 kg +- 10 %".',
         )
     return found
 
 
 def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
-    """Return (k, n) parts of the variants number ``index`` in the random sequence of a seed.
+    """Return the (k, n) parts of the variants ``index`` in the random sequence of a seed.
 
-    A variant depends on seed and index alone, so every order, every section of the sequence and
-    every number of processes gives the same bits. The generator is the counter-based Philox, keyed
-    by both (Salmon and others, "Parallel random numbers: as easy as 1, 2, 3", 2011).
+    A variant depends only on seed and index, so it is the same bit for bit in any order, any
+    section of the sequence and any number of processes. The generator is the counter-based Philox,
+    keyed by both (Salmon and others, "Parallel random numbers: as easy as 1, 2, 3", 2011).
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
     OptionError
         If seed or index is negative or too large, or a number cannot vary.
     """
-    from scipy.special import ndtr, ndtri  # slow to import, and asked for by few commands
+    from scipy.special import ndtr, ndtri  # slow to import, and needed by few commands
 
     numbers = uncertain(machine)
     wanted = [int(i) for i in np.asarray(index).ravel()]
@@ -176,7 +176,7 @@ def drawn(machine: Machine, seed: int, index: IntArray) -> FloatArray:
 
 
 def corners(machine: Machine) -> FloatArray:
-    """Return (2**n, n) parts of tolerances: each of n numbers at its lower (-1) or upper end (1).
+    """Return the (2**n, n) parts of all corners: each number at its lower (-1) or upper (1) end.
 
     Every combination is a row; the first number changes slowest.
 
@@ -188,16 +188,16 @@ def corners(machine: Machine) -> FloatArray:
     numbers = uncertain(machine)
     if len(numbers) > MOST_CORNERS:
         raise OptionError(
-            f"{len(numbers)} numbers of {machine.name!r} vary, too many for all their corners; "
+            f"{len(numbers)} numbers of {machine.name!r} vary, too many for all corners; "
             f"at most {MOST_CORNERS}",
             place=machine.place,
-            remedy="Exclude some under [tolerances], or group those that move together.",
+            remedy="Exclude some under [tolerances], or group numbers that vary together.",
         )
     return np.array(list(product((-1.0, 1.0), repeat=len(numbers)))).reshape(-1, len(numbers))
 
 
 def one_at_a_time(machine: Machine) -> FloatArray:
-    """Return (2 n, n) parts: each number alone at its lower and its upper end, others at 0."""
+    """Return (2 n, n) parts: one number at its lower or upper end, all others nominal."""
     count = len(uncertain(machine))
     parts = np.zeros((2 * count, count))
     parts[np.arange(0, 2 * count, 2), np.arange(count)] = -1.0
@@ -206,23 +206,23 @@ def one_at_a_time(machine: Machine) -> FloatArray:
 
 
 def ends_then_drawn(machine: Machine, count: int, seed: int) -> FloatArray:
-    """Return (count, n) parts: first each number alone at both ends, then all numbers drawn."""
+    """Return (count, n) parts: ``one_at_a_time`` first, then random variants."""
     ends = one_at_a_time(machine)[:count]
     return np.concatenate([ends, drawn(machine, seed, np.arange(count - len(ends)))])
 
 
 def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
-    """Return the numbers of a batch of variants, each as (k,) SI values by its name in the file.
+    """Return the numbers of a batch of variants: dotted name -> (k,) SI values.
 
     Parameters
     ----------
     parts
-        (k, n) places of the numbers in their tolerances.
+        (k, n) parts of the numbers.
 
     Raises
     ------
     ValueError
-        If ``parts`` has another number of columns.
+        If the number of columns of ``parts`` is wrong.
     """
     table = np.atleast_2d(np.asarray(parts, dtype=np.float64))
     numbers = uncertain(machine)
@@ -237,7 +237,7 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
             else:
                 found[path] = quantity.si + column * quantity.tolerance_si
     for path in [name for name in found if name.endswith(_STICTION)]:
-        # What breaks away needs at least what slides: tolerances may overlap, machines do not.
+        # Stiction is never below friction, even where their tolerances overlap.
         slides = path.removesuffix(_STICTION) + _FRICTION
         least = found.get(slides, number_at(machine, slides).si)
         found[path] = np.maximum(found[path], least)
@@ -245,11 +245,11 @@ def numbers_at(machine: Machine, parts: FloatArray) -> dict[str, FloatArray]:
 
 
 def variant(machine: Machine, parts: FloatArray) -> Machine:
-    """Return the machine whose numbers lie at ``parts``, (n,), of their tolerances.
+    """Return the machine with its numbers at ``parts``, shape (n,).
 
-    Its numbers equal those of ``numbers_at`` to the bit, and its hash is its own. Commands are
-    counted in the file's counts per unit in every variant; where the counts per unit of an axis
-    vary, the same commands move its load to another position.
+    Its numbers equal the result of ``numbers_at`` to the bit, and its hash is unique. Commands use
+    the nominal counts per unit in every variant; if the counts per unit of an axis vary, the same
+    commands move its load to another position.
     """
     numbers = {name: float(values[0]) for name, values in numbers_at(machine, parts).items()}
     scales = {name: numbers.pop(name) for name in list(numbers) if matches(name, (_COUNTS,))}
@@ -262,10 +262,10 @@ def variant(machine: Machine, parts: FloatArray) -> Machine:
 
 
 def load_by_counts(machine: Machine, axis: str) -> dict[str, Quantity]:
-    """Return the load of an axis whose commands count as another machine's, by its own counts.
+    """Return the load of an axis by its own counts, for commands in another machine's counts.
 
-    The weight of each body is that of the axis' encoder over the counts per unit of ``machine``:
-    given to a machine of other counts, its load goes where this machine's goes.
+    The weight of each body is its weight in the axis' encoder divided by the counts per unit of
+    ``machine``. A machine with other counts and this load moves its load as ``machine`` does.
     """
     counts = machine.axes[axis].counts
     unit = {"count/m": "m", "count/rad": "rad"}[counts.unit]
@@ -276,12 +276,12 @@ def load_by_counts(machine: Machine, axis: str) -> dict[str, Quantity]:
 
 
 def variant_of(machine: Machine, changed: Mapping[str, float]) -> Machine:
-    """Return the machine with some of its uncertain numbers, by name, at given parts.
+    """Return the machine with some of its uncertain numbers at the given parts.
 
     Raises
     ------
     OptionError
-        If a name is not that of an uncertain number or group.
+        If a name is not an uncertain number or group.
     """
     numbers = uncertain(machine)
     names = [number.name for number in numbers]
@@ -290,16 +290,16 @@ def variant_of(machine: Machine, changed: Mapping[str, float]) -> Machine:
         if name not in names:
             raise OptionError(
                 f"{name!r} does not vary in machine {machine.name!r}",
-                remedy=f"What varies: {', '.join(names) or 'nothing'}.",
+                remedy=f"These vary: {', '.join(names) or 'none'}.",
             )
         parts[names.index(name)] = part
     return variant(machine, parts)
 
 
 def _counted(machine: Machine, axis: str) -> Mapping[str, Quantity]:
-    """Return the bodies whose coordinates the counts of an axis are of, each with counts per unit.
+    """Return the bodies that an axis counts, each with its counts per unit.
 
-    They are those that its encoder reads, or the one that its stepper or pulse servo turns.
+    These are the bodies read by its encoder, or the body of its stepper or pulse servo.
     """
     source = machine.source_of(axis)
     if source is None:
@@ -315,17 +315,17 @@ def _numbers(machine: Machine) -> list[tuple[str, Quantity]]:
 def _check(machine: Machine, path: str) -> None:
     why = ""
     if path.startswith("clocks."):
-        why = "a clock is what all time is counted in"
+        why = "all times are counted in clock periods"
     elif matches(path, (_COUNTS,)):
         if machine.axes[path.split(".")[1]].load is not None:
-            why = "its load says where it is, whatever is counted"
+            why = "its load defines the position, not its counts"
     elif not matches(path, _MACHINE):
-        why = "nothing of the machine follows it"
+        why = "no part of the simulated machine depends on it"
     elif is_whole(machine, path):
         why = "it must be a whole number"
     if why:
         raise OptionError(
-            f"{path} has a tolerance, and no variant can change it: {why}",
+            f"{path} has a tolerance but cannot vary: {why}",
             place=place_in(machine, path),
             remedy="Make it exact, or name it under [tolerances] exclude.",
         )
@@ -335,7 +335,7 @@ def _normal(machine: Machine, name: str, paths: list[str]) -> bool:
     normal = [matches(path, machine.tolerances.normal) for path in paths]
     if any(normal) and not all(normal):
         raise OptionError(
-            f"the group {name!r} moves as one, but {paths[normal.index(True)]} is normal and "
+            f"the group {name!r} varies together, but {paths[normal.index(True)]} is normal and "
             f"{paths[normal.index(False)]} is not",
             remedy="Name all of them under [tolerances] normal, or none.",
         )
@@ -346,13 +346,13 @@ def _normal(machine: Machine, name: str, paths: list[str]) -> bool:
                 f"{path} would reach zero at {FARTHEST:g} standard deviations of "
                 f"{quantity.tolerance_si / _PER_PART:.4g} {quantity.unit}".rstrip(),
                 place=place_in(machine, path),
-                remedy="Give it a smaller tolerance, or take it out of [tolerances] normal.",
+                remedy="Give it a smaller tolerance, or remove it from [tolerances] normal.",
             )
     return any(normal)
 
 
 def _per(length: str, reads: str) -> str:
-    """Return the unit of a load's weight: of an axis in m or rad, by a body in m or rad."""
+    """Return the unit of a load's weight, for an axis and a body in m or rad each."""
     body = reads.removeprefix("count/")
     return "" if body == length else f"{length}/{body}"
 

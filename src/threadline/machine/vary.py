@@ -1,4 +1,4 @@
-"""The same machine on another day, off its tolerances, or with lower limits."""
+"""Vary a machine: from day to day, to the ends of its tolerances, or with lower limits."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from threadline.machine.quantity import Quantity
 from threadline.machine.sources import Stepper
 
 DAMPING_OF_DAYS = (0.7, 1.3)
-"""Least and largest damping of a machine from day to day, as a factor on its file's."""
+"""Smallest and largest damping from day to day, as a factor on the file's value."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Days:
-    """What varies from run to run of a machine with loops; the first run is the machine as typed.
+    """Variation from run to run of a machine with control loops; the first run is nominal.
 
     Parameters
     ----------
     friction, supply
-        (runs,) factors, as ``vary`` takes them.
+        (runs,) factors, as in ``vary``.
     phases
-        (runs, axes) where between two counts each encoder stands at the start, 0 to 1.
+        (runs, axes) position of each encoder between two counts at the start, 0 to 1.
     """
 
     friction: FloatArray
@@ -38,14 +38,14 @@ class Days:
         return len(self.friction)
 
     def taken(self, index: IntArray) -> Days:
-        """Return some of the runs."""
+        """Return the runs ``index``."""
         return Days(
             friction=self.friction[index], supply=self.supply[index], phases=self.phases[index]
         )
 
 
 def drawn_days(count: int, axes: int, random: np.random.Generator) -> Days:
-    """Draw ``count`` runs: friction within +-30 %, supply within +-5 %, encoders at any phase."""
+    """Draw ``count`` runs: friction within +-30 %, supply within +-5 %, random encoder phases."""
     friction, supply = np.ones(count), np.ones(count)
     phases = np.full((count, axes), 0.5)
     for day in range(1, count):
@@ -66,9 +66,9 @@ def vary(
     supply
         Scales the voltage and current limits of amplifiers (not their gain, which is set by
         feedback) and the supply voltage of steppers' drivers. In cylinders it scales the stiffness
-        of the air, which is proportional to the pressure. Their speed stays: the flow through an
-        exhaust flow control is choked below about half of the pressure before it, and the volume
-        that it then lets out does not depend on that pressure.
+        of the air, which is proportional to the pressure. Their speed does not change: the flow
+        through an exhaust flow control is choked below about half of the upstream pressure, and its
+        volume flow then does not depend on that pressure.
     damping
         Scales the viscous damping of every body and every link.
 
@@ -122,9 +122,9 @@ def vary(
 def varied_numbers(
     machine: Machine, friction: FloatArray, supply: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the numbers that ``vary`` changes in a machine with loops, for many days at once.
+    """Return the numbers that ``vary`` changes in a machine with control loops, for many days.
 
-    The result maps the name of each number to its (days,) values in SI.
+    The result maps each dotted name to (days,) SI values.
 
     Parameters
     ----------
@@ -148,14 +148,14 @@ def varied_numbers(
 
 
 def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0) -> Machine:
-    """Return ``machine`` with its loads heavier and its springs stiffer than the file says.
+    """Return ``machine`` with heavier loads and stiffer springs than in its file.
 
     Parameters
     ----------
     mass, stiffness
-        Place of each number in its tolerance: 1 is the upper end, -1 the lower one. Loads are the
-        bodies in the load of an axis (of an axis without one, those that its drive turns) and the
-        bodies that cylinders push. Springs are the links and the air of cylinders.
+        Relative position in the tolerance: 1 is the upper end, -1 the lower end. Loads are the
+        bodies in the load of an axis (by default the bodies of its drive) and the bodies that
+        cylinders push. Springs are the links and the air of cylinders.
     """
     loads = {body for name in machine.axes for body in _carrying(machine, name)} | {
         cylinder.pushes for cylinder in machine.cylinders.values()
@@ -176,15 +176,15 @@ def off_tolerance(machine: Machine, *, mass: float = 0.0, stiffness: float = 0.0
 
 
 def corners(machine: Machine, share: float = 1.0) -> list[Machine]:
-    """Return ``machine`` and the machines at the ends of its tolerances of loads and springs.
+    """Return ``machine`` and the machines at the ends of the tolerances of loads and springs.
 
-    Nine, the machine itself first: loads lighter, as typed and heavier with springs softer, as
-    typed and stiffer.
+    Nine machines, the nominal one first: loads nominal, lighter and heavier, each with springs
+    nominal, softer and stiffer.
 
     Parameters
     ----------
     share
-        Of the tolerances.
+        Share of the tolerances.
 
     Raises
     ------
@@ -201,8 +201,27 @@ def corners(machine: Machine, share: float = 1.0) -> list[Machine]:
     return found
 
 
-def ends_of(machine: Machine, share: float) -> list[tuple[str, Machine]]:
-    """Return the other machines of ``corners`` that differ, each with what sets it apart.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Others:
+    """Other machines that must pass as well.
+
+    Parameters
+    ----------
+    name
+        Which they are, in words.
+    machines
+        For each, how it differs from the machine of the file, and the machine.
+    """
+
+    name: str
+    machines: tuple[tuple[str, Machine], ...]
+
+    def __len__(self) -> int:
+        return len(self.machines)
+
+
+def ends_of(machine: Machine, share: float) -> Others:
+    """Return the distinct other machines of ``corners``, each with a description.
 
     Raises
     ------
@@ -214,19 +233,57 @@ def ends_of(machine: Machine, share: float) -> list[tuple[str, Machine]]:
         for mass in ("", "lighter loads", "heavier loads")
         for spring in ("", "softer springs", "stiffer springs")
     ]
+    name = "at the ends of the tolerances of loads and springs"
     found: list[tuple[str, Machine]] = []
     for word, other in zip(words, corners(machine, share), strict=True):
         if other != machine and all(other != known for _, known in found):
             found.append((word, other))
-    return found
+    return Others(name=name, machines=tuple(found))
+
+
+_BAND = 17  # machines
+
+
+def band_parts(share: float) -> list[float]:
+    """Return by how much the modes of each machine of ``band_of`` are off."""
+    return [float(part) for part in np.linspace(-share, share, _BAND)]
+
+
+def band_of(machine: Machine, share: float) -> Others:
+    """Return machines with modes all over a band, as ``mode_off`` has them.
+
+    Parameters
+    ----------
+    share
+        Half the width of the band, of the frequency: 0.2 for +-20 %.
+
+    Raises
+    ------
+    OptionError
+        If the machine has no spring, or the band is not above 0 and below 1.
+    """
+    if not 0.0 < share < 1.0:
+        raise OptionError(
+            f"a band of +-{share * 100:g} % must be above 0 % and below 100 %",
+            remedy='A fifth to either side is "20 %".',
+        )
+    if not machine.links:
+        raise OptionError(
+            f"{machine.name} has no link with a stiffness, and so no mode to be off",
+            place=machine.place,
+            remedy="Leave --band out, or write the springs of the machine as [links].",
+        )
+    others = (
+        (f"modes at {part * 100.0:+.3g} %", mode_off(machine, part)) for part in band_parts(share)
+    )
+    return Others(name="with modes all over the band", machines=tuple(others))
 
 
 def mode_off(machine: Machine, relative: float) -> Machine:
     """Return ``machine`` with its modes at (1 + ``relative``) times their frequencies.
 
-    Damping ratios stay.
-    The stiffness of every link is scaled by the square of that factor, and the viscous damping of
-    every link and body by the factor itself. The air in cylinders is left as it is.
+    Damping ratios do not change: the stiffness of every link is scaled by the square of the factor,
+    and the viscous damping of every link and body by the factor. The air in cylinders is unchanged.
 
     Raises
     ------
@@ -246,10 +303,10 @@ def mode_off(machine: Machine, relative: float) -> Machine:
 def derate(machine: Machine, share: float) -> Machine:
     """Return ``machine`` with its acceleration and jerk limits multiplied by ``share``.
 
-    Those of braking and along the path are among them.
+    Limits of braking and limits along the path are included.
 
-    A loop that lags turns acceleration into error. A plan with lower accelerations can therefore
-    have a higher speed, and often less time, within the same tolerance.
+    The following error of a loop grows with acceleration. A plan with lower accelerations can
+    therefore have a higher speed, and often takes less time, within the same tolerance.
 
     Raises
     ------
@@ -282,7 +339,7 @@ def derate(machine: Machine, share: float) -> Machine:
 
 
 def _carrying(machine: Machine, axis: str) -> Iterable[str]:
-    """Return the bodies that carry the work of an axis: its load, or what its drive turns."""
+    """Return the bodies that carry the work of an axis: its load, or the bodies of its drive."""
     load, source = machine.axes[axis].load, machine.source_of(axis)
     if load is not None:
         return load
@@ -298,21 +355,21 @@ def _scaled(quantity: Quantity | None, factor: float) -> Quantity | None:
 
 
 def within_path(machine: Machine, axes: tuple[str, ...], radius_m: FloatArray) -> Machine:
-    """Return ``machine`` with lower limits of ``axes`` in place of those along the path.
+    """Return ``machine`` with lower limits of ``axes`` instead of limits along the path.
 
-    However the axes move within them together, the velocity, acceleration and jerk of the tool are
-    no longer as vectors than what ``[path]`` allows: whatever knows of axes alone may plan with it.
-    The acceleration is then within the centripetal limit, too. Of two axes that could do the same,
-    one that moves alone gets 0.71 of what the path allows. A jerk along the path is more than the
-    vector of the jerk where a slow motion turns: there the limit may still be exceeded. An axis
-    that brakes otherwise than it speeds up is left with the lower of the two limits.
+    Any joint motion of the axes within the new limits keeps the vectors of the tool's velocity,
+    acceleration and jerk within ``[path]``, so a planner that knows only axis limits can use the
+    result. The acceleration is then within the centripetal limit, too. Of two equal axes, an axis
+    that moves alone gets 0.71 of the path limit. Where a slow motion turns, the jerk along the path
+    exceeds the vector of the jerk and may still exceed its limit. An axis with different limits of
+    braking and speeding up gets the lower one for both.
 
     Parameters
     ----------
     axes
-        Those that move.
+        The moving axes.
     radius_m
-        (axes,) length at the tool of one unit of each.
+        (axes,) length at the tool per unit of each axis.
     """
     braking = any(machine.axes[axis].deceleration is not None for axis in axes)
     if machine.path is None and not braking:
@@ -340,7 +397,7 @@ def within_path(machine: Machine, axes: tuple[str, ...], radius_m: FloatArray) -
 
 
 def _shared(limit: FloatArray, most: float, radius_m: FloatArray) -> FloatArray:
-    """Return (axes,) limits whose vector at the tool is no longer than ``most``."""
+    """Return (axes,) limits whose vector at the tool has at most the length ``most``."""
     alone = np.minimum(limit, most / radius_m)
     size = float(np.linalg.norm(alone * radius_m))
     return np.asarray(alone * min(1.0, most / size))

@@ -1,8 +1,8 @@
-"""Who is let in: host, origin and token of every request, before anything reads it.
+"""Admission of requests: host, origin and token are checked before anything reads the request.
 
 A page of another site can make a browser send requests to this machine. It cannot choose their
-``Origin``; and a name that was bent to this address shows in their ``Host``. Who connects and does
-not finish a request keeps nobody else out.
+``Origin``, and a host name that was redirected to this address shows in their ``Host``. A client
+that connects and does not finish a request keeps nobody else out.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from threadline.errors import OptionError
 from threadline.live.grbl_words import in_url
 
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
-"""Names of this computer, to which no token is needed."""
+"""Names of this computer, for which no token is needed."""
 _READS = frozenset({"GET", "HEAD"})
 _LEAST_TOKEN = 16
-_FIRST, _LAST = "!", "~"  # of the characters that are visible in ASCII
+_FIRST, _LAST = "!", "~"  # of the visible ASCII characters
 _MOST_NAMED = 5
 HALF_OPEN_S = 5.0
-"""Time in s in which a request has to say what it wants, and then to send more of its body."""
+"""Time in s within which a request must be complete, and then each further part of its body."""
 MOST_HALF_OPEN = 256
-"""Connections without a whole request; where there is one more, the oldest is dropped."""
-_MOST_BODY_S = 60.0  # from the first of a body to its last
+"""Most connections without a complete request; beyond that the oldest is dropped."""
+_MOST_BODY_S = 60.0  # from the first part of a body to its last
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (
         "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; "
@@ -43,25 +43,25 @@ HEADERS: Mapping[str, str] = {
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-store",
 }
-"""Of every answer: no page of another site may frame this one, or be loaded into it."""
+"""Headers of every answer: no page of another site may frame this one, or load it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """What a request has to show.
+    """The checks that a request must pass.
 
     Parameters
     ----------
     host
         Address that the server listens at.
     token
-        Word that every client has to know; empty for none.
+        Secret word that every client needs; empty for none.
 
     Raises
     ------
     OptionError
         If the address is not this computer's own and there is no token; if the token is short, or
-        holds what a word in an HTTP header cannot: a blank, or anything but visible ASCII.
+        has a character that a word in an HTTP header cannot have: a blank or non-ASCII.
     """
 
     host: str
@@ -83,7 +83,7 @@ class Admission:
             )
         if in_url(self.host) not in LOCAL and not self.token:
             raise OptionError(
-                f"--host {self.host}: who may reach this computer could move the machine",
+                f"--host {self.host}: anyone who can reach this computer could move the machine",
                 remedy="Give a --token of 16 characters or more, or leave --host out.",
             )
 
@@ -93,17 +93,17 @@ class Admission:
         Parameters
         ----------
         reads
-            Whether it can change nothing.
+            Whether it is read-only.
         """
         host = headers.get("host", "")
         name = host.rpartition(":")[0] if host.rpartition(":")[2].isdigit() else host
         if not self.token and name not in LOCAL:
-            return "this name is not that of the computer itself"
+            return "the Host of the request is not this computer's name"
         origin = headers.get("origin")
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             return "the request comes from a page of another site"
         if not reads and origin is None and headers.get("sec-fetch-site", "none") != "none":
-            return "the request comes from a page that does not say whose it is"
+            return "the request comes from a page without an Origin"
         return ""
 
     def knows(self, token: str) -> bool:
@@ -112,17 +112,17 @@ class Admission:
 
 
 class AdmittingApp:
-    """An application that is reached only by requests that are admitted.
+    """An application that only admitted requests reach.
 
-    The page itself is there for all, for it holds nothing; what is behind ``/api`` asks for the
-    token. The token of a websocket comes in its first message, which the application checks.
+    The page itself is public, since it holds no data; paths under ``/api`` need the token. A
+    websocket sends its token in its first message, which the application checks.
 
     Parameters
     ----------
     app
         The application.
     admission
-        What is asked of a request.
+        The checks of a request.
     """
 
     def __init__(self, app: ASGIApp, admission: Admission) -> None:
@@ -151,14 +151,14 @@ class AdmittingApp:
 
 
 class PromptHttp(H11Protocol):
-    """A connection that is dropped where its request is not whole in time.
+    """A connection that is dropped if its request is not complete in time.
 
-    uvicorn waits for ever for the rest of a request, and each such connection costs one of the
-    files that a process may have open: a stop would not get through any more.
+    uvicorn waits for ever for the rest of a request, and each such connection uses one of the
+    files that a process may open: in the end a stop would not get through.
     """
 
     half_open: ClassVar[dict[PromptHttp, None]] = {}
-    """Connections without a whole request, the oldest first."""
+    """Connections without a complete request, the oldest first."""
 
     def __init__(self, *given: Any, **named: Any) -> None:
         super().__init__(*given, **named)
@@ -166,14 +166,14 @@ class PromptHttp(H11Protocol):
         self._body_until_s = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for a request."""
+        """Start waiting for a request."""
         super().connection_made(transport)
         self._await_until(self.loop.time() + HALF_OPEN_S)
         while len(self.half_open) > MOST_HALF_OPEN:
             next(iter(self.half_open))._drop()
 
     def data_received(self, data: bytes) -> None:
-        """Take what came, and wait for the rest of the request, or not any more."""
+        """Process received data, and wait for the rest of the request if it is incomplete."""
         super().data_received(data)
         now_s = self.loop.time()
         gone = self.transport.is_closing() or self.transport.get_protocol() is not self
@@ -182,11 +182,11 @@ class PromptHttp(H11Protocol):
             self._await_until(min(now_s + HALF_OPEN_S, self._body_until_s))
         elif gone or self.conn.their_state is not h11.IDLE:
             self._have()
-        elif self._due is None:  # another request of the same connection
+        elif self._due is None:  # another request on the same connection
             self._await_until(now_s + HALF_OPEN_S)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait for nothing any more."""
+        """Stop waiting."""
         self._have()
         super().connection_lost(exc)
 

@@ -1,7 +1,7 @@
-"""A calculation of the panel, in a process of its own: plan, simulate, judge, write the proof.
+"""A calculation of the panel, in a separate process: plan, simulate, judge, write the proof.
 
 It reads one request as JSON from standard input and writes JSON lines to standard output: the share
-that is done, and at the end the figures, or why there are none.
+done, and at the end the figures, or why there are none.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from threadline.base.reading import noting_inputs, reading_within
 from threadline.errors import ThreadlineError
 from threadline.files import ChannelKind
 from threadline.jobs.operations import Job, Move, MoveRun, Operation, Source, begins_circuit
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.machine import Machine
 from threadline.panel.programs import PROGRAMMED, by_priority, planned, program_path, words_of
 from threadline.panel.welcoming import mandrel_of
@@ -34,7 +34,7 @@ from threadline.proof.pipeline import (
     with_shaping,
 )
 from threadline.proof.proof_file import read_proof, write_proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.verdict import Spec, closing, load_spec
 from threadline.verdict.rendering import criteria_json
 
@@ -66,7 +66,7 @@ def calculate(told: Mapping[str, Any]) -> dict[str, Any]:
             spec = with_shaping(asked, machine, options)
             proof = prove_plan(plan, spec, _share, trials)
         write_proof(proof, told["proof_file"])
-    starts = way_of(machine).start(plan.commands).tolist()
+    starts = run_kind_of(machine).start(plan.commands).tolist()
     return {
         **figures(proof),
         "program": str(told["program"]),
@@ -89,7 +89,7 @@ def _by_priority(
 
 
 def figures(proof: Proof) -> dict[str, Any]:
-    """Return what the operator sees of a proof, SI units."""
+    """Return the figures of a proof that the operator sees, SI units."""
     plan, verdict = proof.plan, proof.verdict
     circuits, points = circuits_and_points(plan.job)
     ticks = plan.commands.tick_count()
@@ -103,7 +103,7 @@ def figures(proof: Proof) -> dict[str, Any]:
         "circuits": circuits,
         "ticks_per_circuit": None if not circuits or ticks is None else round(ticks / circuits),
         "points": points,
-        "warnings": doubts(proof),
+        "warnings": warnings_of(proof),
         "criteria": criteria_json(verdict),
         "times_s": [round(float(t), 6) for t in times_s],
         "mandrel": None if (found := mandrel_of(plan.machine)) is None else found.model_dump(),
@@ -112,18 +112,18 @@ def figures(proof: Proof) -> dict[str, Any]:
 
 
 def circuits_and_points(job: Job) -> tuple[int | None, int]:
-    """Return the number of passes of outermost subroutine calls, and that of moves.
+    """Return the number of passes of outermost subroutine calls, and the number of moves.
 
-    Where there is but one pass, or none, the first is None.
+    With one pass or none, the first is None.
     """
     circuits, points, least = 0, 0, 0
     before: Source | None = None
     for item, times, _ in job.folded():
-        if times == 0:  # where repeated passes end
+        if times == 0:  # the end of repeated passes
             continue
-        first, last = _ends(item)
+        first, last = _end_sources(item)
         if begins_circuit(before, first):
-            # Of the moves of a pass those that no call inside it repeats happen least often.
+            # The moves of a pass that are in no inner call happen least often.
             circuits, least = circuits + least, times
         elif first.passes:
             least = min(least, times)
@@ -134,8 +134,8 @@ def circuits_and_points(job: Job) -> tuple[int | None, int]:
     return (circuits if circuits > 1 else None), points
 
 
-def _ends(item: Operation | MoveRun) -> tuple[Source, Source]:
-    """Return where the first and the last move of a run come from, or an operation twice."""
+def _end_sources(item: Operation | MoveRun) -> tuple[Source, Source]:
+    """Return the sources of a run's first and last move; for an operation, twice its own."""
     if not isinstance(item, MoveRun):
         return item.source, item.source
     first, last = (Source(item.file, int(item.line[k]), item.passes) for k in (0, -1))
@@ -143,7 +143,7 @@ def _ends(item: Operation | MoveRun) -> tuple[Source, Source]:
 
 
 def _commanded(proof: Proof) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return instants, and the commanded position of every axis at them, ``_SHOWN`` at most."""
+    """Return at most ``_SHOWN`` instants, and the commanded position of every axis at them."""
     recording = proof.recording
     found = {c.axis: c for c in recording.channels if c.kind is ChannelKind.COMMANDED}
     if not found:

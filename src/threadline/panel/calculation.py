@@ -1,4 +1,4 @@
-"""Processes that answer one request of the panel: they are ended when nobody waits any more."""
+"""Processes that answer one request of the panel; each is ended when nobody waits any more."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from threadline.panel.protocol import Calculate, Figures, Proven
 async def answer_of(
     *words: str, sent: bytes = b"", longest_s: float | None = None
 ) -> tuple[int, bytes, bytes]:
-    """Return the exit status of a process, and what it wrote on its outputs.
+    """Return the exit status of a process, and its outputs.
 
-    It is killed where its time is over, and where the request or the panel ends before it: work in
-    a thread could not be, and the panel would have to wait for it.
+    It is killed when its time is over, or when the request or the panel ends: a thread could not be
+    killed, and the panel would have to wait for it.
 
     Parameters
     ----------
     words
         The program and its arguments.
     sent
-        What it is sent on its standard input.
+        Bytes for its standard input.
     longest_s
-        Time in s that it may take; None for any.
+        Time limit in s; None for no limit.
 
     Raises
     ------
@@ -60,7 +60,7 @@ _WHY = {422: {"description": "there is no guide; a line says why"}}
 
 
 class MachineGuide:
-    """Writes the guide to a machine when it is asked for first.
+    """Writes the guide to a machine at the first request.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class MachineGuide:
 
     @property
     def printable(self) -> Path:
-        """The guide as PDF; it is there once ``tables`` was called."""
+        """The guide as PDF; it exists once ``tables`` was called."""
         return self._folder / "guide.pdf"
 
     async def tables(self) -> dict[str, Any] | str:
@@ -94,7 +94,7 @@ class MachineGuide:
 
 
 def add_guide(app: FastAPI, guide: MachineGuide) -> None:
-    """Add the requests of the guide, which is only read."""
+    """Add the requests for the guide, which are read-only."""
 
     @app.get("/api/guide", responses=_WHY)  # type: ignore[arg-type]
     async def tables() -> Response:
@@ -116,21 +116,21 @@ _MOST_LINE = 32 << 20
 
 
 class Calculation:
-    """Calculates one program at a time, in a process of its own.
+    """Calculates one program at a time, in a separate process.
 
     Parameters
     ----------
     machine, spec_file
-        The machine, and the specification; None is the machine's own.
+        The machine, and the specification; None: the machine's own.
     folder, kept
-        Folder of the programs, and the one where the proof is kept.
+        Folder of the programs, and folder for the proof.
 
     Attributes
     ----------
     proven
-        What was calculated last, and not changed since; None where there is nothing.
+        The latest calculation, if unchanged since; else None.
     share
-        Share that is done; None where nothing is calculated.
+        Share done; None while nothing is calculated.
     """
 
     def __init__(self, machine: Machine, spec_file: Path | None, folder: Path, kept: Path) -> None:
@@ -145,18 +145,18 @@ class Calculation:
 
     @property
     def starts(self) -> list[int]:
-        """Where the proven program begins, in counts of the axes."""
+        """Starting position of the proven program, in counts of the axes."""
         return self._starts
 
     def begin(self, asked: Calculate, tell: Callable[[Figures | str], None]) -> None:
-        """Begin a calculation; what was proven before is forgotten.
+        """Begin a calculation; the last one is forgotten.
 
         Parameters
         ----------
         asked
-            What is calculated.
+            The request.
         tell
-            Called with the figures, or with why there are none.
+            Called with the figures, or with the reason for having none.
 
         Raises
         ------
@@ -171,25 +171,25 @@ class Calculation:
         self._task.add_done_callback(lambda task: self._over(task, tell))
 
     def _over(self, task: asyncio.Task[None], tell: Callable[[Figures | str], None]) -> None:
-        """Note that nothing is calculated any more; tell why, where a fault has ended it.
+        """Note that the calculation is over; report an unexpected error.
 
-        A task that is cancelled before its first step never runs: it cannot note that by itself.
+        A task that is cancelled before its first step never runs, and cannot do this by itself.
         """
         self.share = None
         if not task.cancelled() and (error := task.exception()) is not None:
             tell(f"the calculation has failed: {error}")
 
     def forget(self) -> None:
-        """Forget what was proven: a program was changed."""
+        """Forget the latest calculation: a program was changed."""
         self.proven, self.figures, self._starts = None, None, []
 
     def to_start(self, proof: str) -> Mapping[str, Any]:
-        """Return what the owner has to be told, so that it runs what was proven.
+        """Return the request to the owner that runs the proven program.
 
         Raises
         ------
         CommandError
-            If that is not what the client was shown.
+            If it is not the program that the client was shown.
         """
         if self.proven is None or self.proven.proof != proof:
             raise CommandError(
@@ -248,12 +248,12 @@ class Calculation:
         return self.figures
 
     def cancel(self) -> None:
-        """End a calculation that is under way."""
+        """End a running calculation."""
         if self._task is not None:
             self._task.cancel()
 
     async def close(self) -> None:
-        """End a calculation that is under way, and wait for its end."""
+        """End a running calculation, and wait for its end."""
         self.cancel()
         if self._task is not None:
             await asyncio.wait([self._task])

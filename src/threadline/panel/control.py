@@ -1,7 +1,7 @@
-"""What is told to people at the page, in the words of the page and not of a command line.
+"""Clients of the panel: control over the machine, and messages in the words of the page.
 
 Errors and warnings are shared with the command line, and name its options. The page has fields for
-some of them, by other names; what it has none for is said to be of the command line.
+some of these, under other names; an option without a field is marked as the command line's.
 
 Time is an argument of every method, so that nothing here waits.
 """
@@ -35,7 +35,7 @@ FIELDS = {
     "smoothing": "Smoothing",
     "tolerance": "Tolerance",
 }
-"""Labels of the page by the options that they stand for."""
+"""Labels of the page, by option."""
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*[a-z])(?![\w-])")
 
 
@@ -53,8 +53,8 @@ def _label(found: re.Match[str]) -> str:
     return f"{found[0]} of the command line" if label is None else f"'{label}'"
 
 
-def told_on_page(message: BaseModel) -> BaseModel:
-    """Return a message with what people read of it in the words of the page."""
+def in_words_of_page(message: BaseModel) -> BaseModel:
+    """Return a message with its texts for people in the words of the page."""
     if isinstance(message, say.Said | say.Answer):
         return message.model_copy(update={"text": in_page_words(message.text)})
     if isinstance(message, say.Figures):
@@ -66,7 +66,7 @@ def told_on_page(message: BaseModel) -> BaseModel:
 CONTROL_LEASE_S = 5.0
 """Time in s after which control is free unless its holder was heard."""
 ASKED_S = 10.0
-"""Time in s after which control passes to the one who asked, unless its holder keeps it."""
+"""Time in s after which control passes to the client that asks, unless its holder keeps it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Lease:
     client
         Number of the client that has it.
     word
-        What its commands have to carry; nobody else knows it.
+        Secret word that its commands must carry.
     """
 
     client: int
@@ -99,29 +99,29 @@ class ControlLease:
         self._held: Lease | None = None
         self._until_s = 0.0
         self._asks: int | None = None
-        self._passes_s = 0.0  # when control passes to the one who asks
+        self._passes_s = 0.0  # when control passes to the asking client
 
     def holder(self, now_s: float) -> Lease | None:
-        """Return the lease in force; None where it has run out, or nobody has control."""
+        """Return the lease in force; None if it has run out, or nobody has control."""
         return self._held if now_s < self._until_s else None
 
     def left_s(self, now_s: float) -> float:
-        """Return the time for which the lease goes on unless it is renewed, s."""
+        """Return the time until the lease runs out unless it is renewed, s."""
         return max(self._until_s - now_s, 0.0) if self._held is not None else 0.0
 
     @property
     def asks(self) -> int | None:
-        """The client that asks for control; None where nobody does."""
+        """The client that asks for control; None if nobody does."""
         return self._asks
 
     def passes_in_s(self, now_s: float) -> float:
-        """Return the time after which control passes to the one who asks, s; 0 if nobody does."""
+        """Return the time after which control passes to the asking client, s; 0 without one."""
         return max(self._passes_s - now_s, 0.0) if self._asks is not None else 0.0
 
     def take(self, client: int, now_s: float) -> Lease | None:
-        """Give control to a client if nobody has it; else note that it asks, and return None.
+        """Give control to a client if nobody has it; else note its request, and return None.
 
-        The first who asks is the one who waits; others have to ask again.
+        Only the first asking client waits; others have to ask again.
         """
         held = self.holder(now_s)
         if held is None or held.client == client:
@@ -131,14 +131,14 @@ class ControlLease:
         return None
 
     def give(self, client: int, now_s: float) -> Lease | None:
-        """Give control to the one who asks; None if nobody does, or ``client`` has none."""
+        """Give control to the asking client; None without one, or if ``client`` has none."""
         held = self.holder(now_s)
         if held is None or held.client != client or self._asks is None:
             return None
         return self._grant(self._asks, now_s)
 
     def keep(self, client: int, now_s: float) -> bool:
-        """Keep control, in answer to one who asks; return whether ``client`` had it."""
+        """Keep control against a request; return whether ``client`` had it."""
         held = self.holder(now_s)
         if held is None or held.client != client:
             return False
@@ -146,12 +146,12 @@ class ControlLease:
         return True
 
     def renew(self, word: str, now_s: float, client: int | None = None) -> bool:
-        """Renew the lease; False if the word is not that of the lease in force.
+        """Renew the lease; False if the word is not the one of the lease in force.
 
         Parameters
         ----------
         client
-            The client that says it, where it is known: it must be the one that has control.
+            The sending client, if known: it must be the one in control.
         """
         held = self.holder(now_s)
         if held is None or client not in {None, held.client}:
@@ -162,7 +162,7 @@ class ControlLease:
         return True
 
     def release(self, client: int) -> bool:
-        """Give control back, as when a client leaves; return whether it had it."""
+        """Give control back, for example when a client leaves; return whether it had it."""
         if self._asks == client:
             self._asks = None
         if self._held is None or self._held.client != client:
@@ -171,8 +171,8 @@ class ControlLease:
         self._until_s = 0.0
         return True
 
-    def passes(self, now_s: float) -> Lease | None:
-        """Pass control to the one who asks, where that is due; return the new lease, or None."""
+    def pass_if_due(self, now_s: float) -> Lease | None:
+        """Pass control to the asking client if that is due; return the new lease, or None."""
         if self._asks is None:
             return None
         if self.holder(now_s) is not None and now_s < self._passes_s:
@@ -188,20 +188,20 @@ class ControlLease:
 
 
 SEEN_S = 0.5
-"""Age in s of the latest state on which a client may act."""
+"""Largest age in s of a state on which a client may act."""
 _MOST_SENT = 64
 _MOST_WAITING = 64
 
 
 class Client:
-    """A client, and what waits to be sent to it.
+    """A client, and the messages that wait to be sent to it.
 
-    A state replaces the one before it, so that a slow client gets fewer, and none that is old.
+    A new state replaces a waiting one, so that a slow client gets fewer states, and no old ones.
 
     Parameters
     ----------
     number, name
-        Its number, and what it calls itself.
+        Its number, and the name that it gave.
     """
 
     def __init__(self, number: int, name: str) -> None:
@@ -212,22 +212,22 @@ class Client:
         self._ready = asyncio.Event()
         self._last = 0  # number of its latest command
         self.full = False
-        """Whether it does not take what it is sent."""
+        """Whether it does not read its messages."""
 
     def show(self, seq: int, text: str) -> None:
-        """Let it have a state next."""
+        """Queue a state, in place of a waiting one."""
         self._state = (seq, text)
         self._ready.set()
 
     def tell(self, message: BaseModel) -> None:
-        """Let it have a message, in order: a state that waits is older, and is left out."""
+        """Queue a message in order; a waiting state is older, and is dropped."""
         self._state = None
         self.full = self.full or len(self._waiting) >= _MOST_WAITING
-        self._waiting.append(told_on_page(message).model_dump_json())
+        self._waiting.append(in_words_of_page(message).model_dump_json())
         self._ready.set()
 
     async def next_text(self, clock: Callable[[], float]) -> str | None:
-        """Wait for what is to be sent, and return it; None if there is nothing after all."""
+        """Wait for the next message, and return it; None if there is none after all."""
         await self._ready.wait()
         if self._waiting:
             return self._waiting.popleft()
@@ -241,12 +241,12 @@ class Client:
         return text
 
     def saw(self, seq: int, now_s: float) -> bool:
-        """Return whether a state was sent to it a short time ago: it may act on that."""
+        """Return whether a state was sent to it a short time ago, so that it may act on it."""
         sent_s = self._sent.get(seq)
         return sent_s is not None and now_s - sent_s <= SEEN_S
 
     def is_next(self, number: int) -> bool:
-        """Return whether the number of a command is larger than all before it, and note it."""
+        """Return whether a command's number is larger than all earlier ones, and note it."""
         later = number > self._last
         self._last = max(self._last, number)
         return later

@@ -32,7 +32,7 @@ from threadline.panel.programs import MOST_UPLOAD
 
 MOST_SHAPES = 5000
 MOST_POINTS = 400_000
-"""Of all shapes of a drawing together."""
+"""Most points of all shapes of a drawing together."""
 _MOST_TOLD = 20
 _CHORDS = 64  # of a piece that is neither a line nor an arc
 _CLOSED_M = 1e-6
@@ -62,7 +62,7 @@ class Lettering(BaseModel):
 
     text: Annotated[str, Field(min_length=1, max_length=100)]
     height_mm: Annotated[float, Field(gt=0.1, le=1000.0)]
-    """Of its capital letters."""
+    """Height of its capital letters."""
     font: Literal["DejaVu Sans", "DejaVu Serif", "DejaVu Sans Mono"] = "DejaVu Sans"
 
 
@@ -77,13 +77,13 @@ def dxf(shapes: Sequence[Shape]) -> bytes:
     Raises
     ------
     JobError
-        If one of them has too few points.
+        If a shape has too few points.
     """
     for number, shape in enumerate(shapes, 1):
         if len(shape.points) < _LEAST[shape.kind]:
             raise JobError(
-                f"shape {number}: a {shape.kind} has {_LEAST[shape.kind]} points or more, this one "
-                f"{len(shape.points)}",
+                f"shape {number}: a {shape.kind} needs {_LEAST[shape.kind]} points or more, this "
+                f"one has {len(shape.points)}",
                 remedy="Draw the missing points.",
             )
     return dxf_of(
@@ -106,16 +106,16 @@ def shapes_of(name: str, content: bytes) -> list[dict[str, Any]]:
 
 
 def opened(name: str, content: bytes) -> dict[str, list[Any]]:
-    """Return the shapes of a DXF or SVG, and what was left out of it, line by line.
+    """Return the shapes of a DXF or SVG, and the entities left out, line by line.
 
-    Points are in mm; shapes of one entity have one group. Lines, circles and their arcs stay what
+    Points are in mm; shapes of one entity have one group. Lines, circles and their arcs stay as
     they are; other curves become 64 chords a piece. Leaders of a DXF with their texts, and fills of
-    what is drawn, are kept; other texts, fills and what else is no line are left out.
+    drawn shapes, are kept; other texts, fills and entities without lines are left out.
 
     Raises
     ------
     JobError
-        If the file cannot be read, or has more shapes than are edited.
+        If the file cannot be read, or has more shapes than the page can edit.
     """
     drawing = _read(name, content)
     _refuse_points(drawing.strokes, name)
@@ -143,7 +143,7 @@ def opened(name: str, content: bytes) -> dict[str, list[Any]]:
 
 
 def _refuse_points(strokes: Sequence[Stroke], name: str) -> None:
-    """Refuse strokes of which chords would make more points than are edited."""
+    """Refuse strokes whose chords would make more points than the page can edit."""
     points = 0
     for stroke in strokes:
         straight = int(np.count_nonzero(stroke.pieces.is_line | stroke.pieces.is_circle))
@@ -157,12 +157,12 @@ def _refuse_points(strokes: Sequence[Stroke], name: str) -> None:
 
 
 def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set[int]:
-    """Add leaders to the shapes of a DXF, and fills to those that they are of.
+    """Add leaders to the shapes of a DXF, and fills to their shapes.
 
     Returns
     -------
     set
-        Lines of the file at which what was taken up begins.
+        First lines of the entities in the file that were added.
     """
     with _as_file(name, content) as file:
         leaders, fills = read_remarks(content, str(file), MOST_SHAPES - len(shapes))
@@ -196,7 +196,7 @@ def _add_remarks(shapes: list[dict[str, Any]], name: str, content: bytes) -> set
 
 @contextmanager
 def _as_file(name: str, content: bytes) -> Iterator[Path]:
-    """Have a drawing as a file, for readers that want one."""
+    """Provide a drawing as a file, for readers that need one."""
     with tempfile.TemporaryDirectory(prefix="threadline-drawing-") as folder:
         file = Path(folder) / f"drawing{name.lower()[-4:]}"
         file.write_bytes(content)
@@ -207,12 +207,12 @@ def _read(name: str, content: bytes) -> Drawing:
     reader = _READERS.get(name.lower()[-4:])
     if reader is None:
         raise JobError(
-            f"{name[:60]!r} is no drawing that is known", remedy="Open a .dxf or a .svg."
+            f"{name[:60]!r} is not a known kind of drawing", remedy="Open a .dxf or a .svg."
         )
     with _as_file(name, content) as file:
         try:
             return reader(content, str(file), most_lines=MOST_SHAPES)
-        except JobError as error:  # it is the client's name that is known to people
+        except JobError as error:  # people know the client's file name
             line = 0 if error.place is None else error.place.line
             raise JobError(error.message, place=Place(name, line), remedy=error.remedy) from error
 
@@ -263,19 +263,19 @@ def outlines(asked: Lettering) -> list[dict[str, Any]]:
 
 
 LONGEST_S = 20.0
-"""Time in s that a drawing may take."""
+"""Longest time in s for reading a drawing."""
 _CHILD = words_of("threadline.panel.drawn", "main")
 _WRONG = 2
 _one_at_a_time = asyncio.Semaphore(1)
 
 
 async def read_apart(name: str, content: bytes) -> bytes | str:
-    """Return, as JSON, what ``opened`` finds in a drawing, or a line that says why nothing."""
+    """Return the result of ``opened`` for a drawing as JSON, or a line that says why not."""
     return await _apart("shapes", name, content)
 
 
 async def written_apart(content: bytes) -> bytes | str:
-    """Return the DXF of shapes that come as JSON, or a line that says why there is none."""
+    """Return the DXF of shapes given as JSON, or a line that says why there is none."""
     return await _apart("dxf", "drawing.dxf", content)
 
 
@@ -286,7 +286,7 @@ async def _apart(what: str, name: str, content: bytes) -> bytes | str:
             status, told, why = await answer_of(*words, sent=content, longest_s=LONGEST_S)
     except TimeoutError:
         return f"{name[:60]!r} takes longer than {LONGEST_S:g} s. Split it, or simplify it."
-    except (OSError, ValueError) as error:  # a name that no process can be told
+    except (OSError, ValueError) as error:  # a name that cannot be a process argument
         return f"{name[:60]!r} cannot be read: {getattr(error, 'strerror', None) or error}"
     if status == 0:
         return told
@@ -296,13 +296,13 @@ async def _apart(what: str, name: str, content: bytes) -> bytes | str:
 
 
 def why_invalid(error: ValidationError) -> str:
-    """Return what is wrong with the first part that is, and where it stands."""
+    """Return the first fault in a message, and its place."""
     first = error.errors(include_url=False, include_input=False)[0]
     return f"{'.'.join(map(str, first['loc'])) or 'it'}: {first['msg']}"
 
 
 def main() -> None:
-    """Answer what standard input has: a drawing, or shapes of which one is to be made."""
+    """Answer the request on standard input: read a drawing, or make one of shapes."""
     what, name = sys.argv[1:]
     content = sys.stdin.buffer.read()
     try:
@@ -318,13 +318,13 @@ def main() -> None:
 
 
 _TELLS: dict[int | str, dict[str, Any]] = {
-    413: {"description": "more than is taken"},
-    422: {"description": "what was sent cannot be read; a line says why"},
+    413: {"description": "the content is too long"},
+    422: {"description": "the content cannot be read; a line says why"},
 }
 
 
 class TooLongError(Exception):
-    """More was sent than is taken."""
+    """The content is too long."""
 
 
 def add_drawing(app: FastAPI) -> None:
@@ -353,7 +353,7 @@ async def _lettered(sent: bytes) -> bytes | str:
 async def _answered(
     request: Request, answer: Callable[[bytes], Awaitable[bytes | str]], media_type: str
 ) -> Response:
-    """Return what is made of the body of a request, or why nothing is."""
+    """Return the answer to the body of a request, or why there is none."""
     try:
         made = await answer(await whole_body(request))
     except TooLongError:

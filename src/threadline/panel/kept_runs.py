@@ -1,7 +1,7 @@
 """Runs of the panel: the check of the proof beforehand, the store, and the verdict afterwards.
 
-Both take seconds, and the executor goes on to listen, and may move: the check is a thread, whose
-start is given up where anything else is asked for, and the judge is a process.
+Check and verdict take seconds, while the executor keeps listening, and may move. So the check is a
+thread, whose start is dropped if another command comes, and the judge is a process.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from threadline.live.continuing import (
     operation_at,
 )
 from threadline.live.hold_deviation import hold_waits, hold_words
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
 from threadline.live.states import Cause, Sink, State
 from threadline.live.store.run_store import OpenRun, RunStore
@@ -60,24 +60,24 @@ from threadline.proof.proof_file import ProofFile
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
 from threadline.verdict.progress import PlanClock
 
-_JUDGE = words_of("threadline.panel.kept_runs", "be_judge")
+_JUDGE = words_of("threadline.panel.kept_runs", "judge_main")
 _NICE = 10  # the executor comes first
 
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A run that may begin: its proof was compared with what is there now.
+    """A run that may begin: its proof was compared with the present files.
 
     Parameters
     ----------
     number
         Number of the request.
     stops
-        How many stops had been heard when it was asked for.
+        Number of stops received when it was requested.
     leaves_m, at_rest
-        How far beside the path a hold would stand, and whether it waits for a rest of the program.
+        Distance of a hold from the path, and whether a hold waits for a rest of the program.
     again, continues
-        The rest of a run that was broken off, and its name; else None, and empty.
+        The rest of an interrupted run, and that run's name; else None, and empty.
     """
 
     number: int
@@ -92,15 +92,15 @@ class Prepared:
     again: Continued | None = None
     continues: str = ""
 
-    def ways(self, machine: Machine) -> list[tuple[str, int]]:
-        """Return the moves to where the rest begins, one after the other as they are told."""
+    def moves(self, machine: Machine) -> list[tuple[str, int]]:
+        """Return the moves to where the rest begins, in their order."""
         assert self.again is not None
         return list(zip(machine.axes, self.again.rest.begins.tolist(), strict=False))
 
-    def told_rest(self) -> dict[str, Any]:
-        """Return what the operator has to know before it is confirmed."""
+    def rest_notes(self) -> dict[str, Any]:
+        """Return what the operator must know before confirming the rest."""
         assert self.again is not None
-        return {"run": self.continues, "told": list(self.again.told)}
+        return {"run": self.continues, "told": list(self.again.notes)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,18 +117,18 @@ class KeptRuns:
     folder
         Folder of the programs.
     machine, spec_file
-        The machine, and the specification; None is the machine's own.
+        The machine, and the specification; None: the machine's own.
     store
         Folder of the runs.
     link, label, speed
-        As they are written into the index; see ``AtLink``.
+        Entries for the index; see ``AtLink``.
     said
-        Called with what people have to know, and whether something is wrong.
+        Called with a text for people, and whether something is wrong.
 
     Attributes
     ----------
     why
-        The reason of the latest change of state, where there was one.
+        The reason of the latest change of state, if it had one.
     """
 
     def __init__(
@@ -147,17 +147,17 @@ class KeptRuns:
         self._link = {"link": link, **({"label": label} if label else {})}
         self._pool = ThreadPoolExecutor(1)
         self._preparing: tuple[Future[Prepared], int, int] | None = None
-        self._given_up = ""  # what was asked for in place of the start that is being checked
+        self._given_up = ""  # the command that came instead of the start being checked
         self._judging: Future[_Finished] | None = None
         self._channels: tuple[Channel, ...] = ()
         self._simulated = True
         self._sink: Sink | None = None  # of the open run
-        self._left_out_s = 0.0  # of its commands, where it does the rest of a job
+        self._left_out_s = 0.0  # of its commands, if it does the rest of a job
         self._open: tuple[OpenRun, Prepared, ExitStack] | None = None
         self._progress: dict[str, Any] | None = None
-        self._held = 0  # ticks of the run that it was held
-        self._held_from: int | None = None  # when the hold that lasts began
-        self._tells = way_of(machine).tells_plan
+        self._held = 0  # ticks of the run spent in holds
+        self._held_from: int | None = None  # tick at which the present hold began
+        self._tells = run_kind_of(machine).reports_plan_time
         self._plan_clock = PlanClock(machine.command_clock)
         self.why = ""
         self._state: State | None = None
@@ -165,7 +165,7 @@ class KeptRuns:
     # --- the sink of the executor ----------------------------------------------------------
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Keep the channels for the runs that follow."""
+        """Keep the channels for later runs."""
         self._channels, self._simulated = channels, simulated
 
     def block(self, block: RecordingBlock) -> None:
@@ -176,7 +176,7 @@ class KeptRuns:
 
     def state(self, tick: int, state: State, cause: Cause, text: str) -> None:
         """Keep the reason of a change of state, and write the change into the open run."""
-        if text or state is not self._state:  # a stop in a fault does not take its reason away
+        if text or state is not self._state:  # a stop in a fault keeps the fault's reason
             self.why = text
         self._state = state
         if self._open is not None:
@@ -191,7 +191,7 @@ class KeptRuns:
 
     @property
     def busy(self) -> str:
-        """Why no run can begin now, for people; empty where one can."""
+        """Why no run can begin now, for people; empty if one can."""
         if self._preparing is not None:
             return "a start is being checked"
         if self._open is not None:
@@ -199,18 +199,18 @@ class KeptRuns:
         return "" if self._judging is None else "the last run is being judged"
 
     def give_up(self, asked: str) -> None:
-        """Let a start that is being checked begin nothing: something else was asked for."""
+        """Drop a start that is being checked: another command came."""
         self._given_up = self._given_up or asked
 
     def prepare(self, told: Mapping[str, Any], stops: int, executor: Operated) -> None:
-        """Begin to check what a client wants to run; ``prepared`` has the answer."""
+        """Begin to check a requested run; ``prepared`` returns the result."""
         number = int(told["number"])
         self._given_up = ""
         work = self._pool.submit(self._prepared, told, stops, executor)
         self._preparing = (work, number, stops)
 
     def prepared(self) -> Prepared | tuple[int, str] | None:
-        """Return what was prepared, or its number and why it is refused; None while it is not."""
+        """Return the prepared run, or its number and the refusal; None while it is checked."""
         if self._preparing is None or not self._preparing[0].done():
             return None
         future, number, _ = self._preparing
@@ -220,11 +220,11 @@ class KeptRuns:
         except (ThreadlineError, OSError) as error:
             return number, str(error)
         if self._given_up:
-            return number, f"it was not begun: {self._given_up!r} was asked for meanwhile"
+            return number, f"it was not begun: the command {self._given_up!r} came meanwhile"
         return found
 
     def _prepared(self, told: Mapping[str, Any], stops: int, executor: Operated) -> Prepared:
-        """Plan it anew, and compare that with the proof, hash by hash."""
+        """Plan the program again, and compare the plan with the proof, hash by hash."""
         proof_file = Path(str(told["proof_file"]))
         override = None if told["override"] is None else str(told["override"])
         check_override(override)
@@ -237,9 +237,9 @@ class KeptRuns:
             inputs = tuple(file for file in inputs_read() if not file.samefile(proof_file))
         if proof.content["sha256"] != told["proof"]:
             raise ProofError("it is not the proof that was shown", remedy="Calculate it again.")
-        leaves_m = way_of(self._machine).hold_deviation_m(plan)
+        leaves_m = run_kind_of(self._machine).hold_deviation_m(plan)
         at_rest = hold_waits(plan, spec, leaves_m)
-        spoiled = () if at_rest else way_of(self._machine).spoiled_by_holds(plan, spec)
+        spoiled = () if at_rest else run_kind_of(self._machine).spoiled_by_holds(plan, spec)
         at_rest = at_rest or bool(spoiled)
         load, number = executor.prepare(plan), int(told["number"])
         if words := hold_words(plan, leaves_m, waits=at_rest, spoiled=spoiled):
@@ -250,7 +250,7 @@ class KeptRuns:
         return self._rest_of(str(told["run"]), str(told["at"]), found, executor)
 
     def _rest_of(self, run: str, at: str, whole: Prepared, executor: Operated) -> Prepared:
-        """Return the rest of a run that was broken off; its approach is checked."""
+        """Return the rest of an interrupted run; its approach is checked."""
         folder, record = unfinished_run(self._store, run)
         plan = whole.load.plan
         refuse_other_rows(record, plan)
@@ -298,7 +298,7 @@ class KeptRuns:
             raise
 
     def end(self, executor: Operated) -> None:
-        """Close a run that is over, and let it be judged; take up the verdict of the last one."""
+        """Close a run that is over, and start judging it; accept the verdict of the last one."""
         if self._open is not None:
             run, ready, stack = self._open
             self._open = None
@@ -319,7 +319,7 @@ class KeptRuns:
                 self._said(f"the run could not be judged: {error}", True)
 
     def _judged(self, run: OpenRun, ready: Prepared, ended: str, why: str) -> _Finished:
-        with suppress(StoreError):  # an index that is locked may be free when the verdict is there
+        with suppress(StoreError):  # a locked index may be free when the verdict is stored
             run.over(ended, why)
         try:
             verdict, closes = judged_apart(run.trace, ready.load.plan, ready.spec)
@@ -350,7 +350,7 @@ class KeptRuns:
 
     @staticmethod
     def _known_of(ready: Prepared) -> dict[str, str]:
-        """Return what the recording and the verdict of a run tell of why and whence it was run."""
+        """Return the entries for a run's recording and verdict: the override and the origin."""
         told = {"override": ready.override} if ready.override else {}
         if ready.again is not None:
             operation = str(ready.again.rest.operation)
@@ -358,9 +358,9 @@ class KeptRuns:
         return told
 
     def progress(self, executor: Operated) -> dict[str, Any] | None:
-        """Return how far the open run is, or how the last one ended; None where there was none.
+        """Return the progress of the open run, or the end of the last one; None without one.
 
-        Time that it was held does not count: what is left of a run is its duration without that.
+        Holds do not count: the time left of a run is its duration without them.
         """
         if self._progress is None or self._open is None:
             return self._progress
@@ -369,9 +369,9 @@ class KeptRuns:
         return {**self._progress, "time_s": self._time_s(executor)}
 
     def _time_s(self, executor: Operated) -> float:
-        """Return the instant of the whole job that a run is at, s, as its recording tells it.
+        """Return the instant of the whole job that a run is at, s, from its recording.
 
-        Where it tells none, time is left out from each hold that was asked for to its end.
+        Without such events, each hold is subtracted from its command to its end.
         """
         if self._tells:
             due_s, _ = self._plan_clock.at(np.array([executor.time_s]))
@@ -382,7 +382,7 @@ class KeptRuns:
         return self._left_out_s + executor.time_s - self._held * period_s - max(since, 0.0)
 
     def _at_share(self, share: float) -> float:
-        """Return the instant of the whole job at a share of what is sent of it, s."""
+        """Return the instant of the whole job at a share of its commands, s."""
         assert self._progress is not None
         whole_s = float(self._progress["duration_s"])
         return self._left_out_s + share * (whole_s - self._left_out_s)
@@ -394,15 +394,15 @@ class KeptRuns:
             stack.__exit__(type(error) if error else None, error, None)
 
     def close(self, error: BaseException | None) -> None:
-        """Close an open run, as one that ``error`` has ended; wait for what the threads do."""
+        """Close an open run, as ended by ``error``; wait for the threads."""
         self._break_off(error)
         self._pool.shutdown(wait=True)
 
 
 def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any], str]:
-    """Return the verdict on the recording of a run, as JSON and in a line, by another process.
+    """Return the verdict on the recording of a run, as JSON and in a line, from another process.
 
-    A judge in this one would keep the processor from what moves the machine.
+    A judge in this process would take processor time from the executor.
 
     Raises
     ------
@@ -432,8 +432,8 @@ def judged_apart(trace: Path, plan: Plan, spec: Spec) -> tuple[Mapping[str, Any]
     return found
 
 
-def be_judge() -> None:
-    """Judge the recording that standard input names; write the verdict, or why there is none."""
+def judge_main() -> None:
+    """Judge the recording named on standard input; write the verdict, or why there is none."""
     os.nice(_NICE)
     trace, plan, spec = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through a pipe
     try:

@@ -1,6 +1,6 @@
 """Runs of the store for the panel: their list, and files made of their traces.
 
-A long recording is read in a process of its own, so that the server stays small.
+A long recording is read in a separate process, so that the server stays small.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _one_at_a_time = asyncio.Semaphore(1)
 
 
 def kept_runs(store: Path) -> list[dict[str, Any]]:
-    """Return what is told of each run in a store, the latest first, 200 at the most."""
+    """Return an entry for each run in a store, the latest first, at most 200."""
     kept = opened(store)
     if kept is None:
         return []
@@ -42,7 +42,7 @@ def trace_file(store: Path, run: str) -> Path:
     Raises
     ------
     StoreError
-        If there is none of that name.
+        If there is no run with that name.
     """
     kept = opened(store)
     if kept is None:
@@ -51,12 +51,12 @@ def trace_file(store: Path, run: str) -> Path:
 
 
 async def in_process(trace: Path, out: Path) -> str:
-    """Write a trace as JSON, or as a recording of another format; return why not, or nothing.
+    """Write a trace as JSON, or as a recording of another format; return an error text, or "".
 
     Parameters
     ----------
     trace, out
-        File of the recording, and the file to write; its ending says how.
+        File of the recording, and the file to write; its suffix sets the format.
     """
     async with _one_at_a_time:
         status, said, _ = await answer_of(sys.executable, "-c", _CHILD, str(trace), str(out))
@@ -65,5 +65,5 @@ async def in_process(trace: Path, out: Path) -> str:
 
 
 def temporary(ending: str) -> Path:
-    """Return a file for an answer; who sends it deletes its folder."""
+    """Return a file for an answer; the sender deletes its folder."""
     return Path(tempfile.mkdtemp(prefix="threadline-trace-")) / f"trace.{ending}"

@@ -1,8 +1,8 @@
-"""Moves of several axes one after the other, as long as somebody renews them and nobody stops.
+"""The process that owns the machine: it executes the web server's requests, and stops alone.
 
-It is below the web server, and does not need it to be safe. A stop of the server is taken up by a
-thread of its own, ahead of all that was asked. When the server is gone, or silent for
-``SILENT_S``, nobody could stop the machine any more; so it is stopped, along its path.
+It does not need the web server to be safe. A separate thread receives a stop, ahead of all other
+requests. If the server is gone, or silent for ``SILENT_S``, nobody could stop the machine any more;
+so it is stopped, along its path.
 """
 
 from __future__ import annotations
@@ -28,60 +28,60 @@ from threadline.panel.welcoming import positions, signals
 
 
 class MoveSequence:
-    """What is left of a sequence of moves; it is dropped where one of them did not get to its end.
+    """The remaining moves of a sequence; they are dropped if one does not reach its end.
 
     Time is an argument, in s.
     """
 
     def __init__(self) -> None:
-        self._ways: deque[tuple[str, int]] = deque()
-        self._stops = 0  # stops that were heard before it was asked for
+        self._queued: deque[tuple[str, int]] = deque()
+        self._stops = 0  # stops received before the sequence was requested
         self._renewed_s = 0.0
         self._begun = False
 
     @property
     def left(self) -> int:
         """Number of moves that have not begun."""
-        return len(self._ways)
+        return len(self._queued)
 
-    def begin(self, ways: Iterable[tuple[str, int]], stops: int, now_s: float) -> None:
-        """Take up a sequence: axes, and the counts that each moves to."""
-        self._ways, self._stops, self._begun = deque(ways), stops, False
+    def begin(self, moves: Iterable[tuple[str, int]], stops: int, now_s: float) -> None:
+        """Begin a sequence: axes, and the counts that each moves to."""
+        self._queued, self._stops, self._begun = deque(moves), stops, False
         self._renewed_s = now_s
 
     def renew(self, now_s: float) -> None:
-        """Note that somebody still wants it."""
+        """Note that somebody still wants the sequence."""
         self._renewed_s = now_s
 
     def lease_s(self, now_s: float) -> float:
-        """Return what is left of the lease since it was renewed last, s."""
+        """Return the remaining lease since the last renewal, s."""
         return LEASE_S - (now_s - self._renewed_s)
 
     def clear(self) -> None:
-        """Drop what is left."""
-        self._ways.clear()
+        """Drop the remaining moves."""
+        self._queued.clear()
 
     def next_one(
         self, stops: int, ended: tuple[Ended, str] | None, now_s: float
     ) -> tuple[str, int] | None:
-        """Return the move to begin; None where there is none, and drop all where it has to end.
+        """Return the move to begin; None without one; drop all if the sequence has to end.
 
         Parameters
         ----------
         stops
-            Number of stops that were heard until now.
+            Number of stops received so far.
         ended
-            How the motion before it ended.
+            How the previous motion ended.
         now_s
             The time.
         """
         whole = not self._begun or ended == (Ended.COMPLETED, "")
         if stops != self._stops or not whole or self.lease_s(now_s) <= 0.0:
             self.clear()
-        if not self._ways:
+        if not self._queued:
             return None
         self._begun = True
-        return self._ways.popleft()
+        return self._queued.popleft()
 
 
 SILENT_S = 1.0
@@ -90,20 +90,20 @@ TELL_S = 0.04
 """Period of the reports to the server, s."""
 _PATIENCE_S = 0.02
 _OLD_S = 3.0
-"""Age in s of a request that is not obeyed any more: nobody knows what has become of it."""
+"""Age in s above which a request is not executed any more: the situation may have changed."""
 _SAFE = frozenset({"let-go", "hold"})
 _BY_DESK = {"hold": Cause.HOLD, "resume": Cause.RESUME}
 _LATER = frozenset({"start", "continue"})
-"""What is answered when it was checked, which takes seconds."""
+"""Requests that are answered after a check, which takes seconds."""
 _MOVES = frozenset({"zero", "zero-axis", "approach"})
 _DRIVES = frozenset({"enable", "disable", "home", "reset"})
 _NO_START = frozenset({"disable", "home", "jog", "step", "approach-rest", "start-rest", *_MOVES})
-"""What ends a start that is being checked: the machine would be elsewhere, or off."""
+"""Requests that drop a start being checked: the machine would be elsewhere, or off."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """A request of the server, and how many stops were heard before it."""
+class _Request:
+    """A request of the server, and the number of stops received before it."""
 
     what: str
     head: Mapping[str, Any]
@@ -111,20 +111,20 @@ class _Asked:
 
 
 class Owner:
-    """Owns a machine, and does what the web server asks.
+    """Owns a machine, and executes the web server's requests.
 
     Parameters
     ----------
     server
         Connection to the web server.
     executor
-        The machine at the far end of its link, which was not met yet.
+        The machine at the far end of its link, not connected yet.
     machine
         The machine.
     desk
         Queue of the operator's commands to the executor.
     runs
-        Where runs are kept.
+        Keeps the runs.
     """
 
     def __init__(
@@ -133,12 +133,12 @@ class Owner:
         self._server, self._machine, self._runs = server, machine, runs
         self._desk, self._executor = desk, executor
         executor.meanwhile = self._tell
-        self._asked: deque[_Asked] = deque()
+        self._asked: deque[_Request] = deque()
         self._stops = 0
         self._heard_s = clock_s()
         self._leaving = False
         self._moves = MoveSequence()
-        self._rest: Prepared | None = None  # of a run that was broken off, not confirmed yet
+        self._rest: Prepared | None = None  # of an interrupted run, not confirmed yet
         self._told_s, self._told = 0.0, State.DISABLED
 
     def serve(self) -> None:
@@ -159,7 +159,7 @@ class Owner:
                 self._tell()
             self._runs.end(executor)
         except (ThreadlineError, OSError) as error:
-            # Whatever it was: the link ends with this process, and the machine brakes by its tail.
+            # Whatever the error: the link ends with this process, and its tail brakes the machine.
             failed = error
             self._say("dead", why=str(error))
         finally:
@@ -169,7 +169,7 @@ class Owner:
     # --- the server ------------------------------------------------------------------------
 
     def _listen(self) -> None:
-        """Take up messages, in a thread of its own; a stop goes ahead of all."""
+        """Receive messages, in a separate thread; a stop goes ahead of all."""
         while True:
             try:
                 message = self._server.receive()
@@ -182,13 +182,13 @@ class Owner:
                 self._executor.stopped_by = OPERATOR
                 self._stop()
             elif message.kind != "alive":
-                self._asked.append(_Asked(message.kind, message.head, self._stops))
+                self._asked.append(_Request(message.kind, message.head, self._stops))
                 self._desk.wake()
         self._leaving = True
         self._stop_for("the panel, whose web server has ended")
 
     def _stop_for(self, whom: str) -> None:
-        """Stop, and have it recorded that no operator did."""
+        """Stop, and record that no operator asked for it."""
         self._executor.stopped_by = whom
         self._stop()
 
@@ -220,11 +220,11 @@ class Owner:
             except ThreadlineError as error:
                 self._say("answer", number=number, ok=False, text=str(error))
             else:
-                self._tell()  # what has become of it comes before the answer
+                self._tell()  # the result is reported before the answer
                 if asked.what not in _LATER:
                     self._say("answer", number=number, ok=True, text="")
 
-    def _obey(self, asked: _Asked) -> None:
+    def _obey(self, asked: _Request) -> None:
         executor, head = self._executor, asked.head
         what = asked.what
         if what in _NO_START:
@@ -244,8 +244,8 @@ class Owner:
             executor.jog(str(head["axis"]), float(head["velocity"]))
         elif what in _MOVES:
             self._refuse_impossible(Cause.JOG)
-            ways = [(str(axis), int(to)) for axis, to in head["to"]]
-            self._moves.begin(ways, asked.stops, clock_s())
+            moves = [(str(axis), int(to)) for axis, to in head["to"]]
+            self._moves.begin(moves, asked.stops, clock_s())
         elif what == "step":
             self._refuse_impossible(Cause.JOG)
             k = self._machine.axis_names.index(str(head["axis"]))
@@ -257,8 +257,8 @@ class Owner:
             self._runs.prepare(head, asked.stops, executor)
         elif what == "approach-rest":
             self._refuse_impossible(Cause.JOG)
-            ways = self._ready_rest().ways(self._machine)
-            self._moves.begin(ways, asked.stops, clock_s())
+            moves = self._ready_rest().moves(self._machine)
+            self._moves.begin(moves, asked.stops, clock_s())
         elif what == "start-rest":
             self._refuse_impossible(Cause.START)
             self._runs.set_out(self._ready_rest(), executor)
@@ -269,7 +269,7 @@ class Owner:
             raise CommandError(f"{what[:40]!r} is no command", remedy="Use the panel's own page.")
 
     def _obey_drives(self, what: str) -> None:
-        """Switch or home the machine; what it was to move, and has not begun, is dropped."""
+        """Switch or home the machine; moves that have not begun are dropped."""
         self._moves.clear()
         if what == "home":
             self._rest = None
@@ -292,11 +292,11 @@ class Owner:
                 f"{cause.value!r} is not possible while the machine is {self._executor.state.value}"
             )
         if cause in (Cause.JOG, Cause.START) and self._moves.left:
-            raise CommandError("the machine moves as it was asked before", remedy="Wait.")
+            raise CommandError("the machine makes an earlier move", remedy="Wait.")
         if cause is Cause.START and self._runs.busy:
             raise CommandError(f"no run can begin now: {self._runs.busy}", remedy="Wait.")
 
-    # --- what goes on by itself ------------------------------------------------------------
+    # --- continuous work -------------------------------------------------------------------
 
     def _go_on(self) -> None:
         """Begin a prepared run or the next move; end a run that is over."""
@@ -333,7 +333,7 @@ class Owner:
         self._say("answer", number=prepared.number, ok=ok, text=text)
 
     def _next_move(self) -> None:
-        """Move the next axis of a sequence, if there is one and nothing speaks against it."""
+        """Move the next axis of a sequence, if there is one and nothing forbids it."""
         executor, now_s = self._executor, clock_s()
         if executor.state is not State.IDLE:
             self._moves.clear()
@@ -347,10 +347,10 @@ class Owner:
             self._moves.clear()
             self._say("said", text=str(error), wrong=True)
 
-    # --- what is told ----------------------------------------------------------------------
+    # --- reports ---------------------------------------------------------------------------
 
     def _tell(self, *, at_once: bool = False) -> None:
-        """Tell the server how the machine is, every ``TELL_S`` and when its state has changed."""
+        """Report the machine's state to the server every ``TELL_S`` and at each change."""
         now_s, executor, machine = clock_s(), self._executor, self._machine
         if not at_once and now_s - self._told_s < TELL_S and executor.state is self._told:
             return
@@ -370,12 +370,12 @@ class Owner:
             busy=self._runs.busy,
             lost=executor.lost,
             progress=self._runs.progress(executor),
-            rest=None if self._rest is None else self._rest.told_rest(),
+            rest=None if self._rest is None else self._rest.rest_notes(),
             age_s=executor.age_s,
         )
 
     def _say(self, kind: str, **head: Any) -> None:
-        """Tell the server something; a server that does not read is not waited for."""
+        """Send the server a message; a server that does not read is not waited for."""
         if self._server.lost or not select.select([], [self._server.fileno()], [], 0.0)[1]:
             return
         self._server.send(Message(kind, head))

@@ -27,12 +27,12 @@ from threadline.panel.kept_runs import KeptRuns
 from threadline.panel.owner import Owner
 
 _ENDS_S = 2.0
-"""Time in s in which an owner that was left has freed the link; it may judge a run for longer."""
+"""Longest time in s for an abandoned owner to release the link; its judging may take longer."""
 _GONE = "the process that owns the machine is gone; the machine has braked by itself"
 
 
 class OwnerLink:
-    """Sends requests to the owner, and keeps what it says.
+    """Sends requests to the owner, and keeps its reports.
 
     Parameters
     ----------
@@ -62,17 +62,17 @@ class OwnerLink:
         self._beginning: asyncio.Task[None] | None = None
 
     def connect(self, heard: Callable[[Message], None]) -> None:
-        """Start an owner, and listen to it in a thread; to be called on the event loop.
+        """Start an owner, and listen to it in a thread; call it on the event loop.
 
-        An owner before it is left first, and waited for, as it may still have the machine's link.
+        A previous owner is left first, and waited for, as it may still have the machine's link.
 
         Parameters
         ----------
         heard
-            Called on the loop with each message but the reports of the machine.
+            Called on the loop with each message except the reports of the machine.
         """
         if self._beginning is not None:
-            return  # it is being begun
+            return  # it is starting
         before = self._leave()
         self._heard, self.now, self.gone = heard, {}, ""
         if before is None:
@@ -96,7 +96,7 @@ class OwnerLink:
         threading.Thread(target=self._listen, args=(self._connection, loop), daemon=True).start()
 
     def send(self, kind: str, **head: Any) -> None:
-        """Send a request, with the time at which it was asked for."""
+        """Send a request, with the time of the request."""
         if self._connection is not None:
             self._connection.send(Message(kind, {"at_s": clock_s(), **head}))
 
@@ -113,7 +113,7 @@ class OwnerLink:
 
     def _take(self, connection: Connection, message: Message | None) -> None:
         if connection is not self._connection:
-            return  # of an owner before this one
+            return  # from a previous owner
         if message is None:
             self.gone = self.gone or _GONE
         elif message.kind == "now":
@@ -124,7 +124,7 @@ class OwnerLink:
             self._heard(message)
 
     def _leave(self) -> subprocess.Popen[bytes] | None:
-        """Leave the owner, which stops the machine and ends; return its process, if it has one."""
+        """Leave the owner, which stops the machine and ends; return its process, if any."""
         connection, self._connection = self._connection, None
         if connection is not None:
             connection.close()
@@ -144,25 +144,25 @@ def _wait_for(process: subprocess.Popen[bytes]) -> None:
         process.wait(_ENDS_S)
 
 
-_CHILD = words_of("threadline.panel.owner_process", "be_owner")
+_CHILD = words_of("threadline.panel.owner_process", "owner_main")
 SEND_S = 2.0
-"""Time in s after which a message that cannot be sent means that the other side is gone."""
+"""Time in s after which an unsent message means that the other side is gone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Owned:
-    """What a process is to own.
+    """The machine, folders and link that a process is to own.
 
     Parameters
     ----------
     machine, spec_file
-        The machine, and the specification that its work is judged by; None is its own.
+        The machine, and the specification that its work is judged by; None: its own.
     folder, store
         Folders of the programs and of the runs.
     speed
-        Seconds of the simulated machine's time in a second.
+        Seconds of simulated time per second.
     link
-        Name of the link to it.
+        Name of the link to the machine.
     """
 
     machine: Machine
@@ -176,7 +176,7 @@ class Owned:
 def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     """Start the process, and return it with the connection to it.
 
-    It has a session of its own: a key of the terminal is for the server, which asks it to stop.
+    It has a session of its own: keys of the terminal are for the server, which asks it to stop.
     """
     ours, theirs = socket.socketpair()
     process = subprocess.Popen(  # noqa: S603  # this interpreter, and words of ours
@@ -194,8 +194,8 @@ def start_owner(owned: Owned) -> tuple[subprocess.Popen[bytes], Connection]:
     return process, Connection(ours)
 
 
-def be_owner() -> None:
-    """Serve as the owner of what the parent process names through a pipe."""
+def owner_main() -> None:
+    """Serve as the owner of the machine that the parent process names through a pipe."""
     told: Owned = pickle.load(sys.stdin.buffer)  # noqa: S301  # of the parent, through its pipe
     end = socket.socket(fileno=int(sys.argv[1]))
     end.settimeout(SEND_S)
@@ -205,12 +205,12 @@ def be_owner() -> None:
 def own(server: Connection, owned: Owned) -> None:
     """Own a machine until the server leaves, whatever signals come."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)  # the server is asked, and this stops without it
+        signal.signal(number, signal.SIG_IGN)  # signals are for the server, which asks this to stop
     serve_owned(server, owned)
 
 
 def serve_owned(server: Connection, owned: Owned) -> None:
-    """Own a machine until the server leaves; where nothing answers, say so."""
+    """Own a machine until the server leaves; report if nothing answers on the link."""
     machine, link = owned.machine, owned.link
 
     def said(text: str, wrong: bool) -> None:

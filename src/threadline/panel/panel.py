@@ -1,4 +1,4 @@
-"""The panel: clients on one side, the owner of the machine on the other, and who may do what."""
+"""The panel: clients on one side, the owner of the machine on the other, and permissions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, assert_never
 from threadline.errors import CommandError, ThreadlineError
 from threadline.live.guards import clock_s
 from threadline.live.jogging import manual_feed
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import AtLink
 from threadline.live.states import TRANSITIONS, Cause, State
 from threadline.live.wire import Message
@@ -23,14 +23,14 @@ from threadline.panel.owner_process import OwnerLink
 from threadline.panel.welcoming import welcome_of
 
 BEAT_S = 0.04
-"""Period of the states that clients are sent, s."""
+"""Period of the states sent to clients, s."""
 _STANDS_S = 10.0
 """Longest wait in s for the machine to stand, at the end of the panel."""
-_STOPS_KNOWN = 64  # of the latest, told once though they came by two ways
+_STOPS_KNOWN = 64  # latest stops, each reported once though it may come by two ways
 _NOT_AWAITED = "the machine is stopped by its own process, which was not waited for"
 _MOVING = frozenset({State.HOMING, State.JOGGING, State.RUNNING, State.HOLDING, State.STOPPING})
 _SAFE = frozenset({"let-go", "hold"})
-"""Commands for which it does not matter how old the state is that a client has seen."""
+"""Commands for which the age of the client's latest state does not matter."""
 _CAUSES = {
     "enable": Cause.ENABLE, "disable": Cause.DISABLE, "home": Cause.HOME, "jog": Cause.JOG,
     "step": Cause.JOG, "zero": Cause.JOG, "zero-axis": Cause.JOG, "approach": Cause.JOG,
@@ -41,9 +41,9 @@ _CAUSES = {
 _OF_PROVEN = frozenset({"start", "approach", "continue", "approach-rest", "start-rest"})
 _OF_REST = frozenset({"approach-rest", "start-rest"})
 _OF_REST_ALONE = frozenset({Cause.JOG, Cause.HOME})
-"""Causes that wait until nothing moves, and for nothing else; to switch off waits for nothing."""
+"""Causes that wait until nothing moves, and for nothing else; switching off never waits."""
 _BROKEN = frozenset({State.FAULT, State.DISABLED})
-"""States in which a link may be begun anew."""
+"""States in which a link may be started again."""
 
 
 class Panel:
@@ -58,14 +58,14 @@ class Panel:
     calculation
         Calculates and proves programs.
     link, far_end
-        Name of the link to the machine, and what is at its far end.
+        Name of the link to the machine, and the description of its far end.
 
     Attributes
     ----------
     machine
         The machine.
     ended
-        What had become of the machine when the panel ended.
+        State of the machine when the panel ended.
     """
 
     def __init__(
@@ -88,31 +88,31 @@ class Panel:
         self._stops: deque[tuple[int, int | None]] = deque(maxlen=_STOPS_KNOWN)
 
     def connect(self) -> None:
-        """Begin with an owner of the machine; to be called on the event loop."""
-        self._owner.connect(self._heard)
+        """Start an owner of the machine; call it on the event loop."""
+        self._owner.connect(self._take)
 
     def busy(self) -> str:
-        """Return why no run and no calculation can begin now, for people; empty where they can."""
+        """Return why no run and no calculation can begin now, for people; empty if they can."""
         if self.calculation.share is not None:
             return "a program is being calculated"
         return str(self._owner.now.get("busy", ""))
 
     async def close(self) -> None:
-        """Stop the machine, leave the owner, and end a calculation; ``ended`` tells of it."""
+        """Stop the machine, leave the owner, and end a calculation; sets ``ended``."""
         self.ended = await self._stopped()
         await self.calculation.close()
         await self._owner.close()
 
     async def _stopped(self) -> str:
-        """Stop the machine, wait until it is told that it stands, and return what was told."""
+        """Stop the machine, wait for the report that it stands, and return that."""
         owner, since_s = self._owner, clock_s()
         if not owner.gone and not owner.now:
             return "the machine was not reached yet"
         owner.send("stop")
         while not owner.gone and clock_s() < since_s + _STANDS_S:
-            known = owner.heard_s > since_s + 2.0 * TELL_S  # what was on its way has come
+            known = owner.heard_s > since_s + 2.0 * TELL_S  # reports on their way have come
             if known and not owner.now["moving"] and State(owner.now["state"]) not in _MOVING:
-                return _told_end(owner.now)
+                return end_words(owner.now)
             owner.send("alive")
             await asyncio.sleep(BEAT_S)
         return owner.gone or "the machine was told to stop, and has not said that it stands"
@@ -120,7 +120,7 @@ class Panel:
     # --- clients ---------------------------------------------------------------------------
 
     def welcome(self, name: str) -> Client:
-        """Take up a client, and greet it."""
+        """Register a client, and greet it."""
         self._numbers += 1
         client = Client(self._numbers, name)
         self._clients[client.number] = client
@@ -130,7 +130,7 @@ class Panel:
         return client
 
     def leave(self, client: Client) -> None:
-        """Let a client go; what it moved by hand is let go."""
+        """Unregister a client; end its moves by hand."""
         self._clients.pop(client.number, None)
         if self._control.release(client.number):
             self._owner.send("let-go")
@@ -154,13 +154,13 @@ class Panel:
                 assert_never(message)
 
     def stop(self, who: int, number: int | None) -> None:
-        """Stop the machine, whoever says it.
+        """Stop the machine, whoever asks.
 
         Parameters
         ----------
         who, number
-            Number of the client, 0 for somebody who is none, and that of its stop: one that comes
-            twice is told once.
+            Number of the client, 0 for an unknown sender, and number of its stop: a stop that comes
+            twice is reported once.
         """
         self._owner.send("stop")
         if number is not None and (who, number) in self._stops:
@@ -187,7 +187,7 @@ class Panel:
     def _granted(self, lease: Lease | None) -> None:
         if lease is None:
             return
-        self._owner.send("let-go")  # what somebody else moved by hand
+        self._owner.send("let-go")  # ends another client's move by hand
         if (client := self._clients.get(lease.client)) is not None:
             client.tell(say.Leased(lease=lease.word))
 
@@ -213,11 +213,11 @@ class Panel:
                 remedy="Reconnect." if lost else "Wait." if busy else "",
             )
         if isinstance(command, say.Calculate):
-            self.calculation.begin(command, self._told)
+            self.calculation.begin(command, self._show_result)
         elif command.what == "cancel":
             self.calculation.cancel()
         elif command.what == "reconnect":
-            self._owner.connect(self._heard)
+            self._owner.connect(self._take)
         else:
             self._requests += 1
             self._asked[self._requests] = (client.number, act.number)
@@ -265,7 +265,7 @@ class Panel:
                 assert_never(command)
 
     def _in_order(self) -> list[str]:
-        """Return the axes in the order in which they are moved to 0: linear ones first."""
+        """Return the axes in the order in which they move to 0: linear ones first."""
         axes = self.machine.axes
         return sorted(axes, key=lambda name: axes[name].kind != "linear")
 
@@ -291,7 +291,7 @@ class Panel:
             and (stands or cause not in _OF_REST_ALONE)
             and (free or cause is not Cause.START)
         ]
-        if not way_of(self.machine).by_hand:
+        if not run_kind_of(self.machine).by_hand:
             found = [what for what in found if _CAUSES[what] is not Cause.JOG]
         if calculation.proven is None:
             found = [what for what in found if what not in _OF_PROVEN]
@@ -299,7 +299,7 @@ class Panel:
             found = [what for what in found if what not in _OF_REST]
         found = [what for what in found if what not in self._far_end.lacks]
         if now["lost"]:
-            found.clear()  # there is nobody who would hear it
+            found.clear()  # there is no owner to obey
         if stands and (state in _BROKEN or now["lost"]):
             found.append("reconnect")
         if calculation.share is not None:
@@ -308,8 +308,8 @@ class Panel:
 
     # --- what is shown ---------------------------------------------------------------------
 
-    def _heard(self, message: Message) -> None:
-        """Take up what the owner says besides its reports."""
+    def _take(self, message: Message) -> None:
+        """Process messages of the owner other than its reports."""
         head = message.head
         if message.kind == "said":
             self._tell_all(say.Said(text=str(head["text"]), wrong=bool(head["wrong"])))
@@ -319,8 +319,8 @@ class Panel:
                 answer = say.Answer(number=number, ok=bool(head["ok"]), text=str(head["text"]))
                 self._clients[client].tell(answer)
 
-    def _told(self, found: say.Figures | str) -> None:
-        """Show what a calculation has found, or why it has not."""
+    def _show_result(self, found: say.Figures | str) -> None:
+        """Show the result of a calculation, or why there is none."""
         self._tell_all(say.Said(text=found, wrong=True) if isinstance(found, str) else found)
 
     def _tell_all(self, message: say.Said | say.Figures) -> None:
@@ -328,7 +328,7 @@ class Panel:
             client.tell(message)
 
     def state(self) -> say.State:
-        """Return the state now, without a number of its own."""
+        """Return the present state, without a number of its own."""
         now_s, now, control = clock_s(), self._owner.now, self._control
         held = control.holder(now_s)
         names = {number: client.name for number, client in self._clients.items()}
@@ -365,11 +365,11 @@ class Panel:
         )
 
     async def beat(self) -> None:
-        """Show the state to all clients again and again, and tell the owner that we are here."""
+        """Show the state to all clients periodically, and tell the owner that the server lives."""
         while True:
-            if self._owner.now:  # it reads from then on
+            if self._owner.now:  # it reads from its first report on
                 self._owner.send("alive")
-            self._granted(self._control.passes(clock_s()))
+            self._granted(self._control.pass_if_due(clock_s()))
             self._seq += 1
             text = self.state().model_dump_json()
             for client in self._clients.values():
@@ -377,8 +377,8 @@ class Panel:
             await asyncio.sleep(BEAT_S)
 
 
-def _told_end(now: Mapping[str, Any]) -> str:
-    """Return what a machine that was stopped, and stands, is told to be."""
+def end_words(now: Mapping[str, Any]) -> str:
+    """Return the final state of a machine that was stopped, in words."""
     if State(now["state"]) is State.FAULT:
         return f"the machine stands, in a fault: {now['why'] or 'it tells of none'}"
     return f"the machine was stopped, and is {now['state']}"

@@ -1,4 +1,4 @@
-"""What an operator's priority makes of the options of a plan: accuracy, optimum or speed.
+"""Programs in the project folder, and the plan options that an operator's priority sets.
 
 Names are those of files in the folder itself; nothing outside it is read or written.
 """
@@ -24,12 +24,13 @@ from threadline.proof.option_table import options_for
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import Trials, open_job, plan_job
 from threadline.search.least_limits import fastest_job
+from threadline.search.paced import Question
 from threadline.verdict import Spec
 
 PROGRAMMED = "programmed"
-"""Priority that changes nothing."""
+"""Priority that changes no option."""
 _MARGINS = {"optimum": 0.2, "speed": 0.0}
-"""Share of every limit that is kept free by the fastest plan of a priority."""
+"""Share of every limit that the fastest plan of a priority keeps free."""
 
 
 def by_priority(
@@ -41,7 +42,7 @@ def by_priority(
     trials: Trials,
     share: Callable[[str, float], None],
 ) -> Mapping[str, Any]:
-    """Return the words that a priority puts in the place of those of the request.
+    """Return the option words that a priority sets, in place of the request's.
 
     Parameters
     ----------
@@ -49,9 +50,9 @@ def by_priority(
         ``accuracy`` is the operator's normal feed; ``speed`` the fastest feed, and share of the
         limits, in spec; ``optimum`` the fastest that keeps 20 % of every limit free.
     trials
-        Which runs every feed of the search is judged by.
+        The runs that judge every feed of the search.
     share
-        Told how much of the search is done.
+        Called with the share done of the search.
 
     Raises
     ------
@@ -70,9 +71,11 @@ def by_priority(
                 remedy="Give operator.normal_feed in the machine file, or a feed.",
             )
         return {"feed": f"{machine.operator.normal_feed.si!r} count/tick"}
-    found = fastest_job(
-        job, machine, spec.with_margin(_MARGINS[priority]), options, progress=share, trials=trials
-    ).best
+    spec = spec.with_margin(_MARGINS[priority])
+    asked = Question(
+        job=job, machine=machine, spec=spec, options=options, progress=share, trials=trials
+    )
+    found = fastest_job(asked).best
     if found.found.best is None:
         raise OptionError(
             f"{job.name} is out of specification at every feed: {found.found.limited_by}",
@@ -82,7 +85,7 @@ def by_priority(
 
 
 MOST_UPLOAD = 8 << 20
-"""Largest program that is taken, in bytes."""
+"""Largest accepted program, in bytes."""
 _MOST_FILES = 500
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}")
 _ENDINGS = tuple(ending for known in FORMATS for ending in known.extensions)
@@ -93,19 +96,19 @@ _SHARED = {
     ".toml": re.compile(rb"^[ \t]*(?:\[\[[ \t]*operation[ \t]*\]\]|operation[ \t]*=)", re.M),
     ".txt": re.compile(rb"^[ \t]*(?:%|/?[GMNO][ \t]*[0-9]|\[G-CODE GENERATED)", re.M | re.I),
 }
-"""Endings that other files have, too, and what a line of a job begins with: of a move list, and of
+"""Suffixes that other files have, too, and the first words of a job's lines: of a move list, and of
 a part program."""
 _SEAM = "seam"
 _PART_PROGRAMS = FORMATS[0].extensions
 _REALTIME = re.compile(rb"[?!~\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\xff]")
-"""Bytes that a controller acts on wherever they stand, even in a comment."""
+"""Bytes that a controller executes wherever they are, even in a comment."""
 
 
 def program_names(folder: Path, machine: Machine) -> list[str]:
-    """Return the names of the jobs in a folder that a machine does, in order, 500 at the most.
+    """Return the names of the jobs in a folder that suit a machine, sorted, at most 500.
 
-    An ending tells the format; of one that other files have, too, the content tells whether it is
-    a job. Whether it is a sound one is seen when it is calculated.
+    The suffix gives the format; if other files use it too, the content decides whether it is a job.
+    Its errors show when it is calculated.
     """
     found = sorted(
         file.name
@@ -120,9 +123,9 @@ def program_names(folder: Path, machine: Machine) -> list[str]:
 
 
 def _is_done(name: str, machine: Machine) -> bool:
-    """Return whether a machine does jobs of the format that an ending tells, as they are.
+    """Return whether a machine accepts jobs of a suffix's format directly.
 
-    A drawing is no seam without what the seam file says of stitch and speed.
+    A drawing alone is no seam: the seam file adds stitch length and speed.
     """
     known = next((one for one in FORMATS if name.endswith(one.extensions)), None)
     if known is None or known.name not in kind_of(machine).takes or name.endswith(_BESIDE):
@@ -132,7 +135,7 @@ def _is_done(name: str, machine: Machine) -> bool:
 
 
 def _may_be_job(file: Path) -> bool:
-    """Return whether the content of a file speaks for a job, where others have its ending."""
+    """Return whether a file with an ambiguous suffix looks like a job."""
     ending = file.suffix.lower()
     if ending not in _SHARED or file.name.lower().endswith(".seam.toml"):
         return True
@@ -140,7 +143,7 @@ def _may_be_job(file: Path) -> bool:
         with file.open("rb") as stream:
             return bool(_SHARED[ending].search(stream.read(_MOST_LOOKED_AT)))
     except OSError:
-        return True  # it is refused when it is calculated
+        return True  # its error shows when it is calculated
 
 
 def program_path(folder: Path, name: str) -> Path:
@@ -149,11 +152,11 @@ def program_path(folder: Path, name: str) -> Path:
     Raises
     ------
     JobError
-        If the name is none of a file in the folder itself, or that of a link.
+        If it is not the name of a file in the folder itself, or the name of a link.
     """
     if not _NAME.fullmatch(name):
         raise JobError(
-            f"{name[:60]!r} is no name of a program in the project folder",
+            f"{name[:60]!r} is not a name of a program in the project folder",
             remedy="Use letters, digits, blanks, dots, dashes and underscores.",
         )
     path = folder / name
@@ -166,7 +169,7 @@ def program_path(folder: Path, name: str) -> Path:
 
 
 def untaught(machine: Machine) -> str:
-    """Return why no part program can be taught to a machine; empty where one can."""
+    """Return why no part program can be taught to a machine; empty if one can."""
     takes = kind_of(machine).takes
     if FORMATS[0].name in takes:
         return ""
@@ -174,23 +177,23 @@ def untaught(machine: Machine) -> str:
 
 
 class ThereAlreadyError(JobError):
-    """There is a file of the name of an upload, and nobody has said that it may go."""
+    """A file with the name of an upload exists, and the client did not agree to replace it."""
 
 
 def take_program(folder: Path, name: str, content: bytes, *, overwrite: bool) -> None:
-    """Write a program that a client has sent into the folder; whole or not at all.
+    """Write a client's program into the folder; all or nothing.
 
     Raises
     ------
     ThereAlreadyError
-        If there is a file of that name, and ``overwrite`` is False.
+        If a file with that name exists, and ``overwrite`` is False.
     JobError
-        If its name, its format or its content is not taken.
+        If its name, format or content is not accepted.
     """
     path = program_path(folder, name)
     if not name.lower().endswith((*_ENDINGS, *_BESIDE)):
         raise JobError(
-            f"{name[:60]!r} has the ending of no format of jobs or drawings",
+            f"{name[:60]!r} has a suffix of no format of jobs or drawings",
             remedy=f"Known: {', '.join((*_ENDINGS, *_BESIDE))}.",
         )
     if len(content) > MOST_UPLOAD:
@@ -215,28 +218,28 @@ def _refuse_realtime(name: str, content: bytes) -> None:
     for number, line in enumerate(content.splitlines(), 1):
         if (found := _REALTIME.search(line)) is not None:
             raise JobError(
-                f"the byte {found[0][0]:#04x} is one that controllers act on at once",
+                f"controllers execute the byte {found[0][0]:#04x} at once",
                 place=Place(name, number),
                 remedy="Take it out, also of comments.",
             )
 
 
 def words_of(told: Mapping[str, Any]) -> Options:
-    """Return the options of a calculation, as a client has asked for them.
+    """Return the options of a calculation from a client's request.
 
     Raises
     ------
     OptionError
-        If one of them cannot be read.
+        If an option cannot be read.
     """
     words = [one.word for one in options_for("panel", Door.PANEL, [Group.PLAN])]
     return options_of(**{word: told[word] for word in words})
 
 
 def planned(folder: Path, told: Mapping[str, Any], machine: Machine) -> tuple[Plan, Options]:
-    """Return the plan of a program, and the options that it was made with.
+    """Return the plan of a program, and its options.
 
-    No file outside of the folder is read for it, whatever program and options name.
+    It reads no file outside the folder, whatever program and options name.
 
     Raises
     ------

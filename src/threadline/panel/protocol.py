@@ -1,8 +1,8 @@
 """Messages between the panel and its clients, over a websocket, as JSON.
 
 ``docs/panel-protocol.json`` is their schema. Every message that changes a state carries the lease
-of the client that controls the machine, and the number of the state that it has seen last; a stop
-carries neither.
+of the client in control, and the number of the latest state that it has received; a stop carries
+neither.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOST_STEP = 10.0
 """Longest step of an axis, in m or rad."""
 
 Priority = Literal["programmed", "accuracy", "optimum", "speed"]
-"""What the operator wants: the feed of the program or of the message; the operator's normal feed;
+"""The operator's priority: the feed of the program or of the message; the operator's normal feed;
 the fastest that keeps 20 % of every limit free; the fastest in spec."""
 Text = Annotated[str, Field(max_length=200)]
 Name = Annotated[str, Field(min_length=1, max_length=40)]
@@ -41,9 +41,9 @@ class Simple(_Strict):
 
     ``home`` finds the positions of the axes; ``zero`` moves every axis to 0, linear ones first;
     ``approach`` moves them to where the proven program begins; ``let-go`` ends a jog or a move;
-    ``renew`` prolongs one by its lease; ``cancel`` ends a calculation; ``reconnect`` begins with a
-    new process and link. ``approach-rest`` moves the axes to where the rest of a run begins, and
-    ``start-rest`` confirms it: it is done then.
+    ``renew`` prolongs one by its lease; ``cancel`` ends a calculation; ``reconnect`` starts a new
+    process and link. ``approach-rest`` moves the axes to where the rest of a run begins, and
+    ``start-rest`` confirms and starts it.
     """
 
     what: Literal[
@@ -65,16 +65,16 @@ class Jog(_Strict):
     what: Literal["jog"]
     axis: Name
     share: Annotated[float, Field(ge=-1.0, le=1.0)]
-    """Of the manual feed; its sign is the direction."""
+    """Share of the manual feed; its sign is the direction."""
 
 
 class Step(_Strict):
-    """Move an axis by a distance, as long as that is renewed."""
+    """Move an axis by a distance, as long as the move is renewed."""
 
     what: Literal["step"]
     axis: Name
     by: Annotated[float, Field(ge=-MOST_STEP, le=MOST_STEP)]
-    """In m or rad; its sign is the direction."""
+    """Distance in m or rad; its sign is the direction."""
 
 
 def _option_fields() -> dict[str, Any]:
@@ -107,18 +107,18 @@ class Calculate(_WithOptions):
 
 
 class Start(_Strict):
-    """Run what was proven, if it is still that."""
+    """Run the proven program, if it is still the same."""
 
     what: Literal["start"]
     proof: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
-    """Hash of the proof, as the client was shown it."""
+    """Hash of the proof, as shown to the client."""
     override: Text | None = None
 
 
 class Continue(_Strict):
-    """Make the rest of a run ready that was broken off; nothing moves before ``start-rest``.
+    """Prepare the rest of an interrupted run; nothing moves before ``start-rest``.
 
-    What was calculated last has to be what that run was of, to the row.
+    The latest calculation must have the same rows as that run.
     """
 
     what: Literal["continue"]
@@ -147,18 +147,18 @@ class Hello(_Strict):
 
 
 class Stop(_Strict):
-    """Stop. Every client may say it, at any time, without a lease."""
+    """Stop. Every client may send it, at any time, without a lease."""
 
     type: Literal["stop"]
     number: Annotated[int, Field(ge=1)] | None = None
-    """Number of this stop, where it is asked for by a request, too: it is told once then."""
+    """Number of this stop, if it is sent by an HTTP request, too: it is reported once then."""
 
 
 class Control(_Strict):
-    """A word about who controls the machine.
+    """A request about control over the machine.
 
-    ``take`` takes control where nobody has it, and asks for it where somebody has; ``give`` and
-    ``keep`` answer one who asked; ``release`` gives it back.
+    ``take`` takes control if nobody has it, and asks for it if somebody has; ``give`` and ``keep``
+    answer a client that asked; ``release`` gives it back.
     """
 
     type: Literal["control"]
@@ -166,7 +166,7 @@ class Control(_Strict):
 
 
 class Alive(_Strict):
-    """The client in control is there: its lease goes on."""
+    """The client in control is there: its lease is renewed."""
 
     type: Literal["alive"]
     lease: Text
@@ -202,7 +202,7 @@ class Axis(BaseModel):
 
 
 class Mandrel(BaseModel):
-    """What is wound on, m: it turns with ``axis``, and has ``radius`` at the places ``at``."""
+    """The mandrel, m: it turns with ``axis``, and has ``radius`` at the places ``at``."""
 
     axis: str
     along: str
@@ -211,7 +211,7 @@ class Mandrel(BaseModel):
 
 
 class Welcome(BaseModel):
-    """Answer to a hello: who the client is, and what machine there is."""
+    """Answer to a hello: the client's number, and the machine."""
 
     type: Literal["welcome"] = "welcome"
     protocol: int = PANEL_PROTOCOL
@@ -221,17 +221,17 @@ class Welcome(BaseModel):
     link: str
     simulated: bool
     label: str = ""
-    """What is at the far end of the link, where that is neither a machine nor its twin."""
+    """What is at the far end of the link if it is neither a machine nor its twin."""
     lacks: dict[str, str] = {}
-    """Commands that are not had on this link, and why."""
+    """Commands that are not available on this link, and why."""
     notes: list[str] = []
-    """What the operator has to know of the link."""
+    """Notes for the operator about the link."""
     untaught: str = ""
-    """Why no part program can be taught to the machine; empty where one can."""
+    """Why no part program can be taught to the machine; empty if one can."""
     by_hand: bool = True
     """Whether its axes can be moved by hand, one at a time."""
     options: list[str] = []
-    """Options of planning that have a meaning for the machine, as a command line names them."""
+    """Planning options that apply to the machine, as a command line names them."""
     axes: list[Axis]
     mandrel: Mandrel | None
     jog_lease_s: float
@@ -239,9 +239,9 @@ class Welcome(BaseModel):
 
 
 class Where(BaseModel):
-    """An axis now, SI units; None where nothing is known, as of an axis that is not homed.
+    """Positions of an axis now, SI units; None if unknown, as for an axis that is not homed.
 
-    ``load`` is where the driven mass is, which a simulated machine alone can tell.
+    ``load`` is the position of the driven mass, which only a simulated machine reports.
     """
 
     commanded: float | None
@@ -261,7 +261,7 @@ class Holder(BaseModel):
 
 
 class Progress(BaseModel):
-    """A run, or the one that was last."""
+    """A run, or the last one."""
 
     run: str
     program: str
@@ -273,15 +273,15 @@ class Progress(BaseModel):
 
 
 class RestOfRun(BaseModel):
-    """The rest of a run that was broken off, ready to be done; a stop drops it."""
+    """The rest of an interrupted run, ready to start; a stop drops it."""
 
     run: str
     told: list[str]
-    """What will move, and where the work begins again."""
+    """The moves to come, and where the work begins again."""
 
 
 class Proven(BaseModel):
-    """What was calculated last."""
+    """The latest calculation."""
 
     program: str
     proof: str
@@ -290,7 +290,7 @@ class Proven(BaseModel):
 
 
 class State(BaseModel):
-    """All that a client needs in order to act; sent 25 times a second."""
+    """All data that a client needs in order to act; sent 25 times a second."""
 
     type: Literal["state"] = "state"
     seq: int
@@ -301,7 +301,7 @@ class State(BaseModel):
     age_s: float
     """Age of the positions when this was sent."""
     time_s: float
-    """Time of the machine in this motion."""
+    """Machine time since the start of this motion."""
     axes: dict[str, Where]
     signals: dict[str, float]
     """State of each digital input and output."""
@@ -311,14 +311,14 @@ class State(BaseModel):
     rest: RestOfRun | None = None
     proven: Proven | None
     calculating: float | None
-    """Share of a calculation that is done; None where there is none."""
+    """Share done of a calculation; None without one."""
     busy: str = ""
-    """Why no run and no calculation can begin now, for people; empty where nothing is worked at."""
+    """Why no run and no calculation can begin now, for people; empty if they can."""
     clients: int
 
 
 class Leased(BaseModel):
-    """The client is in control, by this lease."""
+    """The client is in control, with this lease."""
 
     type: Literal["leased"] = "leased"
     lease: str
@@ -334,7 +334,7 @@ class Answer(BaseModel):
 
 
 class Figures(BaseModel):
-    """What a calculation has found, SI units."""
+    """The result of a calculation, SI units."""
 
     type: Literal["figures"] = "figures"
     program: str
@@ -343,7 +343,7 @@ class Figures(BaseModel):
     closing: str
     duration_s: float
     feed: str | None
-    """Feed that was planned with, where it is not the program's."""
+    """Feed of the plan, if it is not the program's."""
     ticks: int | None
     circuits: int | None
     ticks_per_circuit: int | None
@@ -354,11 +354,11 @@ class Figures(BaseModel):
     planned: dict[str, list[float]]
     """Planned positions of each axis at ``times_s``."""
     mandrel: Mandrel | None
-    """As the plan has it."""
+    """The plan's mandrel."""
 
 
 class Said(BaseModel):
-    """Something that happened, for people."""
+    """An event, for people."""
 
     type: Literal["said"] = "said"
     text: str

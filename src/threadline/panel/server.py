@@ -1,4 +1,4 @@
-"""The web server of the panel: the page, the websocket, and what is read and written by HTTP."""
+"""The web server of the panel: the page, the websocket, and HTTP requests."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from threadline.panel.programs import MOST_UPLOAD, ThereAlreadyError, program_na
 PAGE = Path(__file__).parent / "page"
 """Folder of the built page; ``make panel`` makes it."""
 _NUMBERS = re.compile("[0-9]{1,15}")
-_HELLO_S = 5.0  # time in which a client has to say who it is
+_HELLO_S = 5.0  # time within which a client must send its hello
 _REFUSALS: dict[int | str, dict[str, Any]] = {
-    404: {"description": "there is none of that name"},
-    409: {"description": "the lease is not that in force"},
-    412: {"description": "there is a file of that name: send it with X-Overwrite: yes"},
-    413: {"description": "more than is taken"},
-    422: {"description": "what was sent is not taken, or cannot be read; a line says why"},
+    404: {"description": "there is none with that name"},
+    409: {"description": "the lease is not the one in force"},
+    412: {"description": "a file with that name exists: send it with X-Overwrite: yes"},
+    413: {"description": "the content is too long"},
+    422: {"description": "the content is not accepted, or cannot be read; a line says why"},
 }
 _REFUSED, _UNREADABLE, _OTHER_PROTOCOL, _SLOW = 4401, 4400, 4406, 4408  # codes of a close
 
@@ -46,14 +46,14 @@ _REFUSED, _UNREADABLE, _OTHER_PROTOCOL, _SLOW = 4401, 4400, 4406, 4408  # codes 
 def make_app(
     panel: Panel, guide: MachineGuide, folder: Path, store: Path, admission: Admission
 ) -> ASGIApp:
-    """Return the application, which is reached by admitted requests alone; see ``make_api``."""
+    """Return the application behind the admission of requests; see ``make_api``."""
     return AdmittingApp(make_api(panel, guide, folder, store, admission), admission)
 
 
 def make_api(
     panel: Panel, guide: MachineGuide, folder: Path, store: Path, admission: Admission
 ) -> FastAPI:
-    """Return what answers the requests that are admitted.
+    """Return the application for admitted requests.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def make_api(
     folder, store
         Folders of the programs and of the runs.
     admission
-        Who is let in.
+        The checks of a request.
     """
 
     @asynccontextmanager
@@ -91,14 +91,14 @@ def make_api(
 
 
 def _tell_of_end(beat: asyncio.Task[None]) -> None:
-    """Have it logged at once that an error has ended the states; the owner stops the machine."""
+    """Log an error of the state loop at once; the owner stops the machine."""
     if not beat.cancelled() and (error := beat.exception()) is not None:
         told = {"message": "no states are sent any more", "exception": error, "task": beat}
         beat.get_loop().call_exception_handler(told)
 
 
 def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
-    """Add what is asked by HTTP; nothing that a GET asks for changes anything."""
+    """Add the HTTP requests; no GET changes anything."""
 
     @app.middleware("http")
     async def with_headers(request: Request, following: Any) -> Response:
@@ -136,7 +136,7 @@ def _add_requests(app: FastAPI, panel: Panel, folder: Path) -> None:
 
     @app.post("/api/stop", status_code=204)
     async def stop(request: Request) -> PlainTextResponse:
-        # On the loop: it waits for no thread to be free.
+        # On the event loop: it needs no free thread.
         who, _, number = request.headers.get("x-stop", "").partition("/")
         named = bool(_NUMBERS.fullmatch(who) and _NUMBERS.fullmatch(number))
         panel.stop(int(who) if named else 0, int(number) if named else None)
@@ -152,12 +152,12 @@ def _add_schema(app: FastAPI) -> None:
 
 
 def schema_of(api: FastAPI) -> dict[str, Any]:
-    """Return the schema of the messages of both directions, and of the requests."""
+    """Return the schema of the messages in both directions, and of the requests."""
     return {**say.schema(), "http": api.openapi()}
 
 
 def _add_runs(app: FastAPI, store: Path) -> None:
-    """Add the runs that were kept; they are only read."""
+    """Add requests for stored runs; they are read-only."""
 
     @app.get("/api/runs", responses=_REFUSALS)
     async def runs() -> Response:
@@ -176,7 +176,7 @@ def _add_runs(app: FastAPI, store: Path) -> None:
 
 
 async def _read_trace(store: Path, run: str, ending: str) -> Response:
-    """Return the trace of a run in another form, made by a process of its own."""
+    """Return the trace of a run in another form, made by a separate process."""
     try:
         file = await asyncio.to_thread(trace_file, store, run)
     except StoreError as error:
@@ -189,7 +189,7 @@ async def _read_trace(store: Path, run: str, ending: str) -> Response:
 
 
 def _add_live(app: FastAPI, panel: Panel, admission: Admission) -> None:
-    """Add the websocket, over which states and commands go."""
+    """Add the websocket for states and commands."""
 
     @app.websocket("/api/live")
     async def live(socket: WebSocket) -> None:
@@ -201,7 +201,7 @@ def _add_live(app: FastAPI, panel: Panel, admission: Admission) -> None:
         try:
             while True:
                 panel.take(client, _read(await socket.receive_text()))
-        except (ValidationError, KeyError):  # no message, or bytes in place of text
+        except (ValidationError, KeyError):  # not a message, or bytes instead of text
             await _close(socket, _UNREADABLE, "this is no message of the protocol")
         except (WebSocketDisconnect, RuntimeError):
             pass
@@ -227,7 +227,7 @@ def check_page() -> None:
 
 
 def _add_page(app: FastAPI) -> None:
-    """Add the page where it was built; the rest of the interface needs no page."""
+    """Add the page if it was built; the rest of the interface works without."""
     if (PAGE / "index.html").exists():
         app.mount("/", StaticFiles(directory=PAGE, html=True))
 
@@ -240,7 +240,7 @@ def _read(text: str) -> say.Stop | say.Control | say.Alive | say.Act:
 
 
 async def _greeted(socket: WebSocket, panel: Panel, admission: Admission) -> Client | None:
-    """Return the client at a socket once it has said who it is; close the socket if it has not."""
+    """Return the client at a socket after its hello; close the socket without one."""
     try:
         async with asyncio.timeout(_HELLO_S):
             hello = say.CLIENT_MESSAGE.validate_json(await socket.receive_text())

@@ -1,6 +1,6 @@
-"""Traces thinned for the eye, and files of recordings, in a process of their own.
+"""Traces thinned for plots, and files of recordings, in a separate process.
 
-It reads a recording, which may be long, and little else of the program, so that it begins at once.
+It imports little besides the reader of recordings, so that it begins at once.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from threadline.files import Channel, ChannelKind, Recording
 from threadline.files.formats import read_recording, write_recording
 
 STRETCHES = 1000
-"""Stretches of time of a trace; each shows where a deviation is least, and where largest."""
+"""Time intervals of a trace; each shows its least and its largest deviation."""
 _ACTUAL = (ChannelKind.LOAD, ChannelKind.MEASURED)
 
 
 def thinned(recording: Recording) -> dict[str, Any]:
-    """Return commanded and actual positions of all that moves, SI.
+    """Return commanded and actual positions of all axes, SI.
 
-    Instants are common to all: of each stretch of time those at which one of the deviations is
-    least or largest, so that no peak is lost. Actual is where the load was, or, where nobody can
-    know that, what the encoder read.
+    Instants are common to all axes: in each time interval those at which some deviation is least
+    or largest, so that no peak is lost. Actual is the load position, or without one the encoder
+    reading.
     """
     pairs = _pairs(recording)
     if not pairs:
@@ -46,14 +46,14 @@ def thinned(recording: Recording) -> dict[str, Any]:
     return {
         "times_s": [round(float(k) * period_s, 6) for k in kept],
         "axes": {
-            name: {"commanded": _told(c[kept]), "actual": _told(a[kept])}
+            name: {"commanded": _rounded(c[kept]), "actual": _rounded(a[kept])}
             for name, (c, a) in at.items()
         },
     }
 
 
 def _pairs(recording: Recording) -> dict[str, tuple[Channel, Channel]]:
-    """Return the channels of what is commanded and of what happened, by axis."""
+    """Return the channels of commanded and actual position, by axis."""
     found: dict[str, tuple[Channel, Channel]] = {}
     for channel in recording.channels:
         if channel.kind is ChannelKind.COMMANDED and channel.axis:
@@ -69,7 +69,7 @@ def _pairs(recording: Recording) -> dict[str, tuple[Channel, Channel]]:
 
 
 def _kept(deviations: FloatArray) -> IntArray:
-    """Return the columns of (axes, n) ``deviations`` that are shown, in order."""
+    """Return the shown columns of (axes, n) ``deviations``, in order."""
     count = deviations.shape[1]
     starts = np.unique(np.linspace(0, count, min(STRETCHES, count) + 1, dtype=np.int64)[:-1])
     picked = [
@@ -80,12 +80,12 @@ def _kept(deviations: FloatArray) -> IntArray:
     return np.unique(np.concatenate([*picked, [0, count - 1]]).astype(np.int64))
 
 
-def _told(values: FloatArray) -> list[float]:
+def _rounded(values: FloatArray) -> list[float]:
     return [round(float(value), 8) for value in values]
 
 
 def main() -> None:
-    """Write the trace of the first argument into the file of the second."""
+    """Write the trace named by the first argument into the file named by the second."""
     trace, out = Path(sys.argv[1]), Path(sys.argv[2])
     try:
         recording = read_recording(trace)

@@ -1,4 +1,4 @@
-"""What the latest report of a machine says of its axes, inputs and outputs."""
+"""The greeting of a client, and the axes, inputs and outputs in a machine's latest report."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from threadline.base.arrays import IntArray
 from threadline.files import Channel, ChannelKind
 from threadline.live.executor import LEASE_S
 from threadline.live.jogging import manual_feed
-from threadline.live.kinds_run import way_of
+from threadline.live.kinds_run import run_kind_of
 from threadline.live.links import AtLink
 from threadline.live.sim_process import SLOWER
 from threadline.machine import Machine
@@ -28,9 +28,9 @@ def positions(
     machine: Machine,
     stands: IntArray | None,
 ) -> dict[str, list[float | None]]:
-    """Return commanded, measured and load position of all that moves, SI; None where not known.
+    """Return commanded, measured and load position of all axes, SI; None if not known.
 
-    Of an axis that is not homed no position is known, whatever its encoder counts.
+    For an axis that is not homed no position is known, whatever its encoder reads.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ def positions(
     latest
         The last sample of each, by its name.
     machine, stands
-        The machine, and its (axes,) commanded position in counts, for what was not reported yet;
-        None where it is not homed.
+        The machine, and its (axes,) commanded position in counts, for channels not reported yet;
+        None if it is not homed.
     """
     found: dict[str, list[float | None]] = {name: [None, None, None] for name in machine.axes}
     if stands is not None:
@@ -66,10 +66,9 @@ def signals(channels: Iterable[Channel], latest: Mapping[str, float]) -> dict[st
 
 
 def mandrel_of(machine: Machine) -> Mandrel | None:
-    """Return the mandrel of a machine: its first rotary axis beside a linear one; None for none.
+    """Return the mandrel of a machine: its first rotary axis beside a linear one; None without.
 
-    Where the machine has no profile of it, it is as thick everywhere as the radius at which that
-    axis acts.
+    If the machine has no profile of it, its radius is everywhere the one at which that axis acts.
     """
     linear = [name for name, axis in machine.axes.items() if axis.kind == "linear"]
     for (name, axis), radius_m in zip(machine.axes.items(), machine.radius_m, strict=True):
@@ -87,7 +86,7 @@ def mandrel_of(machine: Machine) -> Mandrel | None:
 
 
 def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say.Welcome:
-    """Return the welcome of the client of a number."""
+    """Return the welcome message for the client with a number."""
     speeds = {}
     if machine.axes:
         tick_s = float(machine.tick_clock.period_s)
@@ -103,7 +102,7 @@ def welcome_of(machine: Machine, client: int, link: str, far_end: AtLink) -> say
         lacks=dict(far_end.lacks),
         notes=list(far_end.notes),
         untaught=untaught(machine),
-        by_hand=way_of(machine).by_hand,
+        by_hand=run_kind_of(machine).by_hand,
         options=list(kind_of(machine).planned_by),
         axes=[
             say.Axis(

@@ -1,7 +1,7 @@
-"""What a verb is asked: its options as words, and the machine, plan and runs that they stand for.
+"""The options of a verb as words, and the machine, plan and runs that follow from them.
 
-The command line and ``import threadline as tl`` both ask by ``Words``, so that a job is read,
-planned and judged by the same options whichever way it comes.
+The command line and ``import threadline as tl`` both pass their options as ``Words``, so that both
+read, plan and judge a job in the same way.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
 from threadline.proof.option_form import Door, Group, Option, Type, Word
 from threadline.proof.option_table import known_words, options_for
-from threadline.proof.option_words import parse_ends, parse_yield
+from threadline.proof.option_words import parse_band, parse_ends, parse_yield
 from threadline.proof.options import Options, options_of
 from threadline.proof.pipeline import NOMINAL, REPEATED, TOLERANCES, Trials, target_of, yielding
 from threadline.verdict import Spec, load_spec
@@ -36,7 +36,7 @@ def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None)
     Raises
     ------
     MachineError
-        If there is none of that name, or the file does not describe one.
+        If there is no machine with that name, or the file does not describe one.
     """
     found = machine if isinstance(machine, Machine) else load_machine(machine)
     return found if par is None else read_parameters(Path(par), found)
@@ -44,14 +44,14 @@ def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None)
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """The options of one verb, as they were given.
+    """The options of one verb, as given.
 
     Parameters
     ----------
     verb
-        Its name in the table of options.
+        Name of the verb in the table of options.
     given
-        By word: what was given, else the default; every option that the verb takes is there.
+        Values by option, given or default; every option of the verb is there.
     """
 
     verb: str
@@ -59,12 +59,12 @@ class Words:
 
     @classmethod
     def of(cls, verb: str, door: Door, words: Mapping[str, Word]) -> Words:
-        """Return the words of a verb; what is left out has its default.
+        """Return the words of a verb; options left out get their defaults.
 
         Raises
         ------
         OptionError
-            If a word is no option of the verb, or in Python of another type.
+            If a word is not an option of the verb, or has another type in Python.
         """
         if door is Door.PYTHON:
             for one in options_for(verb, door):
@@ -73,7 +73,7 @@ class Words:
         return cls(verb, known_words(verb, door, words))
 
     def text(self, word: str) -> str | None:
-        """Return the text of an option; None where it was not given."""
+        """Return the text of an option; None if it was not given."""
         value = self.given.get(word)
         return None if value is None else str(value)
 
@@ -82,7 +82,7 @@ class Words:
         return bool(self.given.get(word))
 
     def path(self, word: str) -> Path | None:
-        """Return the file of an option; None where it was not given."""
+        """Return the file of an option; None if it was not given."""
         text = self.text(word)
         return None if text is None else Path(text)
 
@@ -91,48 +91,48 @@ class Words:
         return self.path("par"), self.path("spec")
 
     def machine(self, machine: str | Path | Machine) -> Machine:
-        """Return the machine that is named, with the settings of ``par``."""
+        """Return the named machine, with the settings of ``par``."""
         return chosen_machine(machine, self.path("par"))
 
     def actual(self) -> Machine | None:
-        """Return the machine that runs the plan; None where it is the one of the plan."""
+        """Return the machine that runs the plan; None if it is the planned one."""
         other = self.given.get("actual")
         if other is None:
             return None
         return self.machine(other if isinstance(other, Machine) else str(other))
 
     def spec(self, machine: Machine) -> Spec:
-        """Return the specification that is given, else the machine's own."""
+        """Return the given specification, else the machine's own."""
         asked = self.given.get("spec")
         return asked if isinstance(asked, Spec) else load_spec(self.path("spec"), machine)
 
     def planning(self) -> dict[str, Word]:
-        """Return the words of the planning options alone."""
+        """Return the words of the planning options only."""
         known = {one.word for door in Door for one in options_for(self.verb, door, [Group.PLAN])}
         return {word: value for word, value in self.given.items() if word in known}
 
     def options(self, **changed: Word) -> Options:
-        """Return how the job is to be planned; ``changed`` replaces words.
+        """Return the planning options; ``changed`` replaces words.
 
         Raises
         ------
         OptionError
-            If one of them cannot be read, or two do not go together.
+            If a word cannot be read, or two exclude each other.
         """
         return options_of(**{**self.planning(), **changed})
 
     def each_options(
         self, interpolations: Sequence[str], feeds: Sequence[str], shapers: Sequence[str]
     ) -> list[Options]:
-        """Return how a job is planned with each interpolation, feed and shaper.
+        """Return planning options for each interpolation, feed and shaper.
 
-        A contour is of ``optimal``, a robust plan of the default interpolation, and a mode of a
-        shaper: where these are compared, the others are planned without.
+        ``contour`` applies only to ``optimal``, ``robust`` only to the default interpolation, and
+        ``mode`` only to a shaper: the other compared plans leave it out.
 
         Raises
         ------
         OptionError
-            If one cannot be read, or there is no interpolation.
+            If a word cannot be read, or there is no interpolation.
         """
         if not interpolations:
             raise OptionError("there is no interpolation to compare", remedy="Name one at least.")
@@ -151,18 +151,18 @@ class Words:
         return found
 
     def trials(self, ends: str | None = None) -> Trials:
-        """Return which runs a verdict is made of; ``ends`` replaces the word of that name.
+        """Return the runs that make up a verdict; ``ends`` replaces that word.
 
         Raises
         ------
         OptionError
-            If more than one level is asked for, or one of the words cannot be read.
+            If the words ask for several levels, or one cannot be read.
         """
         words = {name: self.given.get(name) for name in _OF_LEVEL}
         return trials_of(**{**words, **({} if ends is None else {"ends": ends})})
 
     def changed(self, **changed: Word) -> dict[str, Word]:
-        """Return the planning words that are not the defaults of ``prove``."""
+        """Return the planning words that differ from the defaults of ``prove``."""
         known = {one.word: one for one in options_for("prove", groups=[Group.PLAN])}
         words = {**self.planning(), **changed}
         return {
@@ -172,9 +172,9 @@ class Words:
         }
 
     def typed(self, verb: str = "prove", **changed: Word) -> dict[str, str | Path | None]:
-        """Return the options that a command of ``verb`` needs to plan the same, as typed.
+        """Return the options, as typed, with which a command of ``verb`` makes the same plan.
 
-        Options that have their default there are left out, and so is the level.
+        Defaults of that verb are left out, and so is the level.
         """
         given = {**self.given, **changed}
         typed: dict[str, str | Path | None] = {}
@@ -185,7 +185,7 @@ class Words:
         return typed
 
 
-_OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends")
+_OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends", "band")
 
 
 def _typed(value: Word) -> str | Path:
@@ -202,13 +202,14 @@ def trials_of(
     tolerances: Word = None,
     yield_: Word = None,
     ends: Word = None,
+    band: Word = None,
 ) -> Trials:
     """Return the level that the words ask for: its number of runs and of machines.
 
     Raises
     ------
     OptionError
-        If more than one level is, or the wished yield is no share.
+        If they ask for several levels, or the wanted yield is no share.
     """
     given = {
         "--nominal": bool(nominal),
@@ -226,7 +227,11 @@ def trials_of(
         found = yielding(parse_yield(str(yield_)))
     elif repeats is not None:
         found = Trials(repeats=_runs(repeats), machines=found.machines)
-    return found if ends is None else replace(found, ends=parse_ends(str(ends)))
+    return replace(
+        found,
+        ends=None if ends is None else parse_ends(str(ends)),
+        band=None if band is None else parse_band(str(band)),
+    )
 
 
 def _runs(repeats: Word) -> int:
@@ -255,13 +260,13 @@ def with_radii_of(machine: Machine, options: Options) -> Machine:
 
 
 def check_target(target: str, machine: Machine, options: Options) -> None:
-    """Refuse a target that cannot write what the options plan, before anything is planned.
+    """Refuse a target that cannot write the plan, before anything is planned.
 
     Raises
     ------
     OptionError
-        If the target is unknown or of another kind of machine, an option has no meaning for this
-        kind, or the target cannot write the reference of every tick.
+        If the target is unknown or belongs to another kind of machine, an option has no meaning
+        for this kind, or the target cannot write a reference for every tick.
     """
     kind = kind_of(machine)
     kind.check_options(machine, options)
@@ -271,16 +276,17 @@ def check_target(target: str, machine: Machine, options: Options) -> None:
         own = kind.targets
         raise OptionError(
             f"{'feed-forward' if forward else 'a shaper'} gives a reference for every tick, "
-            f"and target {target!r} cannot write them",
+            f"and target {target!r} cannot write it",
             remedy=f"Use {' or '.join(name for name in own if own[name].takes_shaped)}.",
         )
 
 
 def level_option(trials: Trials) -> dict[str, str]:
-    """Return the options that give the level ``trials``, with values; none for the default."""
-    if trials.ends is not None:
-        ends = {"--ends": f"{100.0 * trials.ends:.12g} %"}
-        return level_option(replace(trials, ends=None)) | ends
+    """Return the options, with values, that select the level ``trials``; none for the default."""
+    others = {"--ends": trials.ends, "--band": trials.band}
+    if trials != trials.alone:
+        shares = {name: f"{100.0 * n:.12g} %" for name, n in others.items() if n is not None}
+        return level_option(trials.alone) | shares
     if trials == REPEATED:
         return {}
     if trials.wished is not None:
@@ -306,7 +312,7 @@ def python_type(one: Option, verb: str) -> str:
 
 
 def _taken(one: Option, verb: str) -> Any:
-    """Return the types of the values that an option of a verb takes in Python."""
+    """Return the types of the values of an option of a verb in Python."""
     _, plain = _PYTHON[one.type]
     return plain if one.default_of(verb) is not None else plain | None
 

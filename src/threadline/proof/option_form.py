@@ -1,4 +1,4 @@
-"""What the declaration of an option says: its name, value, help, verbs, kinds and doors."""
+"""The declaration of an option: name, value, help, verbs, kinds and doors."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from enum import StrEnum
 from typing import Any
 
 Word = object
-"""What an option is given: mostly its text as typed, for a flag whether it is given."""
+"""Value of an option: mostly its text as typed; for a flag whether it was given."""
 TICKS, SWITCHES, STEPS = "ticks", "switches", "steps"
-"""Names of the kinds of work, as ``kinds`` has them."""
+"""Names of the kinds of work, as in ``kinds``."""
 MOST_TEXT = 200
-"""Longest text of an option that the panel takes."""
+"""Longest option text that the panel accepts."""
 
 
 class Type(StrEnum):
-    """What is typed for an option."""
+    """Type of an option's value."""
 
     TEXT = "text"
     FLAG = "flag"
@@ -29,7 +29,7 @@ class Type(StrEnum):
 
 
 class Group(StrEnum):
-    """What an option is for."""
+    """Purpose of an option."""
 
     INPUT = "Input files"
     PLAN = "Planning"
@@ -38,7 +38,7 @@ class Group(StrEnum):
 
 
 class Door(StrEnum):
-    """Where an option can be given, besides recordings and proofs, which only repeat it."""
+    """Interface through which an option can be given; recordings and proofs only repeat it."""
 
     LINE = "command line"
     PYTHON = "Python"
@@ -46,19 +46,19 @@ class Door(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recorded:
-    """How a planning option is written into recordings and proofs, and read from there.
+class FileForm:
+    """How a planning option is written into recordings and proofs, and read from them.
 
     Parameters
     ----------
     key
-        Its name there.
+        Its name in the file.
     write
         Returns the text of a value; None writes nothing.
     read
         Returns the value of a text.
     required
-        Whether a recording that does not name it is refused.
+        Whether a recording without it is refused.
     """
 
     key: str
@@ -76,40 +76,40 @@ class Option:
     name
         As typed on the command line, without the dashes.
     help
-        What it does, as ``--help`` says it.
+        Text for ``--help``.
     group
-        What it is for.
+        Purpose of the option.
     verbs
         The verbs that take it.
     type, unit
-        What is typed, and the SI unit of the value; empty for a value without a unit.
+        Type of the value, and its SI unit; empty for a value without a unit.
     default
-        What holds where it is not given.
+        Value if the option is not given.
     defaults
-        By verb: the default of a verb that has another.
+        Other defaults, by verb.
     kinds
-        The kinds of work for which it has a meaning.
+        The kinds of work to which it applies.
     doors
-        Where it can be given.
+        Interfaces through which it can be given.
     attribute, parse
-        The attribute of ``Options`` that holds its value, and the reader of its text; empty for an
-        option that ``options_of`` makes part of another.
+        The attribute of ``Options`` that holds its value, and the parser of its text; empty for an
+        option that ``options_of`` merges into another.
     recorded
-        How recordings and proofs say it; None where they do not.
+        How recordings and proofs write it; None if they do not.
     helps
-        By verb: the help of a verb for which it does something else.
+        Other help texts, by verb.
     short
         Short form on the command line.
     least, most
-        Of a whole number.
+        Limits of a whole number.
     choices
-        The texts that it may be given, where they are few.
+        The permitted texts, if they are few.
     many
         The verbs that take several values, separated by commas.
     label, placeholder
         Its field on the panel's page; without a label the page has no field for it.
     most_text
-        Longest text that the panel takes.
+        Longest text that the panel accepts.
     """
 
     name: str
@@ -124,7 +124,7 @@ class Option:
     doors: tuple[Door, ...] = tuple(Door)
     attribute: str = ""
     parse: Callable[[Any], Any] | None = None
-    recorded: Recorded | None = None
+    recorded: FileForm | None = None
     helps: Mapping[str, str] = field(default_factory=dict)
     short: str = ""
     least: int | None = None
@@ -147,7 +147,7 @@ class Option:
         return f"--{self.name}"
 
     def default_of(self, verb: str) -> str | bool | None:
-        """Return the default of a verb: ``judge`` takes what a recording names."""
+        """Return the default of a verb; for ``judge`` None: the recording's value holds."""
         open_ended = verb == "judge" and self.type is not Type.FLAG
         return None if open_ended or verb in self.many else self.defaults.get(verb, self.default)
 

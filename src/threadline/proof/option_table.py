@@ -30,9 +30,9 @@ from threadline.proof.option_form import (
     SWITCHES,
     TICKS,
     Door,
+    FileForm,
     Group,
     Option,
-    Recorded,
     Type,
     Word,
 )
@@ -53,7 +53,7 @@ PLANNERS = ("prove", "run", "compile", "compare", "fastest", "yield", "design", 
 PYTHON_VERBS = ("prove", "fastest", "compare", "judge", "compile")
 """The verbs of ``import threadline as tl``."""
 PROGRAMMED = "programmed"
-"""Feed of a plan that keeps the feeds of its job, as a recording says it."""
+"""Feed written into a recording whose plan keeps the feeds of its job."""
 MOST_PROFILE = 20_000
 """Longest text of the radii of a mandrel."""
 
@@ -69,10 +69,10 @@ def _exact(unit: str, factor: float = 1.0) -> Callable[[Any], str | None]:
 
 _PROVING = ("prove", "run", "compare", "fastest", "design")
 _OF_VERDICT = (*_PROVING, "panel")
-_AS_GIVEN = "As with prove; default: what the recording names."
+_AS_GIVEN = "As with prove; default: the recording's."
 _EACH = (
-    "Names, separated by commas; linear,b-spline,b-spline-pulled unless given, and firmware,auto "
-    "where the machine file names a motion planner."
+    "Names, separated by commas; default: linear,b-spline,b-spline-pulled, and firmware,auto "
+    "if the machine file names a motion planner."
 )
 
 TABLE: tuple[Option, ...] = (
@@ -85,32 +85,32 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="par", group=Group.INPUT, type=Type.FILE,
         help="FW-CNC.PAR whose settings replace those of the machine file.",
-        helps={"judge": "FW-CNC.PAR; default: what the recording names."},
+        helps={"judge": "FW-CNC.PAR; default: the one that the recording names."},
         verbs=("prove", "run", "compile", "compare", "fastest", "yield", "judge"),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="actual", group=Group.INPUT, type=Type.MACHINE,
-        help="Machine that runs what was planned for --machine: a file or a library name.",
-        helps={"judge": "The machine that ran the plan; default: what the recording names."},
+        help="Machine that runs the plan made for --machine: a file or a library name.",
+        helps={"judge": "The machine that ran the plan; default: the recording's."},
         verbs=("prove", "fastest", "judge"),
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="interpolation", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
         help="auto, optimal, firmware, point-to-point, linear, parabolic, cubic, quintic, "
-        "b-spline, b-spline-pulled, law:NAME. By default firmware where the machine file names "
-        "a motion planner, else auto; compile, which writes another program, has auto.",
+        "b-spline, b-spline-pulled, law:NAME. Default: firmware if the machine file names a motion "
+        "planner, else auto; compile, which writes another program, has auto.",
         helps={"compare": _EACH, "judge": _AS_GIVEN},
         default=DEFAULT_INTERPOLATION, defaults={"compile": AUTO},
         attribute="interpolation", parse=str,
-        recorded=Recorded(key="interpolation", write=_same, read=str, required=True),
+        recorded=FileForm(key="interpolation", write=_same, read=str, required=True),
         label="Interpolation",
     ),
     Option(
         name="law", group=Group.PLAN, kinds=(TICKS, STEPS),
         verbs=tuple(verb for verb in PLANNERS if verb != "compare"),
-        help="Every move from rest to rest by this motion law: modified-sine, harmonic:7, "
+        help="Make every move from rest to rest follow this motion law: modified-sine, harmonic:7, "
         "frame.csv (threadline law lists them).",
         label="Law", placeholder="default",
     ),
@@ -118,13 +118,13 @@ TABLE: tuple[Option, ...] = (
         name="feed", many=("compare",), group=Group.PLAN, unit="m/s", kinds=(TICKS, STEPS),
         verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
         help='Replaces every programmed feed: "10 count/tick", "36 mm/s" '
-        '(of the fastest axis), "F 3000" (mm/min, as F of the program is meant). "120 %" '
+        '(of the fastest axis), "F 3000" (mm/min, by the program\'s rule for F). "120 %" '
         "multiplies each, so that they keep their ratios.",
         helps={
             "compare": "Feeds, separated by commas; default: as programmed.", "judge": _AS_GIVEN,
         },
         attribute="feed", parse=parse_feed,
-        recorded=Recorded(
+        recorded=FileForm(
             key="feed", required=True,
             write=lambda feed: PROGRAMMED if feed is None else feed_words(feed),
             read=lambda text: None if text == PROGRAMMED else parse_feed(text),
@@ -133,36 +133,36 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="dialect", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
-        help="What the words of a program mean: winder, linuxcnc, grbl, fluidnc, marlin, fanuc, "
+        help="Dialect of a part program: winder, linuxcnc, grbl, fluidnc, marlin, fanuc, "
         "x-winder. Default: the machine file's.",
         attribute="dialect", parse=str,
-        recorded=Recorded(key="dialect", write=_same, read=str),
+        recorded=FileForm(key="dialect", write=_same, read=str),
         label="Dialect", placeholder="the machine's",
     ),
     Option(
         name="feed-mode", group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS,),
-        help="By whose rule F of a part program is a speed: cadfil, fanuc, fluidnc, grbl, "
+        help="Rule by which F of a part program is a speed: cadfil, fanuc, fluidnc, grbl, "
         "linuxcnc, marlin, rs274, fastest-axis, path, or base-axes:A and base-axes:A,X, CADFIL's "
         "modes 1 and 2. Default: the machine file's.",
         attribute="feed_mode", parse=str,
-        recorded=Recorded(key="feed-mode", write=_same, read=str),
+        recorded=FileForm(key="feed-mode", write=_same, read=str),
         label="Rule of F", placeholder="the machine's",
     ),
     Option(
         name="radius", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
-        help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm, '
+        help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm diameter, '
         '"A=20 mm at X 0 mm; 50 mm at X 100 mm" for a cone, or "A=mandrel.csv". Default: the '
         "machine file's.",
         attribute="radius", parse=written_out, most_text=MOST_PROFILE,
-        recorded=Recorded(key="radius", write=_same, read=str),
+        recorded=FileForm(key="radius", write=_same, read=str),
         label="Radius", placeholder="the machine's",
     ),
     Option(
         name="offset", group=Group.PLAN, unit="m or rad", verbs=PLANNERS, kinds=(TICKS,),
-        help='Where the zero of a part program lies on the machine: "X=12 mm, A=30 deg". Default: '
+        help='Machine position of the zero of a part program: "X=12 mm, A=30 deg". Default: '
         "the machine's zero.",
         attribute="offset", parse=str,
-        recorded=Recorded(key="offset", write=_same, read=str),
+        recorded=FileForm(key="offset", write=_same, read=str),
         label="Mandrel offset", placeholder="none",
     ),
     Option(
@@ -170,52 +170,52 @@ TABLE: tuple[Option, ...] = (
         verbs=tuple(verb for verb in PLANNERS if verb != "fastest"),
         help='Replaces the needle speed of a seam: "75 stitch/s".',
         attribute="needle", parse=str,
-        recorded=Recorded(key="needle", write=_same, read=str),
+        recorded=FileForm(key="needle", write=_same, read=str),
     ),
     Option(
         name="tolerance", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS, STEPS),
         help="Largest deviation from the programmed path, kept by auto, optimal and parabolic: "
         '"0.1 mm".',
         default=DEFAULT_TOLERANCE, attribute="tolerance_m", parse=parse_tolerance_m,
-        recorded=Recorded(
+        recorded=FileForm(
             key="tolerance", write=_exact("m"), read=parse_tolerance_m, required=True
         ),
         label="Tolerance", placeholder=DEFAULT_TOLERANCE,
     ),
     Option(
         name="limits", group=Group.PLAN, kinds=(TICKS,),
-        verbs=("prove", "run", "compile", "compare", "yield", "judge", "panel"),
+        verbs=("prove", "run", "compile", "compare", "yield", "design", "judge", "panel"),
         help="Share of the acceleration and jerk limits that the planner uses.",
         default=DEFAULT_LIMITS, attribute="limit_share", parse=parse_share,
-        recorded=Recorded(key="limits", write=_exact("%", 100.0), read=parse_share),
+        recorded=FileForm(key="limits", write=_exact("%", 100.0), read=parse_share),
     ),
     Option(
         name="shaper", many=("compare",), group=Group.PLAN, verbs=PLANNERS, kinds=(TICKS, SWITCHES),
         help='Shape the motion: "zv:12Hz:0.02" is kind, frequency, damping ratio; "*" convolves, '
-        '"X=..., Y=..." gives axes their own; of an on/off machine zv, um-2ei, zv*um-2ei ... '
+        '"X=..., Y=..." gives each axis its own; on an on/off machine zv, um-2ei, zv*um-2ei ... '
         "or none.",
         helps={
-            "compare": "Shapers, separated by commas, as prove takes one; of an on/off machine "
-            "none,zv,um-zv,um-zvd unless given.",
+            "compare": "Shapers, separated by commas, each as for prove; on an on/off machine the "
+            "default is none,zv,um-zv,um-zvd.",
             "judge": _AS_GIVEN,
         },
         attribute="shaper", parse=parse_shaper_text,
-        recorded=Recorded(key="shaper", write=_same, read=parse_shaper_text),
+        recorded=FileForm(key="shaper", write=_same, read=parse_shaper_text),
         label="Shaper", placeholder="none",
     ),
     Option(
         name="mode", group=Group.PLAN, unit="Hz", kinds=(SWITCHES,),
         verbs=("prove", "run", "compile", "compare", "yield", "judge"),
-        help='Of an on/off machine: the mode its shaper is made for, "3.04 Hz"; default: its own.',
+        help='On an on/off machine: design mode of its shaper, "3.04 Hz"; default: the machine\'s.',
         attribute="shaper_mode", parse=str,
-        recorded=Recorded(key="mode", write=_same, read=str),
+        recorded=FileForm(key="mode", write=_same, read=str),
     ),
     Option(
         name="damping", group=Group.PLAN, type=Type.RATIO, kinds=(SWITCHES,),
         verbs=("prove", "run", "compile", "compare", "yield", "judge"),
         help="Damping ratio of that mode; default: the machine's.",
         attribute="shaper_damping", parse=parse_damping,
-        recorded=Recorded(
+        recorded=FileForm(
             key="damping", read=parse_damping,
             write=lambda ratio: None if ratio is None else repr(ratio),
         ),
@@ -223,32 +223,32 @@ TABLE: tuple[Option, ...] = (
     Option(
         name="feed-forward", group=Group.PLAN, type=Type.FLAG, verbs=PLANNERS, kinds=(TICKS,),
         help="Feed-forward by the inverses of the axes' models, so that the loads follow the path.",
-        helps={"judge": "The plan was made with feed-forward; default: what the recording names."},
+        helps={"judge": "The plan has feed-forward; default: the recording's."},
         default=False, attribute="feed_forward_s",
-        recorded=Recorded(key="feed-forward", write=_exact("s"), read=parse_width_s),
+        recorded=FileForm(key="feed-forward", write=_exact("s"), read=parse_width_s),
         label="Loads follow",
     ),
     Option(
         name="smoothing", many=("design",), group=Group.PLAN, unit="s",
         verbs=PLANNERS, kinds=(TICKS,),
-        help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}", of '
+        help=f'Time over which feed-forward smooths the motion; default "{FEED_FORWARD}", with '
         f'optimal "{OPTIMAL_FEED_FORWARD}".',
         helps={
             "design": f'Smoothing times of feed-forward to try: "36 ms, 50 ms"; default '
             f"{FEED_FORWARD}.",
-            "judge": f"Time of feed-forward; default: what the recording names, else "
+            "judge": f"Smoothing time of feed-forward; default: the recording's, else "
             f'"{FEED_FORWARD}".',
         },
         attribute="change_s",
-        recorded=Recorded(key="change", write=_exact("s"), read=parse_width_s),
+        recorded=FileForm(key="change", write=_exact("s"), read=parse_width_s),
         label="Smoothing", placeholder="default",
     ),
     Option(
         name="robust", group=Group.PLAN, kinds=(TICKS,),
-        verbs=tuple(verb for verb in PLANNERS if verb != "design"),
-        help="With --feed-forward: keep the loads from ringing wherever masses and stiffnesses are "
+        verbs=PLANNERS,
+        help="With --feed-forward: keep the loads from ringing for all masses and stiffnesses "
         'within this share of their tolerances: "100 %". --smoothing is then the time in which '
-        "the speed may change, four turns of a seam's needle without it.",
+        "the speed may change, by default four turns of a seam's needle.",
         helps={
             "fastest": "One plan for all machines with loads and springs at the ends of this share "
             'of their tolerances, each judged in one run: "100 %"; and what that costs. With '
@@ -256,20 +256,20 @@ TABLE: tuple[Option, ...] = (
             "judge": _AS_GIVEN,
         },
         attribute="robust_share", parse=parse_robust,
-        recorded=Recorded(key="robust", write=_exact("%", 100.0), read=parse_robust),
+        recorded=FileForm(key="robust", write=_exact("%", 100.0), read=parse_robust),
         label="Robust", placeholder="none",
     ),
     Option(
         name="contour", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
-        help=f"Of optimal: how far the loops may leave the path; default "
-        f'"{DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With '
-        "--feed-forward: how far the loads may leave their motion where its table begins and ends.",
+        help=f"With optimal: largest deviation of the loops from the path; default "
+        f'"{DEFAULT_CONTOUR_M * 1e3:g} mm", "{NO_CONTOUR}" for no limit. With --feed-forward: '
+        "largest deviation of the loads from their motion at the start and end of the table.",
         attribute="contour_m", parse=parse_contour_m,
-        recorded=Recorded(
+        recorded=FileForm(
             key="contour", read=parse_contour_m,
             write=lambda width: NO_CONTOUR if width == float("inf") else _exact("m")(width),
         ),
-        label="Contour", placeholder=f"{DEFAULT_CONTOUR_M * 1e3:g} mm, of optimal",
+        label="Contour", placeholder=f"{DEFAULT_CONTOUR_M * 1e3:g} mm, with optimal",
     ),
     Option(
         name="level", group=Group.LEVEL, verbs=(*_OF_VERDICT,),
@@ -281,7 +281,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="nominal", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
-        help="Judge one run of the machine as its file says; the next may differ.",
+        help="Judge one run of the machine as its file says; the next run may differ.",
         doors=(Door.LINE,),
     ),
     Option(
@@ -292,7 +292,7 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
-        help="Judge 200 other machines within the tolerances of the machine file, too.",
+        help="Also judge 200 other machines within the tolerances of the machine file.",
         doors=(Door.LINE,),
     ),
     Option(
@@ -302,9 +302,24 @@ TABLE: tuple[Option, ...] = (
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
-        name="ends", group=Group.LEVEL, verbs=("prove", "run", "compare"),
-        help="Judge the machines with loads and springs at the ends of this share of their "
-        'tolerances, too, one run each: "100 %".',
+        name="ends", group=Group.LEVEL, verbs=_PROVING,
+        help="Also judge the machines with loads and springs at the ends of this share of their "
+        'tolerances, one run each: "100 %".',
+        helps={
+            "fastest": "Every plan must also pass on the machines with loads and springs at the "
+            'ends of this share of their tolerances, one run each: "100 %"; --robust plans for '
+            "them.",
+        },
+        doors=(Door.LINE, Door.PYTHON),
+    ),
+    Option(
+        name="band", group=Group.LEVEL, verbs=_PROVING,
+        help="Also judge machines whose modes lie all over this share of their frequencies, one "
+        'run each: "20 %".',
+        helps={
+            "fastest": "Every plan must also pass on machines whose modes lie all over this share "
+            'of their frequencies: "20 %". An on/off machine gets commands made for that band.',
+        },
         doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
@@ -315,36 +330,30 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="low", group=Group.SEARCH, unit="m/s", verbs=("fastest",),
-        help='Lowest feed to try; of a seam "5 stitch/s".', doors=(Door.LINE,),
+        help='Lowest feed to try; of a seam "5 stitch/s".', doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="high", group=Group.SEARCH, unit="m/s", verbs=("fastest",),
-        help="Highest feed to try.", doors=(Door.LINE,),
-    ),
-    Option(
-        name="band", group=Group.SEARCH, verbs=("fastest",), kinds=(SWITCHES,),
-        help="Of an on/off machine: the shortest cycle that is in spec with every mode within "
-        'this share of its frequency: "20 %".',
-        doors=(Door.LINE,),
+        help="Highest feed to try.", doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="mismatch", group=Group.SEARCH, type=Type.FLAG, verbs=("fastest",), default=False,
         help="Search again with masses and stiffnesses at the ends of their tolerances, "
         "planned for the machine as its file says.",
-        doors=(Door.LINE,),
+        doors=(Door.LINE, Door.PYTHON),
     ),
     Option(
         name="within", group=Group.SEARCH, unit="s", verbs=("fastest",),
         help='How long the search may take, "5 min"; then the best so far is told. Ctrl-C '
         "asks for it at once.",
-        doors=(Door.LINE,),
+        doors=(Door.LINE, Door.PYTHON),
     ),
 )  # fmt: skip
 """The options, in the order in which help, reference and recordings name them."""
 
 
 def option(name: str) -> Option:
-    """Return the option of a name.
+    """Return the option with a name.
 
     Raises
     ------
@@ -356,13 +365,13 @@ def option(name: str) -> Option:
 
 _BY_NAME = {one.name: one for one in TABLE}
 RECORDED = tuple((one, one.recorded) for one in TABLE if one.recorded is not None)
-"""The planning options that recordings and proofs say, with how."""
+"""The planning options that recordings and proofs write, with their form there."""
 
 
 def options_for(
     verb: str, door: Door = Door.LINE, groups: Iterable[Group] = tuple(Group)
 ) -> tuple[Option, ...]:
-    """Return the options that a verb takes where it is asked."""
+    """Return the options of a verb at one interface."""
     chosen = tuple(groups)
     listed = verb if door is Door.PYTHON else ""  # a list in Python is an argument of its own
     return tuple(
@@ -376,12 +385,12 @@ def options_for(
 
 
 def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, Word]:
-    """Return the words of all options of a verb: given, else their defaults.
+    """Return the words of all options of a verb: given values, else defaults.
 
     Raises
     ------
     OptionError
-        If a word is no option of the verb, or none that it may be given.
+        If a word is not an option of the verb, or not one of its choices.
     """
     taken = {one.word: one for one in options_for(verb, door)}
     for word, value in words.items():
@@ -394,5 +403,5 @@ def known_words(verb: str, door: Door, words: Mapping[str, Word]) -> dict[str, W
 
 
 def planned_by(kind: str) -> tuple[str, ...]:
-    """Return the names of the planning options that have a meaning for a kind of work."""
+    """Return the names of the planning options that apply to a kind of work."""
     return tuple(one.name for one in TABLE if one.group is Group.PLAN and kind in one.kinds)

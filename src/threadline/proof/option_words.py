@@ -1,4 +1,4 @@
-"""Words of an option on a command line, and the numbers that they stand for."""
+"""Parse option texts into numbers, and write numbers as option texts."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from threadline.units import parse_number, parse_quantity, same_dimension, split
 
 LEAST_CONTOUR_M = 1e-6
 FEED_UNITS = {FeedMode.COUNT_PER_TICK: "count/tick", FeedMode.SHAFT: "stitch/s"}
-"""Units of the feeds that are not speeds of the fastest axis."""
+"""Units of feeds that are not speeds of the fastest axis."""
 F_UNIT = "mm/min"
 """The unit of a feed that is written as an F word without one."""
 _F_WORD = re.compile(r"\s*[Ff](?=[\s+.\d-])")
 LEAST_SHARE = 1e-3
-"""Smallest share of the limits that may be asked for: a slower trajectory takes longer to find."""
+"""Smallest share of the limits: a slower trajectory takes too long to compute."""
 
 
 def parse_feed(text: str) -> Feed:
     """Return the feed written in ``text``: ``"10 count/tick"``, ``"36 mm/s"``, ``"2 stitch/s"``.
 
-    ``"F 3000"`` is what F words would ask for, in mm/min: by the rule of the job for F. ``"120 %"``
-    is an override: that much of each programmed feed.
+    ``"F 3000"`` is the speed that this F word has by the job's rule for F, in mm/min. ``"120 %"``
+    is an override of each programmed feed.
 
     Raises
     ------
@@ -49,9 +49,9 @@ def parse_feed(text: str) -> Feed:
     except UnitError as error:
         raise OptionError(
             f"feed {text!r}: {error.message}",
-            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; of an embroidery '
-            'machine like "120 stitch/min"; as F of the program in mm/min like "F 3000"; times all '
-            'of its feeds like "120 %".',
+            remedy='Write it like "10 count/tick", "36 mm/s" or "500 mm/min"; for an embroidery '
+            'machine like "120 stitch/min"; as an F word in mm/min like "F 3000"; as an override '
+            'of all feeds like "120 %".',
         ) from error
     if feed.value <= 0:
         raise OptionError(f"feed {text!r} must be greater than zero")
@@ -99,7 +99,7 @@ def tolerance_words(tolerance_m: float) -> str:
 
 
 def parse_contour_m(text: str) -> float:
-    """Return how far loops may leave the path, such as ``"0.3 mm"``, in m; infinite for ``none``.
+    """Return the allowed path deviation, such as ``"0.3 mm"``, in m; infinite for ``none``.
 
     Raises
     ------
@@ -135,9 +135,9 @@ def parse_share(text: str) -> float:
 
 
 def share_words(share: float) -> str:
-    """Return a share as a percentage of eight digits at most, else as the number that it is.
+    """Return a share as a percentage of at most eight digits, else as a plain number.
 
-    ``parse_share`` reads the very same from it.
+    ``parse_share`` reads exactly the same value back.
 
     >>> share_words(0.25), share_words(0.176777)
     ('25 %', '0.176777')
@@ -166,7 +166,7 @@ def parse_margin(text: str) -> float:
 
 
 def parse_ends(text: str) -> float:
-    """Return a share of the tolerances at whose ends machines are judged, ``"100 %"``, as 1.0.
+    """Return the share of the tolerances whose end machines are judged, ``"100 %"`` as 1.0.
 
     Raises
     ------
@@ -182,8 +182,25 @@ def parse_ends(text: str) -> float:
     return value
 
 
+def parse_band(text: str) -> float:
+    """Return the half width of a band, ``"20 %"`` of the frequency, as a share: 0.2.
+
+    Raises
+    ------
+    OptionError
+        If it is not above 0 % and at most 60 %.
+    """
+    value = parse_number("band", text, "", "20 %")
+    if not 0.0 < value <= 0.6:
+        raise OptionError(
+            f"band {text!r} must be above 0 % and at most 60 % of the frequency",
+            remedy='Modes that may be a fifth off to either side are "20 %".',
+        )
+    return value
+
+
 def parse_robust(text: str) -> float:
-    """Return the share of the tolerances that a plan holds over, such as ``"100 %"``, as a number.
+    """Return the share of the tolerances that a robust plan covers, ``"100 %"`` as 1.0.
 
     Raises
     ------
@@ -194,13 +211,13 @@ def parse_robust(text: str) -> float:
     if not 0.0 <= value <= 2.0:
         raise OptionError(
             f"robust {text!r} must be at least 0 % and at most 200 % of the tolerances",
-            remedy='All of them are "100 %", the machine as its file says is "0 %".',
+            remedy='All of them are "100 %", the nominal machine is "0 %".',
         )
     return value
 
 
 def parse_yield(text: str) -> float:
-    """Return a wished yield such as ``"99 %"`` as a share.
+    """Return a wanted yield such as ``"99 %"`` as a share.
 
     Raises
     ------
@@ -228,12 +245,12 @@ def parse_damping(given: str | float) -> float:
 
 
 def parse_shaper_text(text: str) -> str | None:
-    """Return the text of a shaper as it is; None where it is ``none``, which shapes nothing."""
+    """Return a shaper's text unchanged; None for ``none``, which shapes nothing."""
     return None if text == UNSHAPED_WORD else text
 
 
 def parse_width_s(text: str) -> float:
-    """Return the width of a smoothing in time such as ``"36 ms"`` in s.
+    """Return a smoothing time such as ``"36 ms"`` in s.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How a job is to be planned, and how that is written on a command line and in a recording."""
+"""Planning options: how they are typed, recorded, and combined into three choices."""
 
 from __future__ import annotations
 
@@ -50,31 +50,31 @@ class PathChoice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TimingChoice:
-    """The second choice: when the motion is where on its path.
+    """The second choice: the timing of the motion along its path.
 
     Parameters
     ----------
     pace
         As fast as the limits and the feed allow, as programmed, or by a law.
     law
-        Name of the motion law of each move; None where the pace is another.
+        Name of the motion law of each move; None for another pace.
     feed
         Replaces every programmed feed; None keeps the job's.
     limit_share
         Share of the machine's acceleration and jerk limits that may be used, in (0, 1].
     smoothing_s
-        Width of the averages over time by which the motion is smoothed; None smoothes no more than
-        the limits of jerk ask for.
+        Width in s of the moving averages that smooth the motion; None: as far as the jerk limits
+        require.
     shaper
-        Text of the shaper that it is convolved with; None shapes nothing.
+        Text of the shaper that the motion is convolved with; None shapes nothing.
     contour_m
-        How far the loads may leave the path while their loops follow; infinite where the timing
-        does not ask.
+        Allowed path deviation of the loads due to their loops' following error; infinite if the
+        timing has no such limit.
     ends_m
-        How far the loads of ``optimal`` with feed-forward may leave their motion where its table
-        begins and ends; None keeps the rests of their inverses.
+        With ``optimal`` and feed-forward: allowed deviation of the loads from their motion at the
+        start and end of the table; None waits there until the inverse has settled.
     robust_share, change_s
-        As ``Options`` has them.
+        As in ``Options``.
     """
 
     pace: Pace
@@ -91,28 +91,28 @@ class TimingChoice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Options:
-    """How a job is to be planned, as it is typed.
+    """How a job is to be planned, as typed.
 
-    ``path``, ``timing`` and ``following`` are the three choices that these words stand for: the
-    words on a command line came first, and one of them may mean two choices at once.
+    ``path``, ``timing`` and ``following`` are the three choices that follow from these words. One
+    word on the command line may decide two choices at once.
 
     Parameters
     ----------
     interpolation
-        Name of the interpolation; ``DEFAULT_INTERPOLATION`` until a machine is known: ``on``.
+        Name of the interpolation; ``DEFAULT_INTERPOLATION`` is resolved by ``on`` for a machine.
     feed
         Replaces every programmed feed, or multiplies it (an override); None keeps the job's.
     dialect
-        Name of the dialect of a part program; None is what the machine file says.
+        Name of the dialect of a part program; None: the machine file's.
     feed_mode
-        Text of what F of a part program means where axes of several kinds move together; None is
-        the reader's default.
+        Text of the rule for F of a part program if axes of several kinds move together; None: the
+        reader's default.
     radius
-        Text of the radii at which rotary axes act on this job, ``"A=40 mm, B=2 mm"``; None is the
+        Text of the radii at which rotary axes act in this job, ``"A=40 mm, B=2 mm"``; None: the
         machine's.
     offset
-        Text of where the zero of a part program lies on the machine, ``"X=12 mm, A=30 deg"``; None
-        is the machine's zero.
+        Text of the machine position of the program's zero, ``"X=12 mm, A=30 deg"``; None: the
+        machine's zero.
     needle
         Text of the needle speed that replaces the speed of a seam; None keeps the seam's.
     tolerance_m
@@ -122,20 +122,20 @@ class Options:
     shaper
         Text of the shaper, or of one per axis, that the trajectory is convolved with, or None.
     feed_forward_s
-        Command the exact inverses of the axes, so that the loads and not the motors follow the
-        motion, smoothed over this time; ``auto`` then keeps every programmed time exactly. None
-        commands the motion itself.
+        Smoothing time in s of feed-forward, which commands the exact inverses of the axes so that
+        the loads and not the motors follow the motion; ``auto`` then keeps every programmed time
+        exactly. None commands the motion itself.
     shaper_mode, shaper_damping
-        Text of the frequency, and damping ratio, of shapers of levels that name none; None is
-        the machine's own.
+        Text of the frequency, and damping ratio, for on/off shapers that name none; None: the
+        machine's own.
     contour_m
-        How far the loads may leave the path of ``optimal`` while their loops follow, at the tool;
-        infinite for no such limit, None for ``DEFAULT_CONTOUR_M``.
+        With ``optimal``: allowed path deviation of the loads, at the tool, due to their loops'
+        following error; infinite for no limit, None for ``DEFAULT_CONTOUR_M``.
     robust_share
-        Share of the tolerances of loads and springs over all of which feed-forward is to hold, in
-        place of its even averages; None plans for the machine as typed alone.
+        Share of the tolerances of loads and springs that feed-forward covers, in place of its
+        plain moving averages; None plans for the nominal machine only.
     change_s
-        Time in which a robust plan may change the speed; None is what the needle of a seam leaves.
+        Time in which a robust plan may change the speed; None: from the needle of a seam.
     """
 
     interpolation: str = DEFAULT_INTERPOLATION
@@ -156,10 +156,10 @@ class Options:
     change_s: float | None = None
 
     def on(self, machine: Machine) -> Options:
-        """Return the options with the interpolation that a machine has by default, if none is told.
+        """Return the options with the machine's default interpolation, if none was named.
 
-        A firmware that plans by itself makes of a program what it makes of it: that is then what is
-        to be proved. Commands for the loads do not come from it.
+        If the machine's firmware plans the motion itself, the default is ``firmware``, since that
+        motion is the one to prove. Firmware cannot produce commands for the loads.
         """
         if self.interpolation != DEFAULT_INTERPOLATION:
             return self
@@ -168,24 +168,24 @@ class Options:
 
     @property
     def own_feeds(self) -> bool:
-        """Whether the feeds of the job hold, as they are or times an override."""
+        """Whether the feeds of the job apply, with or without an override."""
         return self.feed is None or self.feed.mode is FeedMode.OVERRIDE
 
     @property
     def follows_contour(self) -> bool:
-        """Whether the timing limits how far the loops leave the path: ``optimal`` for motors."""
+        """Whether the timing bounds the loops' path deviation: ``optimal`` for motors."""
         return self.interpolation == OPTIMAL and self.following is Following.MOTOR
 
     @property
     def path(self) -> PathChoice:
-        """The shape of the path: with feed-forward ``auto`` stands for the programmed chords."""
+        """The shape of the path; with feed-forward ``auto`` means the programmed chords."""
         chords = self.feed_forward_s is not None and self.interpolation in USUAL
-        name = CHORDS if chords else self.interpolation  # one by a law is of the chords, too
+        name = CHORDS if chords else self.interpolation  # a motion law follows chords, too
         return PathChoice(interpolation=name, tolerance_m=self.tolerance_m)
 
     @property
     def timing(self) -> TimingChoice:
-        """When the motion is where on its path; chords keep their programmed times."""
+        """The timing along the path; chords keep their programmed times."""
         pace, law = Pace.LIMITED, None
         if self.interpolation.startswith(BY_LAW):
             pace, law = Pace.LAW, self.interpolation.removeprefix(BY_LAW)
@@ -217,26 +217,26 @@ class Options:
 
     @property
     def following(self) -> Following:
-        """Whether the motors or the loads are to be where the motion says."""
+        """Whether the motors or the loads follow the motion."""
         return Following.MOTOR if self.feed_forward_s is None else Following.LOAD
 
 
 def options_of(
     interpolation: Word = None, feed: Word = None, tolerance: Word = None, **words: Word
 ) -> Options:
-    """Return the planning options, read from their words as ``option_table`` declares them.
+    """Return the planning options from their words, as declared in ``option_table``.
 
     Parameters
     ----------
     interpolation, feed, tolerance, **words
-        By the words of the options; one that is left out, or None, has its default.
+        Values by option; one that is left out, or None, has its default.
 
     Raises
     ------
     OptionError
-        If one is unknown or unreadable, a smoothing is given without feed-forward, a meaning of F
-        with a feed that replaces it, a law with another interpolation, or a contour with any but
-        ``optimal`` followed by the motors.
+        If a word is unknown or unreadable, or excludes another: a smoothing without feed-forward,
+        a rule for F with a feed that replaces F, a law with another interpolation, or a contour
+        without ``optimal`` followed by the motors.
     """
     for word in words:
         if word not in _PLANNING:
@@ -266,7 +266,7 @@ _PLANNING = {one.word: one for one in TABLE if one.group is Group.PLAN}
 
 
 def _interpolation(given: Mapping[str, Word]) -> str:
-    """Return the interpolation; a motion law is one of its own.
+    """Return the interpolation; a motion law counts as an interpolation.
 
     Raises
     ------
@@ -278,43 +278,42 @@ def _interpolation(given: Mapping[str, Word]) -> str:
         return interpolation
     if interpolation not in USUAL:
         raise OptionError(
-            f"--law {law!r} is an interpolation of its own, and --interpolation "
-            f"{interpolation!r} another",
+            f"--law {law!r} and --interpolation {interpolation!r} both choose the interpolation",
             remedy="Leave one of them out.",
         )
     return f"{BY_LAW}{law}"
 
 
 def _refuse_pairs(given: Mapping[str, Word]) -> None:
-    """Refuse options that do not go together.
+    """Refuse options that exclude each other.
 
     Raises
     ------
     OptionError
-        Naming the pair.
+        Names the pair.
     """
     interpolation, forward = given["interpolation"], given["feed_forward"]
     smoothing, contour, robust = given["smoothing"], given["contour"], given["robust"]
     if smoothing is not None and not forward:
         raise OptionError(
-            f"--smoothing {smoothing!r} is of feed-forward", remedy="Give --feed-forward too."
+            f"--smoothing {smoothing!r} needs feed-forward", remedy="Give --feed-forward too."
         )
     feed, rule = given["feed"], given["feed_mode"]
     both = feed is not None and rule is not None
     if both and parse_feed(str(feed)).mode not in {FeedMode.F_WORD, FeedMode.OVERRIDE}:
         raise OptionError(
-            f"--feed-mode {rule!r} says what F means, and --feed {feed!r} replaces every F",
+            f"--feed-mode {rule!r} is a rule for F, and --feed {feed!r} replaces every F",
             remedy='Leave one of them out, or give the feed as an F, like "F 3000".',
         )
     if contour is not None and interpolation != OPTIMAL:
         raise OptionError(
-            f"--contour {contour!r} bounds what loops make of {OPTIMAL}, and nothing of "
+            f"--contour {contour!r} bounds the path deviation with {OPTIMAL}, and not with "
             f"{interpolation}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
         )
     if robust is not None and (not forward or interpolation not in USUAL):
         raise OptionError(
-            f"--robust {robust!r} is of feed-forward along the programmed chords and times",
+            f"--robust {robust!r} needs feed-forward along the programmed chords and times",
             remedy="Give --feed-forward too, and no other --interpolation.",
         )
     shaped = given["shaper"] not in (None, UNSHAPED_WORD)
@@ -325,7 +324,7 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
 
 
 def foreign_options(kind: str, machine: Machine, options: Options) -> list[str]:
-    """Return the options that are given, as typed, and have no meaning for a kind of work."""
+    """Return the given options, as typed, that do not apply to a kind of work."""
     options, plain, found = options.on(machine), Options().on(machine), []
     for one in _PLANNING.values():
         if kind in one.kinds or not one.attribute:
@@ -340,7 +339,7 @@ def foreign_options(kind: str, machine: Machine, options: Options) -> list[str]:
 
 
 def refuse_axis_options(machine: Machine, options: Options) -> None:
-    """Refuse options of machines with axes: a schedule has only the options of the shaper.
+    """Refuse options of machines with axes: a schedule accepts only the shaper's options.
 
     Raises
     ------
@@ -359,15 +358,13 @@ _CONTOUR = "contour"
 
 
 def describe(job: Job, machine: Machine, options: Options) -> dict[str, str]:
-    """Return the options as text: enough to make the same plan again."""
+    """Return the options as text, complete enough to make the same plan again."""
     said = {"job": job.file, "machine": machine.reference}
     if machine.parameters:
         said["par"] = machine.parameters
     for one, recorded in RECORDED:
         value = getattr(options, one.attribute)
-        if (
-            recorded.key == _CONTOUR
-        ):  # its default is said, too, and nothing where it bounds nothing
+        if recorded.key == _CONTOUR:  # write the default, too, but nothing if it bounds nothing
             value = options.allowance_m if options.interpolation == OPTIMAL else None
         if (text := recorded.write(value)) is not None:
             said[recorded.key] = text
@@ -388,11 +385,11 @@ def options_from(description: dict[str, str]) -> Options:
             read[one.attribute] = recorded.read(description[recorded.key])
         elif recorded.required:
             raise OptionError(
-                f"the recording does not say with which {recorded.key} its plan was made",
+                f"the recording does not name the {recorded.key} of its plan",
                 remedy="Give the job, the machine and the options.",
             )
     of_loads = "feed-forward" in description and description["interpolation"] == OPTIMAL
     if _CONTOUR not in description and of_loads:
-        # A recording without a contour is of a plan that kept the rests of the inverses.
+        # A recording without a contour comes from a plan that waits for its inverses to settle.
         read["contour_m"] = math.inf
     return Options(**read)

@@ -1,9 +1,10 @@
-"""Runs every arrow of the house in order, over the table of kinds, and nothing else."""
+"""Runs all stages in order, by the table of kinds: plan, simulate, judge, write."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
-from threadline.machine.vary import ends_of
+from threadline.machine.vary import Others, band_of, ends_of
 from threadline.proof.kinds import KINDS, check_loops, kind_of, kind_of_commands
 from threadline.proof.kinds.kind import Share
 from threadline.proof.kinds.variants import answering, played_by, rejects, unanswered
@@ -60,30 +61,54 @@ VARIANT_SEED = 1994
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trials:
-    """Which runs a verdict is made of: its level.
+    """The runs that make up a verdict: its level.
 
     Parameters
     ----------
     repeats
-        Runs of the machine in all. Beyond the first, which is the machine as its file says,
-        friction is drawn within +-30 % and supply within +-5 %, and so is what nobody sets at the
-        start (phases of the encoders and of the PLC's scan), from a fixed seed. The spread of
-        these runs is the repeatability.
+        Number of runs of the machine. The first has the machine as its file says; for the others,
+        friction is drawn within +-30 %, supply within +-5 %, and so are phases that nobody sets
+        (encoders, the PLC's scan), from a fixed seed. The spread of these runs is the
+        repeatability.
     machines
-        Other machines within the tolerances of the file: each number at either end of its
-        tolerance alone, and the rest drawn over all of them from a fixed seed.
+        Number of other machines within the tolerances of the file: each number at either end of
+        its tolerance alone, the rest drawn over all tolerances from a fixed seed.
     wished
-        The share of the machines, all drawn at random, that must be in spec: a yield. None asks for
-        every machine.
+        Wanted yield: the share of the machines, all drawn at random, that must be in spec. None
+        requires every machine.
     ends
-        Share of the tolerances of loads and springs: the machines at its ends are judged as well,
-        in one run each.
+        Share of the tolerances of loads and springs: machines at its ends are judged as well, in
+        one run each.
+    band
+        Share of the frequency of every mode: machines with modes all over that band are judged as
+        well, in one run each.
     """
 
     repeats: int = 1
     machines: int = 0
     wished: float | None = None
     ends: float | None = None
+    band: float | None = None
+
+    def others(self, machine: Machine) -> dict[Literal["ends", "band"], Others]:
+        """Return the machines that must pass besides those that are drawn, by their option.
+
+        Raises
+        ------
+        OptionError
+            If ``machine`` has no tolerance at whose ends others are, or no mode.
+        """
+        found: dict[Literal["ends", "band"], Others] = {}
+        if self.ends is not None:
+            found["ends"] = ends_of(machine, self.ends)
+        if self.band is not None:
+            found["band"] = band_of(machine, self.band)
+        return found
+
+    @property
+    def alone(self) -> Trials:
+        """The same without the machines of ``others``."""
+        return replace(self, ends=None, band=None)
 
     @property
     def level(self) -> Level:
@@ -97,24 +122,24 @@ TOLERANCES = Trials(repeats=REPEATED_RUNS, machines=200)
 
 
 def yielding(share: float) -> Trials:
-    """Return the trials that ask for a yield, as a share."""
+    """Return the trials that check a wanted yield, given as a share."""
     return Trials(repeats=REPEATED_RUNS, machines=1000, wished=share)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proof:
-    """A plan, what the simulated machine made of it, what was asked, and the verdict.
+    """A plan, its simulated runs, the specification, and the verdict.
 
     Parameters
     ----------
     recording
-        The first run: of the machine as its file says, with every channel.
+        The first run: the nominal machine, with every channel.
     judged
-        All recordings that were judged, those of other machines last; one may hold several runs.
+        All judged recordings, those of other machines last; one may hold several runs.
     runs
-        How many runs were judged.
+        Number of judged runs.
     actual
-        The machine that ran, where it isn't the one of the plan.
+        The machine that ran, if it is not the planned one.
     """
 
     plan: Plan
@@ -126,7 +151,7 @@ class Proof:
     actual: Machine | None = None
 
     def run(self, number: int) -> Recording:
-        """Return a run that was judged by its number, as ``Result.run`` has it.
+        """Return a judged run by its number, as in ``Result.run``.
 
         Raises
         ------
@@ -141,26 +166,26 @@ class Proof:
 
 
 def check_machine(machine: Machine) -> None:
-    """Refuse a machine that can do no work, before any motion is planned.
+    """Refuse an unusable machine before any motion is planned.
 
     Raises
     ------
     PlanError
-        If a loop of it is unstable.
+        If one of its loops is unstable.
     """
     kind_of(machine).check(machine)
 
 
 def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
-    """Return the job in a file, read as the options say.
+    """Return the job in a file, read with the options.
 
     Raises
     ------
     JobError
         If it cannot be read.
     OptionError
-        If an option means nothing to this kind of machine, or F is given a meaning that the
-        format or the machine does not have.
+        If an option does not apply to this kind of machine, or the format or the machine does not
+        have the rule for F.
     """
     kind_of(machine).check_options(machine, options)
     told = {} if options.dialect is None else {"dialect": options.dialect}
@@ -173,14 +198,14 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
 
 
 def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
-    """Plan ``job`` on ``machine``: what is intended, and the commands for it.
+    """Plan ``job`` on ``machine``: the intended motion, and the commands for it.
 
     Raises
     ------
     PlanError
         If the machine cannot do the job.
     OptionError
-        If an option means nothing to this kind of machine.
+        If an option does not apply to this kind of machine.
     """
     kind, options = kind_of(machine), options.on(machine)
     kind.check_options(machine, options)
@@ -188,7 +213,7 @@ def plan_job(job: Job, machine: Machine, options: Options) -> Plan:
 
 
 def simulate(commands: Commands, machine: Machine) -> Recording:
-    """Return what happens when ``machine`` plays ``commands`` once, of whatever kind they are.
+    """Return the recording of ``machine`` playing ``commands``, of any kind, once.
 
     Raises
     ------
@@ -201,11 +226,11 @@ def simulate(commands: Commands, machine: Machine) -> Recording:
 
 
 def with_shaping(spec: Spec, machine: Machine, options: Options) -> Spec:
-    """Return the specification with the criteria that the options add to it.
+    """Return the specification with the criteria that the options add.
 
-    What shaping and smoothing do to a path is always listed, with or without a limit.
+    The path deviation due to shaping and smoothing is always listed, with or without a limit.
     """
-    return kind_of(machine).asked(spec, options)
+    return kind_of(machine).with_criteria(spec, options)
 
 
 def target_names() -> tuple[str, ...]:
@@ -214,12 +239,12 @@ def target_names() -> tuple[str, ...]:
 
 
 def target_of(name: str, machine: Machine) -> Target:
-    """Return a target of a machine, and refuse others before anything is planned.
+    """Return a target of a machine; refuse other targets before anything is planned.
 
     Raises
     ------
     OptionError
-        If it is unknown or of another kind of machine.
+        If it is unknown or belongs to another kind of machine.
     """
     own = kind_of(machine).targets
     if name in own:
@@ -227,14 +252,14 @@ def target_of(name: str, machine: Machine) -> Target:
     if name not in target_names():
         raise OptionError(f"unknown target {name[:40]!r}", remedy=nearest(name, sorted(own)))
     raise OptionError(
-        f"target {name!r} is of another kind of machine than {machine.name}, which is "
+        f"target {name!r} is for another kind of machine than {machine.name}, which is "
         f"commanded by {machine.commanded_by}",
         remedy=f"Use {' or '.join(own)}.",
     )
 
 
 def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> list[Written]:
-    """Write ``plan`` for a controller; whole files or none.
+    """Write ``plan`` for a controller: all files or none.
 
     Parameters
     ----------
@@ -257,10 +282,10 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
     Raises
     ------
     OptionError
-        If there is no such target, or not of this kind of machine.
+        If there is no such target, or it belongs to another kind of machine.
     PlanError
-        If the commands break a limit, or the program is slower than it may be; nothing is written
-        then.
+        If the commands exceed a limit, or the program is slower than permitted; then nothing is
+        written.
     """
     chosen = target_of(target, plan.machine)
     kind_of(plan.machine).release(plan)
@@ -269,7 +294,7 @@ def write(plan: Plan, target: str, out: str | Path, *, slower: bool = True) -> l
         files = writer(plan, Path(out))
     if chosen.takes_shaped or not files:
         return files
-    # What is written was held against the plan; the plan itself leaves the program, too.
+    # The written file was compared with the plan; the plan has a deviation of its own.
     return [replace(files[0], facts=(*files[0].facts, _off_program(plan))), *files[1:]]
 
 
@@ -277,7 +302,7 @@ def _off_program(plan: Plan) -> str:
     (found,) = measure_motion_deviation(plan)
     where = "" if found.job_line is None else f" (job line {found.job_line})"
     off_mm = 1e3 * (found.value or 0.0)
-    return f"the plan itself leaves the program by {off_mm:.2g} mm at most, at the tool{where}"
+    return f"corners are cut by up to {off_mm:.2g} mm, at the tool{where}"
 
 
 def prove(
@@ -291,7 +316,7 @@ def prove(
 ) -> Proof:
     """Plan, simulate and judge a job.
 
-    ``progress``, ``trials`` and ``actual`` are as ``prove_plan`` takes them.
+    ``progress``, ``trials`` and ``actual`` as for ``prove_plan``.
 
     Raises
     ------
@@ -319,21 +344,21 @@ def prove_plan(
     Parameters
     ----------
     trials
-        Which runs the verdict is made of.
+        The runs that make up the verdict.
     actual
-        The machine that runs it, where it isn't the one that the plan was made for: with other
-        masses or stiffnesses than feed-forward believes in, for instance.
+        The machine that runs the plan, if it is not the planned one: for example with other masses
+        or stiffnesses than feed-forward assumes.
     judge
-        One that has judged this plan by this spec already knows what is measured of the plan alone.
+        A judge that has judged this plan by this spec before, to reuse its measures of the plan.
 
     Raises
     ------
     OptionError
-        If other machines are asked for, and no number has a tolerance or one has no dynamics.
+        If other machines are asked for, and no number has a tolerance or there are no dynamics.
     """
     judge = Judge(plan, spec) if judge is None else judge
-    if trials.ends is not None:
-        return _with_ends(plan, spec, progress, trials, actual, judge)
+    if trials != trials.alone:
+        return _with_others(plan, spec, progress, trials, actual, judge)
     if actual is not None or trials.machines:
         check_dynamics("what another machine makes of the plan", plan.machine, actual)
     kind = kind_of_commands(plan.commands)
@@ -354,7 +379,7 @@ def prove_plan(
     except (MachineError, RecordingError):
         if not len(parts):
             raise
-        # A machine as drawn may never come to the end: the others are judged without it.
+        # A drawn machine may never reach the end: the others are judged without it.
         others, why = answering(kind, commands, machine, parts, random)
         verdict = judge.verdict(share.of(recordings), share.of(others, len(recordings)))
         stuck = unanswered(len(parts), why)
@@ -377,24 +402,27 @@ def prove_plan(
     )
 
 
-def _with_ends(
+def _with_others(
     plan: Plan, spec: Spec, progress: Progress | None, trials: Trials, actual: Machine | None,
     judge: Judge,
 ) -> Proof:  # fmt: skip
-    """Prove a plan, and judge it on the machines at the ends of the tolerances as well."""
-    proof = prove_plan(plan, spec, progress, replace(trials, ends=None), actual, judge)
-    machine = plan.machine if actual is None else actual
-    ends = [
-        (told, prove_plan(plan, spec, None, NOMINAL, other, judge).verdict)
-        for told, other in ends_of(machine, trials.ends or 0.0)
-    ]
-    return replace(proof, verdict=worst_of(proof.verdict, ends))
+    """Prove a plan, and judge it on the other machines that must pass as well."""
+    proof = prove_plan(plan, spec, progress, trials.alone, actual, judge)
+    verdict = proof.verdict
+    for name, others in trials.others(plan.machine if actual is None else actual).items():
+        found = []
+        for told, other in others.machines:
+            # Amplitudes that follow from place and speed go by the mode of the machine that ran.
+            own = Judge(replace(plan, machine=other), spec) if name == "band" else judge
+            found.append((told, prove_plan(plan, spec, None, NOMINAL, other, own).verdict))
+        verdict = worst_of(verdict, found, name)
+    return replace(proof, verdict=verdict)
 
 
 def try_plan(
     plan: Plan, spec: Spec, trials: Trials = NOMINAL, actual: Machine | None = None
 ) -> Proof:
-    """Prove a plan for a search; where one run is out of spec already, that is proof enough."""
+    """Prove a plan for a search; stop after one run that is out of spec."""
     judge = Judge(plan, spec)
     nominal = prove_plan(plan, spec, None, NOMINAL, actual, judge)
     failed = any(result.status is Status.FAILED for result in nominal.verdict.results)

@@ -1,10 +1,10 @@
-"""A proof as a file: hashes of all that it was made from, and its verdict.
+"""A proof as a file: hashes of all its inputs, and its verdict.
 
-Two proofs are of the same thing when their hashes agree. ``docs/files.md`` says what each hash is
-of, so that another program can compare them; an executor asks ``check_proof`` before it moves.
+Two proofs have equal hashes if they prove the same thing. ``docs/files.md`` defines each hash, so
+that another program can compare them; an executor calls ``check_proof`` before it moves.
 
-A hash shows that nothing was changed since it was written, and not who wrote it. A proof may be
-signed with a key, HMAC-SHA256: who has the same key sees that the proof is of somebody who has it.
+A hash shows that nothing was changed since the file was written, but not who wrote it. A proof may
+be signed with a key (HMAC-SHA256): the signature shows that the writer had that key.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from threadline.machine.load import split_reference
 from threadline.machine.par import read_parameters
 from threadline.proof.options import options_from
 from threadline.proof.pipeline import Proof, open_job, plan_job, with_shaping
-from threadline.proof.proof_form import contradiction, in_spec, misformed, unlike
+from threadline.proof.proof_form import contradiction, criteria_difference, in_spec, malformed_entry
 from threadline.verdict import Spec, load_spec
 from threadline.verdict.rendering import criteria_json
 
@@ -44,12 +44,12 @@ _PLACES = {
     "job": ("file",), "spec": ("file",), "machine": ("reference", "par"),
     "actual": ("reference", "par"),
 }  # fmt: skip
-"""Entries that say where a file is: its hash says what is in it."""
+"""Entries that locate a file; its hash identifies the content."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Something that is not what it was when the proof was made.
+    """Something that has changed since the proof was made.
 
     Parameters
     ----------
@@ -57,9 +57,9 @@ class Difference:
         ``"job"``, ``"machine"``, ``"actual"``, ``"options"``, ``"spec"``, ``"commands"`` or
         ``"threadline"``.
     name
-        Which one it is, as the proof names it.
+        Name of it in the proof.
     proved, found
-        The hash (or version) that the proof has, and the one that is there now.
+        The hash (or version) in the proof, and the present one.
     """
 
     what: str
@@ -78,14 +78,14 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProofFile:
-    """A proof as it was read.
+    """A proof as read from its file.
 
     Parameters
     ----------
     path
-        The file; the names of other files in it count from its folder.
+        The file; file names in it are relative to its folder.
     content
-        All that it says, as in ``docs/files.md``.
+        All its entries, as in ``docs/files.md``.
     """
 
     path: Path
@@ -93,7 +93,7 @@ class ProofFile:
 
     @property
     def passed(self) -> bool:
-        """Whether its criteria come to a verdict in specification."""
+        """Whether its criteria give a verdict in specification."""
         return in_spec(self.content)
 
     @property
@@ -103,28 +103,28 @@ class ProofFile:
 
     @property
     def signed(self) -> bool:
-        """Whether it has a signature, of whatever key."""
+        """Whether it has a signature, by any key."""
         return "signature" in self.content
 
     @property
     def spec_path(self) -> Path | None:
-        """The file of the specification; None where it is the machine's own."""
+        """The file of the specification; None if it is the machine's own."""
         file = self.content["spec"]["file"]
         return None if file is None else self.path.parent / file
 
     def sha256(self, what: str) -> str:
-        """Return the hash of one of its parts; empty where there is no such part."""
+        """Return the hash of one of its parts; empty if there is no such part."""
         part = self.content[what]
         return "" if part is None else str(part["sha256"])
 
     def name(self, what: str) -> str:
-        """Return how one of its parts is called."""
+        """Return the name of one of its parts."""
         part = self.content[what] or {}
         return str(part.get("name", part.get("kind", what)))
 
 
 def proof_content(proof: Proof, folder: Path, key: bytes | None = None) -> dict[str, Any]:
-    """Return what the file of a proof in ``folder`` says, signed by a key if there is one.
+    """Return the content of a proof file in ``folder``, signed if there is a key.
 
     Reads the commands once.
     """
@@ -171,7 +171,7 @@ def write_proof(proof: Proof, path: str | Path, key: bytes | None = None) -> Wri
     Parameters
     ----------
     key
-        What it is signed with, as ``read_key`` returns it; None leaves it unsigned.
+        Signing key, as from ``read_key``; None leaves the proof unsigned.
 
     Raises
     ------
@@ -183,7 +183,7 @@ def write_proof(proof: Proof, path: str | Path, key: bytes | None = None) -> Wri
 
 
 def read_key(path: str | Path) -> bytes:
-    """Return the key in a file: all of its bytes, but for ends of lines behind them.
+    """Return the key in a file: all of its bytes, except line ends at the end.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def read_key(path: str | Path) -> bytes:
     """
     path = Path(path)
     try:
-        # Not by a reader that notes the inputs of a run, which are copied beside it.
+        # Not the usual reader: it lists inputs, which a run copies to its folder.
         if not path.is_file():
             raise FileNotFoundError(ENOENT, "there is no such file")
         with path.open("rb") as file:
@@ -211,7 +211,7 @@ def read_key(path: str | Path) -> bytes:
 
 
 def _check_signature(proof: ProofFile, key: bytes) -> None:
-    """Refuse a proof that was not signed with a key, or was changed since."""
+    """Refuse a proof that was not signed with ``key``, or was changed since."""
     place = Place(str(proof.path))
     if not proof.signed:
         raise ProofError(
@@ -226,14 +226,14 @@ def _check_signature(proof: ProofFile, key: bytes) -> None:
         str(value).encode(), _signature(proof.content, key).encode()
     ):
         raise ProofError(
-            "its signature is not of this key, or it was changed since it was signed",
+            "its signature is not by this key, or it was changed since it was signed",
             place=place,
             remedy="Give the key that it was signed with, or prove the job again.",
         )
 
 
 def _signature(content: Mapping[str, Any], key: bytes) -> str:
-    """Return the signature of a proof, which is the same wherever its files lie."""
+    """Return the signature of a proof, which does not depend on the place of its files."""
     signed = {k: v for k, v in content.items() if k not in {"sha256", "signature"}}
     for what, places in _PLACES.items():
         if signed[what] is not None:
@@ -242,7 +242,7 @@ def _signature(content: Mapping[str, Any], key: bytes) -> str:
 
 
 def copy_proof(known: ProofFile, path: str | Path) -> ProofFile:
-    """Write a proof to another folder, where its names lead to the same files, and return that.
+    """Write a proof into another folder, with its file names adapted, and return the copy.
 
     Raises
     ------
@@ -276,38 +276,38 @@ def read_proof(path: str | Path, key: bytes | None = None) -> ProofFile:
     path
         The file.
     key
-        What it has to be signed with, as ``read_key`` returns it; None asks for no signature.
+        Key that must have signed it, as from ``read_key``; None requires no signature.
 
     Raises
     ------
     ProofError
-        If it is none, was changed since it was written, contradicts itself, or was not signed with
-        the key.
+        If the file is no proof, was changed since it was written, contradicts itself, or was not
+        signed with the key.
     """
     path = Path(path)
     place = Place(str(path))
     text = read_text(path, _MAX_BYTES, ProofError, "proof")
     try:
         content = json.loads(text, parse_constant=_refuse_constant)
-        _canonical_sha256(content)  # which numbers without end and half characters have none of
+        _canonical_sha256(content)  # fails on infinite numbers and unpaired surrogates
     except (ValueError, RecursionError) as error:
-        raise ProofError("the file is no JSON", place=place, remedy="Give a proof.") from error
+        raise ProofError("the file is not JSON", place=place, remedy="Give a proof.") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ProofError(
-            f"the file does not say that it is a {FORMAT!r}",
+            f"the file is not marked as a {FORMAT!r}",
             place=place,
             remedy="Write one with threadline prove --proof FILE.",
         )
     rest = {key: value for key, value in content.items() if key != "sha256"}
     if content.get("sha256") != _canonical_sha256(rest):
         raise ProofError(
-            "the file was changed since it was written: it does not have the sha256 that it says",
+            "the file was changed since it was written: its sha256 entry does not match",
             place=place,
             remedy="Prove the job again.",
         )
-    if where := misformed(content):
+    if where := malformed_entry(content):
         raise ProofError(
-            f"{where!r} is not there, or is not what a proof has there",
+            f"{where!r} is missing, or has the wrong type",
             place=place,
             remedy="Write one with threadline prove --proof FILE.",
         )
@@ -328,30 +328,30 @@ def _contradicts(path: Path, why: str) -> ProofError:
 def _other_options(content: Mapping[str, Any]) -> str:
     told = content["options"]
     right = told["sha256"] == _canonical_sha256(told["given"])
-    return "" if right else "the sha256 of its options is not the one of the options in it"
+    return "" if right else "the sha256 of its options does not match the options in it"
 
 
 def check_proof(
     proof: ProofFile | str | Path, plan: Plan, spec: Spec, actual: Machine | None = None
 ) -> tuple[Difference, ...]:
-    """Return what differs between a proof and what is about to be done; empty when nothing does.
+    """Return the differences between a proof and a plan to be run; empty if there are none.
 
     Parameters
     ----------
     proof
         The proof, or its file.
     plan
-        What is about to be done; its commands are read once.
+        The plan to be run; its commands are read once.
     spec
-        What it is asked to keep.
+        The specification that it must meet.
     actual
-        The machine that runs the plan, where it isn't the one that it was made for.
+        The machine that runs the plan, if it is not the planned one.
 
     Raises
     ------
     ProofError
-        If the file is no proof, or its criteria are not those of the specification that it has the
-        hash of.
+        If the file is no proof, or its criteria are not those of the specification whose hash it
+        has.
     """
     known = proof if isinstance(proof, ProofFile) else read_proof(proof)
     given = {key: value for key, value in plan.options.items() if key not in _NAMES}
@@ -371,20 +371,20 @@ def check_proof(
     if known.content["threadline"] != __version__:
         told = str(known.content["threadline"])
         differences.append(Difference("threadline", "threadline", told, __version__))
-    if not differences and (why := unlike(known.content, plan, spec)):
+    if not differences and (why := criteria_difference(known.content, plan, spec)):
         raise _contradicts(known.path, why)
     return tuple(differences)
 
 
 def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
-    """Plan again from the files that a proof names, and return what differs from it.
+    """Plan again from the files that a proof names, and return the differences.
 
     Raises
     ------
     ProofError
         If the file is no proof.
     InputError
-        If one of the files that it names cannot be read, or the job cannot be planned any more.
+        If one of its files cannot be read, or the job cannot be planned any more.
     """
     known = proof if isinstance(proof, ProofFile) else read_proof(proof)
     folder = known.path.parent
@@ -396,14 +396,14 @@ def verify_proof(proof: ProofFile | str | Path) -> tuple[Difference, ...]:
     job = open_job(folder / content["job"]["file"], machine, options)
     early = _early(known, job.sha256, machine, actual)
     if early:
-        # The plan of something else would only say again that it is something else.
+        # Planning something else would only report the same difference again.
         return early
     plan = plan_job(job, machine, options)
     return check_proof(known, plan, with_shaping(spec, machine, options), actual)
 
 
 def spec_sha256(spec: Spec) -> str:
-    """Return the hash of a specification in force: its name, lag and every criterion."""
+    """Return the hash of a specification: its name, lag and every criterion."""
     criteria = [
         [
             criterion.name,
@@ -457,7 +457,7 @@ def _load(told: Mapping[str, Any], folder: Path) -> Machine:
 
 
 def _from(here: Path, file: str, there: Path) -> str:
-    """Return a path that counts from ``here`` as one that counts from ``there``."""
+    """Return a path relative to ``here`` as a path relative to ``there``."""
     return _beside(os.path.normpath(here / file), there)
 
 
@@ -469,7 +469,7 @@ def _write(content: Mapping[str, Any], path: Path) -> Written:
 
 
 def _beside(file: str, folder: Path) -> str:
-    """Return the path of a file relative to ``folder``, or absolute if there is none."""
+    """Return the path of a file relative to ``folder``, or absolute if that is impossible."""
     try:
         return Path(os.path.relpath(file, folder)).as_posix()
     except ValueError:  # on another drive

@@ -1,10 +1,10 @@
-"""The form of a proof's file: what has to be in it, of which type, and without contradiction.
+"""The form of a proof file: required entries, their types, and freedom from contradiction.
 
-Anybody can write a file whose hash is that of its content. So the word of a proof, whether the work
-is in specification and at which level, is derived from its criteria, and its criteria have to be
-those of the specification. What only a simulation could tell, the measured values, is taken as it
-is written: equal proofs have equal bytes, so that proving again shows it, and a signature shows
-who wrote it.
+Anybody can write a file with a valid hash. So the claims of a proof (whether the work is in
+specification, and at which level) are derived from its criteria, and the criteria must be those of
+the specification. Only the measured values are taken as written, since only a simulation gives
+them: proving again shows whether they are right, as equal proofs have equal bytes, and a signature
+shows who wrote them.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from types import UnionType
 from typing import Any
 
 from threadline.base.arrays import finite
+from threadline.base.option_defaults import MOST_REPEATS
 from threadline.commands.plan import Plan
 from threadline.proof.kinds.variants import REJECTS, UNANSWERED
 from threadline.verdict import Spec
@@ -24,7 +25,7 @@ from threadline.verdict.registry import MEASURES
 from threadline.verdict.types import Criterion, Level, Status, level_of
 
 _Form = Mapping[str, Any] | list[Any] | type | UnionType
-"""Entries by name; a list of one form for all its entries; or a type."""
+"""Entries by name; a list with one form for all its entries; or a type."""
 _MACHINE: _Form = {"name": str, "reference": str, "par": str | None, "sha256": str}
 _CRITERION: _Form = {
     "name": str,
@@ -42,7 +43,7 @@ _PROOF: Mapping[str, _Form] = {
     "machines": int,
     "job": {"name": str, "file": str, "sha256": str},
     "machine": _MACHINE,
-    "actual": dict | None,  # as "machine", where it is there
+    "actual": dict | None,  # as "machine", if present
     "options": {"given": dict, "sha256": str},
     "spec": {"name": str, "file": str | None, "sha256": str},
     "commands": {"kind": str, "sha256": str},
@@ -50,17 +51,19 @@ _PROOF: Mapping[str, _Form] = {
 }
 _HASHED = ("job", "machine", "actual", "options", "spec", "commands")
 _SHA256 = re.compile("[0-9a-f]{64}")
+_MOST_MACHINES = 1_000_000
+"""Far beyond what ``--tolerances``, ``--yield`` and ``--ends`` ask for."""
 _OF_MACHINES = (REJECTS, UNANSWERED)
 """Criteria of many machines together, which no specification names."""
 
 
-def misformed(content: Mapping[str, Any]) -> str:
-    """Return the name of the first entry of a proof that lacks or is of another type; else empty.
+def malformed_entry(content: Mapping[str, Any]) -> str:
+    """Return the name of the first entry that is missing or has a wrong type; else empty.
 
     Parameters
     ----------
     content
-        All that the file says.
+        All entries of the file.
     """
     given = content.get("options")
     options = given.get("given") if isinstance(given, dict) else None
@@ -87,12 +90,12 @@ def _wrong(found: object, form: _Form, at: str) -> str:
 
 
 def contradiction(content: Mapping[str, Any]) -> str:
-    """Return how a proof of the right form contradicts itself; empty where it does not.
+    """Return how a proof of the right form contradicts itself; empty if it does not.
 
     Parameters
     ----------
     content
-        All that the file says.
+        All entries of the file.
     """
     return next(filter(None, _contradictions(content)), "")
 
@@ -103,9 +106,15 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
     for what in _HASHED:
         part = content[what]
         if part is not None and not _SHA256.fullmatch(part["sha256"]):
-            yield f"the sha256 of {what} is none: {part['sha256'][:20]!r}"
+            yield f"the sha256 of {what} is not one: {part['sha256'][:20]!r}"
     if runs < 1 or machines < 0:
-        yield f"it is of {runs} runs and {machines} other machines"
+        yield f"it counts {_shown(runs)} runs and {_shown(machines)} other machines"
+    for number, most, what in (
+        (runs, MOST_REPEATS, "runs"),
+        (machines, _MOST_MACHINES, "other machines"),
+    ):
+        if number > most:
+            yield f"it counts {_shown(number)} {what}, and a verdict has at most {most}"
     if not criteria:
         yield "it has no criteria"
     if not verdict["simulated"]:
@@ -114,7 +123,7 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
     for criterion, row in zip(criteria, rows, strict=True):
         yield _of_criterion(criterion)
         if rows.count(row) > 1:
-            yield f"{_name(criterion)} stands in it {rows.count(row)} times"
+            yield f"{_name(criterion)} is in it {rows.count(row)} times"
     wished = [c["limit"] for c in criteria if c["name"] == REJECTS]
     if level != Level.LIMITS:
         reached = level_of(runs, machines, wished[0] if wished else None)
@@ -131,13 +140,13 @@ def _contradictions(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def in_spec(content: Mapping[str, Any]) -> bool:
-    """Say whether the criteria of a proof come to a verdict in specification."""
+    """Return whether the criteria of a proof give a verdict in specification."""
     verdict = content["verdict"]
     return not verdict.get("incomplete") and not _against(verdict["criteria"])
 
 
 def _against(criteria: list[Any]) -> str:
-    """Return which criterion is against a verdict that passes, and how; empty where none is."""
+    """Return which criterion prevents a pass, and how; empty if none does."""
     for criterion in criteria:
         status = criterion["status"]
         if status == Status.FAILED:
@@ -145,6 +154,12 @@ def _against(criteria: list[Any]) -> str:
         if status == Status.NOT_MEASURED and criterion["required"]:
             return f"{_name(criterion)} is required and was not measured"
     return ""
+
+
+def _shown(number: int) -> str:
+    if abs(number) < 10**12:
+        return str(number)
+    return "more than 1e12" if number > 0 else "less than -1e12"
 
 
 def _name(criterion: Mapping[str, Any]) -> str:
@@ -161,7 +176,7 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
     if status not in {*Status}:
         return f"{name} has the unknown status {status[:40]!r}"
     if measured is None:
-        # A time that has no end is no number, and fails any limit.
+        # An infinite time is written as no number, and fails any limit.
         endless = criterion["unit"] == "s" and status == (
             Status.REPORTED if limit is None else Status.FAILED
         )
@@ -177,17 +192,17 @@ def _of_criterion(criterion: Mapping[str, Any]) -> str:
     return f"{name} is {status!r} with {told} under {under}, which is {found.value!r}"
 
 
-def unlike(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
-    """Return how the criteria of a proof are not those of plan and specification; else empty.
+def criteria_difference(content: Mapping[str, Any], plan: Plan, spec: Spec) -> str:
+    """Return how the criteria of a proof differ from plan and specification; else empty.
 
     Parameters
     ----------
     content
-        All that the file says; its hashes are those of ``plan`` and ``spec``.
+        All entries of the file; its hashes match ``plan`` and ``spec``.
     plan
-        What was proved.
+        The proved plan.
     spec
-        What it was asked to keep.
+        The specification that it was judged by.
     """
     alone = content["level"] == Level.LIMITS
     if alone and not plan.machine.without_dynamics:
@@ -214,9 +229,9 @@ def _unasked(row: Mapping[str, Any], asked: tuple[Criterion, ...], plan: Plan) -
     limits = [finite(limit_of(criterion, plan)) for criterion in mine]
     if row["limit"] not in limits:
         told = ["none" if limit is None else f"{limit:.6g}" for limit in (row["limit"], limits[0])]
-        return f"the limit of {_name(row)} is {told[0]}, of the specification {told[1]}"
+        return f"the limit of {_name(row)} is {told[0]}, in the specification {told[1]}"
     if row["required"] not in {criterion.required for criterion in mine}:
-        return f"{_name(row)} is required by one of proof and specification, and not by the other"
+        return f"{_name(row)} is required in only one of proof and specification"
     unit = unit_of(MEASURES[row["name"]], axis, plan)
     if row["unit"] != unit:
         return f"{_name(row)} is measured in {unit or 'shares'}, not in {row['unit'][:20]!r}"
@@ -224,7 +239,7 @@ def _unasked(row: Mapping[str, Any], asked: tuple[Criterion, ...], plan: Plan) -
 
 
 def _missing(rows: list[Any], asked: tuple[Criterion, ...], plan: Plan) -> Iterator[str]:
-    """Yield what the specification asks of an axis, or of the tool, and a proof leaves out."""
+    """Yield criteria of the specification, for an axis or the tool, that a proof leaves out."""
     known = {(row["name"], row["axis"] or "") for row in rows}
     for criterion in asked:
         axes: tuple[str, ...] = ("",)

@@ -1,4 +1,4 @@
-"""The plan and the specification of a recording, and doubts about job, machine and plan."""
+"""Judge recordings by their own plan and specification; warnings about job, machine and plan."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PLANNED_WITH = tuple(recorded.key for _, recorded in RECORDED)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Judged:
-    """Recordings of one job, the plan that they were judged by, what was asked, and the verdict."""
+    """Recordings of one job, the plan and specification they were judged by, and the verdict."""
 
     recordings: tuple[Recording, ...]
     plan: Plan
@@ -48,24 +48,24 @@ def judge_files(
     machine: str | None = None,
     read_one: Callable[[Path], Recording] = read_recording,
 ) -> Judged:
-    """Judge recordings of one and the same job.
+    """Judge recordings of the same job.
 
     Parameters
     ----------
     recordings
         Their files.
     words
-        What was asked of ``judge``. An option that is left out is what the recording says of
-        itself, else the default.
+        Options of ``judge``. An option that is left out comes from the recording, else it has its
+        default.
     job, machine
-        The job and the machine, where the recording does not name them or others are meant.
+        The job and the machine, if the recording does not name them or others are meant.
     read_one
         Reads a file.
 
     Raises
     ------
     OptionError
-        If a recording does not say of which job and machine it is, or says that it is of others.
+        If a recording does not name its job and machine, or names others.
     InputError
         If a file cannot be read.
     """
@@ -90,12 +90,12 @@ def judge_files(
 def _given(
     words: Words, job: Path | None, machine: str | None, recorded: Mapping[str, str]
 ) -> dict[str, str | None]:
-    """Return the options that were given, by the keys of ``describe``.
+    """Return the given options, by the keys of ``describe``.
 
     Raises
     ------
     OptionError
-        If a smoothing is given to a plan without feed-forward, or two options exclude each other.
+        If a smoothing is given for a plan without feed-forward, or two options exclude each other.
     """
     given: dict[str, str | None] = {
         "job": None if job is None else str(job),
@@ -113,7 +113,7 @@ def _given(
     smoothing = words.text("smoothing")
     of_loads = words.flag("feed_forward") or "feed-forward" in recorded
     if smoothing is not None and not of_loads:
-        raise OptionError("--smoothing is of --feed-forward", remedy="Give that too.")
+        raise OptionError("--smoothing needs --feed-forward", remedy="Give that too.")
     robust = words.text("robust") is not None or "robust" in recorded
     given["change"] = smoothing if robust else None
     given["feed-forward"] = None if robust else smoothing
@@ -123,7 +123,7 @@ def _given(
 
 
 def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -> dict[str, str]:
-    """Return the options of the recorded plan: given, else recorded, else the defaults."""
+    """Return the options of the recorded plan: given, else recorded, else default."""
     found = {
         "interpolation": DEFAULT_INTERPOLATION,
         "feed": "programmed",
@@ -134,14 +134,14 @@ def _origin(path: Path, recording: Recording, given: Mapping[str, str | None]) -
     for key, option in (("job", "--job"), ("machine", "--machine")):
         if key not in found:
             raise OptionError(
-                f"{path.name} does not say which {key} it is a recording of",
+                f"{path.name} does not name its {key}",
                 remedy=f"Give it with {option}.",
             )
     return found
 
 
 def _refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine) -> None:
-    """Refuse a job or a machine that is not, to the byte, the one that was run."""
+    """Refuse a job or a machine that is not, to the byte, the one that ran."""
     if recording.job_sha256 and recording.job_sha256 != job.sha256:
         raise OptionError(
             f"{path.name} was recorded from another version of {job.name} "
@@ -152,13 +152,13 @@ def _refuse_other_files(path: Path, recording: Recording, job: Job, ran: Machine
         raise OptionError(
             f"{path.name} was recorded on another machine, or another version of its file, "
             f"than {ran.name} (sha256 {recording.machine_sha256[:12]}, now {ran.sha256[:12]})",
-            remedy="Give the machine file of the run with --machine, and what else it was made "
-            "with: --par, --actual.",
+            remedy="Give the machine file of the run with --machine, and its other files with "
+            "--par and --actual.",
         )
 
 
 def _refuse_copies(recordings: Sequence[Path]) -> None:
-    """Refuse one run given twice: it would pass for perfect repeatability."""
+    """Refuse one run given twice: it would count as perfect repeatability."""
     seen: dict[str, Path] = {}
     for path in recordings if len(recordings) > 1 else ():
         if path.is_file():
@@ -172,9 +172,9 @@ def _refuse_copies(recordings: Sequence[Path]) -> None:
 
 
 def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[str, str]) -> None:
-    """Refuse a plan made with other options than the run that is to be judged by it."""
+    """Refuse a plan made with other options than the run that it would judge."""
     if not recorded:
-        return  # of another controller: it says nothing of a plan
+        return  # from another controller: it names no plan
     for key in _PLANNED_WITH:
         ours = {name: text for name, text in chosen.items() if name != key}
         if key in recorded:
@@ -191,14 +191,14 @@ def _refuse_other_options(path: Path, recorded: Mapping[str, str], chosen: dict[
 
 
 LIMIT = 0.05
-"""Relative error of the time of a stitch up to which no warning is given, where the specification
-has no limit of ``stitch_length_error``."""
+"""Relative error of a stitch's time up to which no warning is given, if the specification has no
+limit of ``stitch_length_error``."""
 _RUNS = 16
-_ROUNDING = 1e-6  # relative: of what is measured on points of the path
+_ROUNDING = 1e-6  # relative: of values measured at points of the path
 
 
-def doubts(proof: Proof) -> list[str]:
-    """Return every warning of a proof: of its machine, its job, its plan and its verdict."""
+def warnings_of(proof: Proof) -> list[str]:
+    """Return every warning of a proof: about its machine, job, plan and verdict."""
     plan = proof.plan
     return [
         *suspicions(plan.machine),
@@ -210,25 +210,25 @@ def doubts(proof: Proof) -> list[str]:
     ]
 
 
-def doubts_of_all(proofs: Sequence[Proof]) -> list[str]:
+def warnings_of_all(proofs: Sequence[Proof]) -> list[str]:
     """Return the warnings of several proofs, each once."""
-    return list(dict.fromkeys(said for proof in proofs for said in doubts(proof)))
+    return list(dict.fromkeys(said for proof in proofs for said in warnings_of(proof)))
 
 
 def tolerance_warnings(plan: Plan) -> list[str]:
-    """Return a line if the planned path leaves the programmed one by more than the tolerance."""
+    """Return a warning if the planned path deviates from the programmed one by too much."""
     if MEASURES["path_deviation"].of_plan(plan) is None or _keeps(plan):
         return []
     (worst,) = measure_path_deviation(plan)
-    return _told(plan, worst.value, worst.job_line)
+    return _deviation_warnings(plan, worst.value, worst.job_line)
 
 
 def proof_warnings(proof: Proof) -> list[str]:
-    """Return the line of ``tolerance_warnings`` for a proof, whose verdict has the deviation."""
+    """Return the warning of ``tolerance_warnings`` for a proof, whose verdict has the deviation."""
     found = [r for r in proof.verdict.results if r.name == "path_deviation"]
     if not found or found[0].measured is None or _keeps(proof.plan):
         return []
-    return _told(proof.plan, found[0].measured, found[0].job_line)
+    return _deviation_warnings(proof.plan, found[0].measured, found[0].job_line)
 
 
 def _keeps(plan: Plan) -> bool:
@@ -236,7 +236,7 @@ def _keeps(plan: Plan) -> bool:
     return name in KEEPING_TOLERANCE or on_chords(name)
 
 
-def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
+def _deviation_warnings(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
     tolerance_m = parse_tolerance_m(plan.options["tolerance"])
     if deviation_m is None or deviation_m <= tolerance_m * (1.0 + _ROUNDING):
         return []
@@ -250,10 +250,10 @@ def _told(plan: Plan, deviation_m: float | None, line: int | None) -> list[str]:
 
 
 def needle_warnings(proof: Proof) -> list[str]:
-    """Return a line if a stitch takes much more or less than a turn of an even needle.
+    """Return a warning if a stitch takes much more or less than a turn of an even needle.
 
-    The limit is that of ``stitch_length_error``: with a needle that turned evenly the error of
-    time would be an error of length of the same share.
+    The limit is that of ``stitch_length_error``: with an evenly turning needle, a relative error of
+    time would be the same relative error of length.
     """
     found = {result.name: result for result in proof.verdict.results}
     time, length = found.get("needle_time_error"), found.get("stitch_length_error")
@@ -265,7 +265,7 @@ def needle_warnings(proof: Proof) -> list[str]:
     way = "more" if time.note == "too long" else "less"
     at = f" at line {time.job_line}" if time.job_line else ""
     return [
-        f"the needle is to turn evenly, but {proof.plan.motion.path.interpolation} gives a "
+        f"the needle should turn evenly, but {proof.plan.motion.path.interpolation} makes a "
         f"stitch{at} "
         f"{100.0 * time.measured:.2g} % {way} than a turn, limit {100.0 * limit:g} %: stitches are "
         f"judged as if it waited for the head; --feed-forward and --interpolation linear keep "
@@ -274,7 +274,7 @@ def needle_warnings(proof: Proof) -> list[str]:
 
 
 def _even(job: Job) -> bool:
-    """Say whether the stitches at the beginning of a job all take one time."""
+    """Return whether the first stitches of a job all take the same time."""
     times = {
         feed.value
         for run in islice(job.runs(), _RUNS)

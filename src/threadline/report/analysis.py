@@ -54,8 +54,8 @@ def write_analysis(
         captions: dict[str, str] = {}
         for axis, analysis in analyses.items():
             if not isinstance(analysis, AxisAnalysis):
-                continue  # without a loop there is nothing to draw
-            for name, (figure, caption) in _figures(analysis, measured).items():
+                continue  # an axis without a control loop has no figures
+            for name, (figure, caption) in axis_figures(analysis, measured).items():
                 figures[f"{name}-{axis}"] = figure
                 captions[f"{name}-{axis}"] = f"Axis {axis}. {caption}"
             if axis in tried:
@@ -76,7 +76,7 @@ def write_analysis(
 
 
 def analysis_tables(analyses: Mapping[str, Analysis]) -> list[Table]:
-    """Return the tables of an analysis: loops, network, steps; modes of axes without a loop."""
+    """Return the tables of an analysis: control loops, network, steps, modes of other axes."""
     axes = {name: a for name, a in analyses.items() if isinstance(a, AxisAnalysis)}
     others = {name: a for name, a in analyses.items() if isinstance(a, CylinderAnalysis)}
     told = {name: a for name, a in analyses.items() if isinstance(a, ToldAnalysis)}
@@ -102,13 +102,13 @@ def _told_tables(analyses: Mapping[str, ToldAnalysis]) -> list[Table]:
     ]
     return [
         Table(
-            title="Drives that are told positions",
+            title="Drives that take positions",
             header=("axis", "drive", "load Hz", "step Hz", "at rest", "at speed", "asked"),
             rows=rows,
-            note="Modes (damping ratio) of the load against a motor that keeps its position; the "
-            "frequency at which a stepper without load swings about its step, which full steps at "
-            "that rate excite; torque or force at standstill and at the speed limit of the axis, "
-            "and that which the axis needs at its limits of speed and acceleration, links rigid.",
+            note="Modes (damping ratio) of the load with the motor held; the frequency at which "
+            "a stepper without load oscillates about its step, which full steps at that rate "
+            "excite; torque or force at standstill and at the speed limit of the axis, and the "
+            "torque or force needed at the limits of speed and acceleration, links rigid.",
         )
     ]
 
@@ -130,7 +130,7 @@ def _cylinder_tables(analyses: Mapping[str, CylinderAnalysis]) -> list[Table]:
             header=("axis", "standing Hz", "sliding Hz", "shaped Hz", "m/s at level 1"),
             rows=rows,
             note="Modes (damping ratio) while the piston stands in its housing and while it slides "
-            "on its air; the one that its valves excite, for which shapers are made.",
+            "on its air; the mode that its valves excite, for which shapers are made.",
         )
     ]
 
@@ -182,7 +182,7 @@ def _axis_tables(analyses: Mapping[str, AxisAnalysis]) -> list[Table]:
             ),
             rows=loops,
             note="Sampled: tick by tick, with the fraction of a tick in the dead time. Continuous: "
-            "the filter by Tustin's rule, dead time exact, half a tick of it for the held output.",
+            "the filter by Tustin's rule, dead time exact, plus half a tick for the held output.",
         ),
         Table(
             title="Network and actuators",
@@ -203,7 +203,10 @@ def _text(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def _figures(a: AxisAnalysis, measured: MeasuredResponse | None) -> dict[str, tuple[Figure, str]]:
+def axis_figures(
+    a: AxisAnalysis, measured: MeasuredResponse | None
+) -> dict[str, tuple[Figure, str]]:
+    """Return the figures of an axis with a loop, each with its caption, by its name."""
     found = {
         "bode": (_bode(a), "Open loop, sampled and continuous; crossovers marked."),
         "plant": (
@@ -317,7 +320,7 @@ def _nichols(a: AxisAnalysis) -> Figure:
 
 
 def _level_of_closed_loop(axes: Axes, level_db: float) -> None:
-    """Draw the curve of all L with ``|L / (1 + L)|`` at a level: L = T / (1 - T) on a circle T."""
+    """Draw the contour of ``|L / (1 + L)|`` at a level: L = T / (1 - T) for T on a circle."""
     angles = np.linspace(0.02, 2 * np.pi - 0.02, 721)
     T = 10 ** (level_db / 20) * np.exp(-1j * angles)
     L = T / (1 - T)
@@ -344,7 +347,7 @@ def _locus(a: AxisAnalysis) -> Figure:
         label = f"on its limit at {gain:.3g} x the gain, {omega * HERTZ:.3g} Hz"
         axes.plot([0, 0], [omega, -omega], label=label, **WORST)
     axes.axvline(0.0, color="black", lw=0.6)
-    # The picture shows the poles of the load; a dead time has ever faster ones beyond it.
+    # The figure shows the poles of the load; the faster poles of the dead time lie outside it.
     reach = 1.25 * max(float(np.abs(a.loop.plant.poles()).max()), 50.0)
     axes.set_xlim(-reach, 0.4 * reach)
     axes.set_ylim(-reach, reach)

@@ -11,7 +11,7 @@ import numpy as np
 
 from threadline.base.wording import grouped
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts_of_all
+from threadline.proof.recorded import warnings_of_all
 from threadline.report.document import Document, Printed, Table
 from threadline.report.figures import moves, path_figure, profile_figure
 from threadline.report.motion import shared_facts, summary_facts
@@ -30,7 +30,7 @@ Case: TypeAlias = tuple[str, Proof, Traces]
 """A label, the proof and its traces."""
 
 _AROUND_S = 0.3
-_TALL_IN = 8.6  # of all panels together: a page of paper has room for them
+_TALL_IN = 8.6  # height of all panels together, which fits a page
 
 
 def overlays(cases: list[Case]) -> tuple[dict[str, Figure], dict[str, str]]:
@@ -47,20 +47,20 @@ def overlays(cases: list[Case]) -> tuple[dict[str, Figure], dict[str, str]]:
     for axis in linear:
         figures[f"turning-{axis}"] = turning_figure(cases, axis)
         captions[f"turning-{axis}"] = (
-            "The carriage at the outermost programmed point that is missed by most: above 0 it "
+            "The carriage at the outermost programmed point with the largest error: above 0 it "
             "goes past the point (over-travel), below it stops short."
         )
     for first, second in pairwise(linear):
         figures[f"paths-{first}{second}"] = paths_figure(cases, first, second)
         captions[f"paths-{first}{second}"] = (
-            "Where the eye went in each case, and the programmed points; how far it goes beyond "
-            "the outermost of them is its over-travel."
+            "Path of the eye in each case, and the programmed points. The distance beyond the "
+            "outermost point is the over-travel."
         )
     return figures, captions
 
 
 def turns_s(traces: Traces) -> list[float]:
-    """Return the instants, s, at which each axis has its largest and its least position."""
+    """Return the instants, s, at which each axis has its largest and its smallest position."""
     return [
         float(traces.time_s[at])
         for position in traces.actual.values()
@@ -105,12 +105,12 @@ def turning_figure(cases: list[Case], axis: str) -> Figure:
 
 
 def _tall_in(panels: int, each_in: float) -> float:
-    """Return the height of a figure, inches; many panels are made lower to fit a page."""
+    """Return the height of a figure, inches; many panels are lower, to fit a page."""
     return 1.0 + min(each_in * panels, max(_TALL_IN, 1.5 * panels))
 
 
 def _outermost(cases: list[Case], axis: str) -> tuple[float, float]:
-    """Return the end of the programmed travel, m, with the larger error, and its sign."""
+    """Return the end of the programmed travel with the larger error, m, and its direction."""
     _, proof, traces = cases[0]
     programmed = traces.vertices[:, proof.plan.motion.programmed.axes.index(axis)]
     ends = [(float(programmed.max()), 1.0), (float(programmed.min()), -1.0)]
@@ -177,16 +177,16 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
         cases: list[Case] = []
         for proof in found.proofs:
             traces = collect(proof)
-            if traces.stride > 1:  # the figures of turning points need every sample there
+            if traces.stride > 1:  # turning points are drawn with every sample
                 traces = collect(proof, turns_s(traces))
             label = f"{proof.plan.motion.path.interpolation}, feed {proof.plan.options['feed']}"
             stem = label.replace(", feed ", "-").replace(" ", "").replace("/", "-per-")
             for name, figure in _figures(proof, traces).items():
-                # On a line of its own: beside the title stands the legend.
+                # On a separate line, because the legend is beside the title.
                 figure.axes[0].set_title(f"{label}:\n{figure.axes[0].get_title(loc='left')}")
                 figures[f"{stem}-{name}"] = figure
                 captions[f"{stem}-{name}"] = (
-                    f"{label}. Programmed, planned and actual; lines are told apart by dash."
+                    f"{label}. Programmed, planned and actual; the lines differ in dash."
                     f"{traces.run.words(proof)}"
                 )
             cases.append((label, proof, traces))
@@ -197,7 +197,7 @@ def write_motion_comparison(found: Comparison, folder: Path, tables: Sequence[Pr
             title=f"{first.plan.job.name} on {first.plan.machine.name}: comparison",
             subtitle=first.plan.machine.title,
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
-            warnings=grouped(doubts_of_all(found.proofs)),
+            warnings=grouped(warnings_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,

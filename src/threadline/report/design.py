@@ -55,7 +55,7 @@ def change_rows(result: DesignResult) -> _Table:
 
 
 def gain_rows(found: Found) -> _Table:
-    """Return the settings that go with the changes: filters, acceleration, needle."""
+    """Return the settings for the changed machine: filters, acceleration, needle."""
     rows = []
     candidate = found.candidate
     if candidate.crossover_hz is not None:
@@ -96,7 +96,7 @@ def _row(title: str, names: list[str], candidate: Candidate) -> list[str]:
 
 
 def corners_title(corners: Verdict) -> str:
-    """Return the title of the verdict over the corners of what was redesigned."""
+    """Return the title of the verdict over the corners of the redesign's tolerances."""
     count = corners.runs + corners.machines
     return f"Verdict of one run at each of {count} corners of the tolerances of [design]"
 
@@ -230,11 +230,11 @@ def region_figure(result: DesignResult) -> Figure:
         assert result.machine.design is not None
         title = result.machine.design.known[name].title
         _mark(panel, result, title, candidate, _MARKS[k % len(_MARKS)], True)
-    # The machine as built is a ring, which leaves a mark at the same place visible.
+    # The machine as built is drawn as a ring, so that a marker at the same place stays visible.
     _mark(panel, result, "as it is", result.as_built, "o", False)
     panel.set_xscale("log")
     panel.set_yscale("log")
-    # Marks on the edge of the region stand clear of title and axes.
+    # Room for markers on the edge of the region.
     panel.set_xlim(*_around(region.factors[0]))
     panel.set_ylim(*_around(region.factors[1]))
     panel.set_xlabel(f"{region.names[0]}, factor")
@@ -245,20 +245,20 @@ def region_figure(result: DesignResult) -> Figure:
         axis.set_major_formatter(lambda v, _: f"{v:g}")
         axis.set_minor_locator(NullLocator())
     figure.legend(loc="outside lower center", ncols=1, markerscale=0.7)
-    # The points are judged in as many runs as were asked for, the region in one.
+    # The points are judged in the requested number of runs, the region in one run.
     panel.set_title(f"{result.job.name} on {result.machine.name}: what is in spec in one run")
     return figure
 
 
 def _around(factors: FloatArray) -> tuple[float, float]:
-    """Return the ends of an axis with room on both sides of the factors."""
+    """Return the ends of a figure's axis, with a margin on both sides of the factors."""
     low, high = float(factors[0]), float(factors[-1])
     room = (high / low) ** _AROUND
     return low / room, high * room
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Return round factors from low to high: evenly apart where the span is short."""
+    """Return round factors from low to high, with equal steps if the span is short."""
     from matplotlib.ticker import MaxNLocator
 
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
@@ -290,7 +290,7 @@ def _mark(
 
 
 def pareto_figure(result: DesignResult) -> Figure:
-    """Draw cost against the share of the limit that is used."""
+    """Draw the cost over the used share of the limit."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 4.2))

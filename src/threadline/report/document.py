@@ -24,14 +24,14 @@ if TYPE_CHECKING:
 
 
 Printed: TypeAlias = tuple[str, list[str], list[list[str]]]
-"""A table as a command printed it: title, header, rows."""
+"""A table as printed by a command: title, header, rows."""
 
 _FAILED = ("failed", "OUT")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """A table of a document; ``note`` stands below it, and ``words`` names columns of words."""
+    """A table of a document, with a ``note`` below it; ``words`` are the columns with text."""
 
     title: str
     header: Sequence[str]
@@ -46,7 +46,7 @@ class Table:
 
     @property
     def left_aligned(self) -> tuple[bool, ...]:
-        """Whether each column is of words: the first, notes, and both of two without names."""
+        """Whether each column has text: the first, notes, and both of two columns without names."""
         return tuple(
             column == 0
             or name in ("note", *self.words)
@@ -56,15 +56,15 @@ class Table:
 
 
 def changes(verdict: Verdict) -> list[Table]:
-    """Return a table of what changed the motion of the runs; none where nothing did."""
+    """Return a table of the events that changed the motion of the runs; none without events."""
     header, rows = happened_rows(verdict)
     return [Table(title="What changed the motion", header=header, rows=rows)] if rows else []
 
 
 def failing(row: Sequence[str]) -> tuple[bool, ...]:
-    """Return for each cell of a row whether it is marked as out of specification.
+    """Return, for each cell of a row, whether it is marked as out of specification.
 
-    A row whose status is ``failed`` or ``OUT`` is marked as a whole, other rows cell by cell.
+    All cells are marked if the status of the row is ``failed`` or ``OUT``.
 
     >>> failing(["jerk", "2 m/s^3", "failed"]), failing(["return", "2 mm (failed)", "0 mm"])
     ((True, True, True), (False, True, False))
@@ -82,15 +82,15 @@ class Document:
     Parameters
     ----------
     title, subtitle
-        Job and machine, or another name of what the report is about.
+        Job and machine, or another subject of the report.
     verdicts
-        Text of each verdict, and whether it is passed; on paper they head every page.
+        Text of each verdict, and whether it is passed; printed at the top of every page of the PDF.
     tables, figures, captions
         In the order of the page; figures and captions by the name of the figure.
     facts
-        Versions, hashes, options: all that is needed to make the report again.
+        Versions, hashes and options, with which the report can be made again.
     warnings
-        Doubts about the inputs and the results.
+        Warnings about the inputs and the results.
     """
 
     title: str
@@ -105,8 +105,8 @@ class Document:
     def shown(self) -> Document:
         """Return the document with control characters escaped; its figures are changed in place.
 
-        A user's text must neither control a reader of the page nor be a formula to matplotlib,
-        which would refuse "$x^$". The numbers of logarithmic axes are formulas, and stay.
+        Text of a user must not act as control characters, nor as a formula for matplotlib, which
+        refuses "$x^$". The numbers of logarithmic axes remain formulas.
         """
         for figure in self.figures.values():
             without_formulas(figure)
@@ -133,7 +133,7 @@ def _shown_table(table: Table) -> Table:
 
 
 def without_formulas(figure: Figure) -> None:
-    """Turn off matplotlib's formulas in every text of ``figure`` but the numbers of its axes."""
+    """Turn off matplotlib's formulas in every text of ``figure`` except the numbers of its axes."""
     from matplotlib.text import Text
     from matplotlib.ticker import LogFormatter, ScalarFormatter
 
@@ -151,11 +151,11 @@ def without_formulas(figure: Figure) -> None:
 
 
 def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list[tuple[str, str]]:
-    """Return the facts that every report begins with: versions, and the files it was made from."""
+    """Return the facts at the beginning of every report: versions and input files."""
     facts = [("threadline", __version__), ("Python", platform.python_version())]
     if job is not None:
         facts.append(("job", job.name))
-        if job.sha256:  # a list that a search has made is no file yet
+        if job.sha256:  # a job made by a search has no file
             facts.append(("job sha256", job.sha256))
     if machine is not None:
         facts += [
@@ -166,9 +166,9 @@ def origin_facts(machine: Machine | None = None, job: Job | None = None) -> list
 
 
 def run_facts(recording: Recording) -> list[tuple[str, str]]:
-    """Return the facts of a run of the machine; none of a recording that was simulated for a proof.
+    """Return the facts of a run of the real machine; none for a simulated recording.
 
-    ``override`` is the reason why it was run although its proof did not pass.
+    ``override`` is the reason why the job was run although its proof did not pass.
     """
     origin = recording.origin
     return [(name, origin[name]) for name in ("link", "label", "override") if name in origin]
@@ -182,8 +182,8 @@ def options_facts(
     Parameters
     ----------
     options
-        Options of the plan. The machine is left out if it was given by its name, which
-        ``origin_facts`` has.
+        Options of the plan. A machine that was given by its name is left out, because it is in
+        ``origin_facts``.
     machine
         The machine of the plan.
     leave_out
@@ -208,7 +208,7 @@ def svg_text(figure: Figure, area: Bbox | None = None) -> str:
     Parameters
     ----------
     area
-        Which part of the plane is drawn, inches; None is the figure itself.
+        Rectangle to draw, inches; None for the figure itself.
     """
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None}, bbox_inches=area)
@@ -216,14 +216,14 @@ def svg_text(figure: Figure, area: Bbox | None = None) -> str:
 
 
 def without_head(svg: str, strip_in: float) -> str:
-    """Return the SVG of a figure without the lines above it, which are cut off and taken out.
+    """Return the SVG of a ``headed`` figure without the lines above it.
 
-    It takes some milliseconds; to draw the figure once more takes a fifth of a second.
+    This takes a few milliseconds; drawing the figure once more takes 0.2 s.
 
     Parameters
     ----------
     svg
-        As ``svg_text`` writes a ``headed`` figure.
+        Result of ``svg_text`` for a ``headed`` figure.
     strip_in
         Height of the lines, inches.
     """

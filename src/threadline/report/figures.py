@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 DEGREES = 180.0 / np.pi
 
 PROFILE_IN = (7.2, 4.6)
-"""Size of the profile of an axis, inches: two of them stand on a page of paper."""
+"""Size of the profile of an axis, inches: two of them fit a page."""
 _BELOW = 0.04  # share of the height of a panel that is below 0
-_BAR_IN = 0.19  # inches of a bar with its label, which must not touch the next
+_BAR_IN = 0.19  # height of a bar with its label, inches
 
 
 def display(proof: Proof, axis: str) -> tuple[float, str]:
@@ -32,7 +32,7 @@ def display(proof: Proof, axis: str) -> tuple[float, str]:
 
 
 def all_figures(proof: Proof, traces: Traces) -> dict[str, Figure]:
-    """Return all figures of a proof by file name; which there are depends on the axes that move."""
+    """Return all figures of a proof by file name; they depend on the axes that move."""
     axes = [axis for axis in proof.plan.motion.trajectory.axes if axis in traces.drawn_axes]
     linear = [a for a in axes if proof.plan.machine.axes[a].kind == "linear" and moves(traces, a)]
     rotary = [a for a in axes if proof.plan.machine.axes[a].kind == "rotary" and moves(traces, a)]
@@ -60,8 +60,8 @@ def moves(traces: Traces, axis: str) -> bool:
 def path_figure(proof: Proof, traces: Traces, first: str, second: str) -> Figure:
     """Draw two axes against each other: programmed points, planned and actual path.
 
-    Two linear axes get a second panel, to scale, around the largest contour error: over-travel of
-    half a millimetre cannot be seen in a picture of half a metre.
+    Two linear axes get a second panel, to scale, around the largest contour error, because an
+    over-travel of half a millimetre is invisible in a figure of half a metre.
     """
     from matplotlib.figure import Figure
 
@@ -95,7 +95,7 @@ def _draw_path(
     """Draw the path of two axes: programmed points, planned and actual path.
 
     A thinned trace is drawn as points, because the path between its samples is not straight. With
-    ``near`` only the parts in which no sample was left out are drawn, as lines.
+    ``near``, only the parts with all samples are drawn, as lines.
     """
     first, second = pair
     columns = [proof.plan.motion.programmed.axes.index(axis) for axis in pair]
@@ -128,7 +128,8 @@ def _place_at(
 ) -> tuple[float, float]:
     """Return the position of two axes at an instant, in the units of the figure.
 
-    Between samples it is interpolated linearly, as the judge does: a worst place may lie there.
+    It is interpolated linearly between samples, as for the verdict, because a worst place may lie
+    there.
     """
     x, y = (
         float(np.interp(time_s, traces.time_s, traces.actual[axis])) * display(proof, axis)[0]
@@ -181,9 +182,9 @@ def profile_figure(proof: Proof, traces: Traces, axis: str) -> Figure:
 
 
 def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArray | None) -> None:
-    """Draw planned and, if known, actual values over time; of a long job bands of their extremes.
+    """Draw planned and, if known, actual values over time; for a long job bands of their extremes.
 
-    A line through the samples that were kept of a long job would hide those left out.
+    A line through the kept samples of a long job would hide the others.
     """
     if traces.stride == 1:
         panel.plot(traces.time_s, planned, label="planned", **PLANNED)
@@ -202,13 +203,13 @@ def _profile(panel: Axes, traces: Traces, planned: FloatArray, actual: FloatArra
 
 
 def _near(planned: FloatArray, actual: FloatArray | None, bound: float) -> bool:
-    """Return whether a limit is near enough to be drawn without flattening the curves."""
+    """Return whether a limit is so near the curves that drawing it does not flatten them."""
     peak = max(float(np.abs(one).max()) for one in (planned, actual) if one is not None)
     return bool(np.isfinite(bound)) and 0.35 * bound < peak
 
 
 def error_figure(proof: Proof, traces: Traces) -> Figure:
-    """Draw contour and tracking error along the job, and each measured error by its limit."""
+    """Draw contour and tracking error along the job, and each measured error with its limit."""
     from matplotlib.figure import Figure
 
     height = max(2.0, _BAR_IN * len(_limited(proof)))
@@ -238,7 +239,7 @@ def error_figure(proof: Proof, traces: Traces) -> Figure:
 
 
 def criteria_figure(proof: Proof) -> Figure:
-    """Draw the bars of the criteria alone, for a machine whose load is unknown."""
+    """Draw only the bars of the criteria, for a machine whose load is unknown."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, max(2.0, _BAR_IN * len(_limited(proof)))))
@@ -261,7 +262,7 @@ def _contour_along(proof: Proof, traces: Traces, panel: Axes) -> None:
         panel.text(0.5, 0.5, "not measured", transform=panel.transAxes, ha="center")
     panel.margins(y=0.15)
     top = panel.get_ylim()[1]
-    panel.set_ylim(-_BELOW * top, top)  # a tool on the path draws a line at 0, above the frame
+    panel.set_ylim(-_BELOW * top, top)  # an error of 0 is drawn above the frame
     panel.set_xlabel("time [s]")
     panel.set_ylabel("contour error [mm]")
     panel.set_title("Contour error along the job, at the tool (lag along the path does not count)")
@@ -276,14 +277,14 @@ def _worst_label(worst: Result, note: str) -> str:
 
 
 def _legend_beside(panel: Axes) -> None:
-    """Put the legend below the panel's time axis, where it covers no curve; none for no curves."""
+    """Put the legend below the panel's time axis, where it covers no curve; none without curves."""
     if not panel.get_legend_handles_labels()[0]:
         return
     panel.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=4, borderaxespad=0.0)
 
 
 def _limited(proof: Proof) -> list[Result]:
-    """Return the results that have a bar: measured against a limit above 0, of axes that move."""
+    """Return the results drawn as bars: those of moving axes with a limit above 0."""
     told = of_moving_axes(proof.verdict.results)
     return [r for r in told if r.limit and r.measured is not None]
 
@@ -298,7 +299,7 @@ def _bars(proof: Proof, panel: Axes) -> None:
     drawn = panel.barh(names, shown, color=colours, edgecolor="black", linewidth=0.6)
     for bar, hatch, percent, result in zip(drawn, hatches, used, limited, strict=True):
         bar.set_hatch(hatch)
-        # What a plan asks for between samples may pass a limit that it keeps at each of them.
+        # Between samples a plan may exceed a limit that it keeps at each sample.
         told = min(percent, 100.0) if result.status is Status.PASSED else percent
         panel.text(
             max(bar.get_width() + 2, 102.0 if 88.0 < percent < 100.0 else 0.0),

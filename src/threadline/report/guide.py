@@ -1,7 +1,7 @@
-"""The part of a guide that cylinders and their PLC have.
+"""The guide to a machine: tables of axes and signals, and steps of calibration.
 
-Everything follows from the machine file. A step says what to do and what must be seen; a number
-that must be seen is computed from the file, and says of what.
+Everything follows from the machine file. Each step gives an action and the expected observation;
+the expected numbers are computed from the machine file.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from threadline.report.style import figure_style
 
 
 def cylinder_rows(machine: Machine) -> Iterator[tuple[str, ...]]:
-    """Return a row of the table of axes for each cylinder."""
+    """Yield a row of the table of axes for each cylinder."""
     for name, cylinder in machine.cylinders.items():
         yield (
             f"{name}, cylinder",
@@ -34,7 +34,7 @@ def cylinder_rows(machine: Machine) -> Iterator[tuple[str, ...]]:
 
 
 def cylinder_signals(machine: Machine) -> Iterator[tuple[str, ...]]:
-    """Return a row of the table of signals for each output and input of the PLC."""
+    """Yield a row of the table of signals for each output and input of the PLC."""
     for name, output in machine.outputs.items():
         needs = f"needs {', '.join(output.needs)}" if output.needs else ""
         yield name, f"PLC {output.address}", f"{output.kind} valve", needs
@@ -47,7 +47,7 @@ def cylinder_signals(machine: Machine) -> Iterator[tuple[str, ...]]:
 
 
 def cylinder_steps(machine: Machine) -> Iterator[tuple[str, str]]:
-    """Return the steps of calibration of the cylinders, by hand and with air."""
+    """Yield the steps of calibration of the cylinders, by hand and with air."""
     for name, contact in machine.contacts.items():
         if contact.cylinder is None or contact.at is None:
             yield f"Work the input {name} ({contact.kind}).", f"{contact.address} follows it."
@@ -76,15 +76,15 @@ def cylinder_steps(machine: Machine) -> Iterator[tuple[str, str]]:
 def full_stroke_s(machine: Machine, name: str) -> float:
     """Return the time of a full stroke from the switching of the valve, s.
 
-    The flow begins after the delay and comes to its speed with a lag of first order, which costs
-    one time constant; cushion and air are left out.
+    The flow begins after the delay and rises with a first-order lag, which adds one time constant.
+    Cushion and air are neglected.
     """
     cylinder = machine.cylinders[name]
     return cylinder.delay.si + cylinder.lag.si + cylinder.stroke.si / cylinder.speed.si
 
 
 def shaft_rows(machine: Machine) -> Iterator[tuple[str, ...]]:
-    """Return the rows of the table of signals that tell of the shaft; none without one."""
+    """Yield the rows of the table of signals for the shaft; none without a shaft."""
     shaft, tables = machine.shaft, machine.tables
     if shaft is None or tables is None:
         return
@@ -97,7 +97,7 @@ def shaft_rows(machine: Machine) -> Iterator[tuple[str, ...]]:
 
 
 def shaft_steps(machine: Machine) -> Iterator[tuple[str, str]]:
-    """Return the steps of calibration of the shaft, turned by hand; none without one."""
+    """Yield the steps of calibration of the shaft, turned by hand; none without a shaft."""
     shaft, tables = machine.shaft, machine.tables
     if shaft is None or tables is None:
         return
@@ -122,7 +122,7 @@ _WAY = {"m": "100 mm", "rad": "360 deg"}
 
 
 class Step(NamedTuple):
-    """A step of calibration: what to do, and what must be seen."""
+    """A step of calibration: an action, and the expected observation."""
 
     do: str
     see: str
@@ -135,7 +135,7 @@ def guide_of(machine: Machine) -> Document:
             title="Axes",
             header=("axis", "moved by", "way", "speed", "acceleration", "scale"),
             rows=[*_axis_rows(machine), *cylinder_rows(machine)],
-            note="As the machine file has them; the word in brackets says how a number is known.",
+            note="From the machine file; the word in brackets is the source of a number.",
             words=("moved by", "way"),
         ),
         Table(
@@ -169,7 +169,7 @@ def guide_of(machine: Machine) -> Document:
             title="Calibration, step by step",
             header=("step", "do", "see"),
             rows=[(str(k), step[0], step[1]) for k, step in enumerate(steps, start=1)],
-            note="Where the last column is not what is seen, do not go on.",
+            note="If you do not see what the last column says, do not go on.",
             words=("do", "see"),
         )
     )
@@ -321,7 +321,7 @@ def _direction(name: str) -> Step:
 
 
 def _amplifier_steps(machine: Machine, name: str, motor: DcMotor) -> list[Step]:
-    """Return how the gain of an amplifier is trimmed: by a part of its range, as the thesis did."""
+    """Return the steps that trim the gain of an amplifier at a part of its range."""
     axis, controller = machine.axes[name], machine.controller_of(name)
     volts = _SHARE * controller.dac.range.si
     level = volts / controller.dac.volt_per_level
@@ -357,10 +357,10 @@ def _amplifier_steps(machine: Machine, name: str, motor: DcMotor) -> list[Step]:
 
 
 def speed_at(machine: Machine, name: str, volts: float) -> float | None:
-    """Return the speed of an axis without load at a voltage of its command, m/s or rad/s.
+    """Return the speed of an axis without load at a command voltage, m/s or rad/s.
 
-    It is where the back EMF is the amplifier's voltage. None where the motor drives several bodies,
-    or the amplifier gives a current.
+    At this speed the back EMF equals the amplifier's voltage. None if the motor drives several
+    bodies, or the amplifier controls the current.
     """
     motor, controller = machine.drive_of(name), machine.controller_of(name)
     reads = machine.sensors[controller.sensor].reads

@@ -30,7 +30,7 @@ _MARKS = ("o", "s", "^", "D", "v", "x")
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A law and the duration of the move for which its residual is drawn."""
+    """A law and the duration of the move, for the figure of its residual."""
 
     law: Law
     window_s: float
@@ -53,9 +53,10 @@ def write_laws(
     Parameters
     ----------
     curves
-        Laws whose residual after a move of ``move_m`` is drawn over the frequency of ``mode``.
+        Laws and durations; their residual after a move of ``move_m`` is drawn over the frequency of
+        ``mode``.
     residual_m, band
-        Residual and half width of the band that a law was made for; None if none was made.
+        Residual and half width of the band for which a law was made; None if none was made.
 
     Raises
     ------
@@ -119,7 +120,7 @@ def _laws(laws: Sequence[Law]) -> Figure:
     t = np.linspace(0.0, 1.0, _POINTS)
     for derivative, (row, name) in enumerate(zip(rows, _NAMES, strict=True)):
         for index, each in enumerate(laws):
-            # Marks of the curves stand at different places.
+            # The markers of different curves are at different places.
             every = (30 + 23 * index, 150)
             row.plot(t, each(t, derivative), label=each.name, markevery=every, **_style(index))
         row.set_ylabel(name)
@@ -240,7 +241,7 @@ def rows_figure(study: CamStudy) -> Figure:
 
 
 def _between(study: CamStudy, at_rows_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (m,) angles and the faired distances there, the law between its rows."""
+    """Return (m,) angles between the rows and the faired distances at them."""
     cam, rise = study.cam, study.rise
     span = rise.end_rad - rise.start_rad
     dense = np.union1d(np.linspace(cam.alpha_rad[0], cam.alpha_rad[-1], _POINTS), cam.alpha_rad)
@@ -251,7 +252,7 @@ def _between(study: CamStudy, at_rows_m: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def law_figure(study: CamStudy) -> Figure:
-    """Draw the law of the chosen fairing, and that of the rows as they were measured."""
+    """Draw the law of the chosen fairing, and the law of the rows as measured."""
     from matplotlib.figure import Figure
     from scipy.interpolate import CubicSpline
 
@@ -274,7 +275,7 @@ def law_figure(study: CamStudy) -> Figure:
         panel.plot(t, study.law(t, derivative), label=f"faired: {study.chosen}", **ACTUAL)
         peak = float(np.abs(study.law(t, derivative)).max())
         if derivative:
-            # The unfaired curve may be many times as high: it is cut off at the picture's edge.
+            # The unfaired curve may be many times as high; it is cut off at the edge.
             panel.set_ylim((-0.3 if derivative == 1 else -1.6) * peak, 1.6 * peak)
             panel.set_title(_peak_words(chosen, derivative), fontsize=8.0)
         panel.set_ylabel(name)

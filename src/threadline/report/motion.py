@@ -1,4 +1,4 @@
-"""What the 1994 controller showed before winding: ticks per circuit, circuits, data points."""
+"""The report of a proof with axes: facts, lines below the verdict, circuits, captions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.motion.timing.optimal.binding import BINDS
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts
+from threadline.proof.recorded import warnings_of
 from threadline.report.document import (
     Document,
     Table,
@@ -43,23 +43,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircuitCounts:
-    """The figures of a compiled job.
+    """Length of a compiled job, as shown by the 1994 controller before winding.
 
     Parameters
     ----------
     ticks
-        Of the whole job.
+        Number of ticks of the whole job.
     circuits
-        Passes of the outermost subroutine calls; 1 for a program without a subroutine.
+        Number of passes of the outermost subroutine calls; 1 without a subroutine.
     shortest_ticks, longest_ticks
-        Of a circuit.
+        Number of ticks of the shortest and the longest circuit.
     data_points
-        Samples that a recording every ``record_every`` ticks has, the first at tick 0.
+        Number of samples in a recording every ``record_every`` ticks, the first at tick 0.
     record_every
         Ticks from one data point to the next; None for a machine without operator's settings,
-        every tick of which is recorded.
+        where every tick is recorded.
     period_s
-        Of a tick.
+        Duration of a tick, s.
     """
 
     ticks: int
@@ -71,7 +71,7 @@ class CircuitCounts:
     period_s: Fraction
 
     def lines(self) -> list[str]:
-        """Return the figures as lines of text."""
+        """Return the numbers as lines of text."""
         each = f"{self.longest_ticks}"
         if self.shortest_ticks != self.longest_ticks:
             each = f"{self.shortest_ticks} to {self.longest_ticks}"
@@ -98,8 +98,8 @@ class CircuitCounts:
 def count_circuits(plan: Plan) -> CircuitCounts:
     """Return ticks per circuit, circuits and data points of a plan; reads its tick table once.
 
-    A circuit is one pass of an outermost subroutine call. Ticks of operations outside any call
-    (an approach, a return) count for the whole job alone.
+    A circuit is one pass of an outermost subroutine call. Ticks of operations outside any call,
+    such as an approach or a return, count only for the whole job.
 
     Raises
     ------
@@ -139,7 +139,7 @@ class _Lengths:
     ticks: int = 0
 
     def add(self, circuit: int, ticks: int) -> None:
-        """Add ticks of a circuit; 0 is outside any."""
+        """Add ticks of a circuit; circuit 0 stands for operations outside any circuit."""
         if circuit == self.circuit:
             self.ticks += ticks
             return
@@ -151,7 +151,7 @@ class _Lengths:
 
 
 def _by_circuit(table: TickTable, job: Job) -> Iterator[tuple[int, int]]:
-    """Yield the number of the circuit, from 1, 0 outside any, and the ticks of each operation."""
+    """Yield the circuit, from 1 or 0 for none, and the number of ticks of each operation."""
     operations = enumerate(job)
     index, circuit = -1, 0
     source: Source | None = None
@@ -195,7 +195,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
             subtitle=f"{plan.machine.title}; interpolation {plan.planned_with}, "
             f"feed {plan.options.get('feed', 'programmed')}",
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=grouped(doubts(proof)),
+            warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 *changes(proof.verdict),
@@ -244,7 +244,7 @@ def _points_line(added: float) -> str:
 
 
 def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
-    """Yield a line per moving axis: current and voltage of feed-forward, and the limits' share."""
+    """Yield a line per moving axis: current and voltage of feed-forward, and the used share."""
     for demand in demands:
         if demand.share == 0.0:
             continue
@@ -261,14 +261,14 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
 
 
 def asked_lines(proof: Proof) -> list[str]:
-    """Return a line with the specification, for a machine of which only limits are known."""
+    """Return a line with the specification, for a machine file that has only limits."""
     if not proof.plan.machine.without_dynamics:
         return []
     return [f"Asked:                {proof.spec.name}"]
 
 
 def feed_lines(plan: Plan) -> list[str]:
-    """Return the lines on the rule by which F was read, and on the time that F alone gives."""
+    """Return the lines on the meaning of F, and on the duration that follows from F alone."""
     nominal_s = plan.nominal_s
     if nominal_s is None:
         return []
@@ -281,7 +281,7 @@ def feed_lines(plan: Plan) -> list[str]:
 
 
 def motion_lines(plan: Plan) -> list[str]:
-    """Return a line with the duration of the motion where the table of commands is longer."""
+    """Return a line with the duration of the motion, if the table of commands is longer."""
     if plan.motion.of_loads is None:
         return []
     begin_s, end_s = plan.motion.moving_s
@@ -314,13 +314,13 @@ def shared_facts(proof: Proof, leave_out: Sequence[str] = ()) -> list[tuple[str,
 
 
 def summary_facts(proof: Proof) -> list[tuple[str, str]]:
-    """Return the planner's facts on its path."""
+    """Return the planner's facts about its path."""
     summary = proof.plan.motion.path.summary
     return [(key, f"{without_noise(value):g}") for key, value in summary.items()]
 
 
 def thinned_words(stride: int) -> str:
-    """Return the sentence for the caption of a trace thinned by ``stride``; empty if it is 1."""
+    """Return a sentence for the caption of a trace thinned by ``stride``; empty for 1."""
     return (
         f" Of every {stride} samples those at an extreme of position, velocity, acceleration "
         "(planned or actual) or tracking error are drawn, profiles as the band between them; about "
@@ -329,7 +329,7 @@ def thinned_words(stride: int) -> str:
 
 
 def _caption(name: str, *, known: bool) -> str:
-    """Return the samples of a figure; ``known`` are the positions of the driven masses."""
+    """Return the caption of a figure; ``known`` says whether the load positions are known."""
     if name == "seam":
         return (
             "Each mark is a needle-down, its shape and size by how much of its limits the stitch "

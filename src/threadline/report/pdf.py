@@ -1,7 +1,7 @@
-"""Figures on the pages of a PDF, each as one object that is drawn there.
+"""Writes a document as a PDF; each figure is one object on its page.
 
-To merge pages, pypdf takes their contents apart, number by number: 50 s of processor for the motion
-of the smallest example. Nothing has to be known of what a figure consists of.
+pypdf merges pages by parsing their contents, which takes 50 s for the smallest example. A figure
+as one object needs no parsing.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def figure_page(figure: Figure) -> bytes:
 
 
 def draw_figure(writer: PdfWriter, place: Place, figure: bytes) -> None:
-    """Draw the page that ``figure_page`` made at its place, over what stands there."""
+    """Draw the page made by ``figure_page`` at its place, over the contents of the page."""
     page = writer.pages[place.page]
     objects = _member(cast(DictionaryObject, page["/Resources"].get_object()), "/XObject")
     name = f"/Figure{len(objects)}"
@@ -79,7 +79,7 @@ def draw_figure(writer: PdfWriter, place: Place, figure: bytes) -> None:
     cm = f"{place.scale:.6f} 0 0 {place.scale:.6f} {place.x_pt:.4f} {place.y_pt:.4f} cm"
     found = page.raw_get("/Contents")
     before = list(found) if isinstance(found, ArrayObject) else [found]
-    # What stands there is kept apart, or its last colour and place would be those of the figure.
+    # q and Q keep colour and position of the page's contents from changing the figure's.
     page[NameObject("/Contents")] = ArrayObject(
         [_stream(writer, "q"), *before, _stream(writer, f"Q q {cm} {name} Do Q")]
     )
@@ -114,16 +114,16 @@ def _stream(writer: PdfWriter, text: str) -> PdfObject:
 WIDTH_PT, HEIGHT_PT = 595.2756, 841.8898
 """Size of an upright A4 page, points: 210 by 297 mm."""
 _SIDE_PT, _TOP_PT, _BOTTOM_PT = 37.0, 48.0, 46.0
-_ROOM_PT = WIDTH_PT - 2 * _SIDE_PT  # 7.24 inches: a figure of 7.2 stands as it is
-_TALL_PT = HEIGHT_PT - _TOP_PT - _BOTTOM_PT - 12.0  # room of a page below its verdict
+_ROOM_PT = WIDTH_PT - 2 * _SIDE_PT  # 7.24 inches: a figure of 7.2 keeps its size
+_TALL_PT = HEIGHT_PT - _TOP_PT - _BOTTOM_PT - 12.0  # height of a page below its verdict
 _GAP_PT = 10.0  # below a caption
-_LEAST_SHARE = 0.85  # of its size, to which a figure is made smaller for half a page
+_LEAST_SHARE = 0.85  # smallest scale of a figure that is shrunk to half a page
 _HEAD_PT = 8.0
-_HEAD_LINES = 2  # of the verdict above a page; the first page has all of it
+_HEAD_LINES = 2  # lines of the verdict above a page; the first page has all
 
 
 class _Picture(Flowable):
-    """Empty room for a figure that records its place, where the figure is drawn later."""
+    """Empty space for a figure; it records its place, and the figure is drawn later."""
 
     def __init__(
         self, name: str, size_pt: tuple[float, float], scale: float, places: list[Place]
@@ -149,7 +149,7 @@ def write_pdf(document: Document, file: Path) -> None:
         If the file cannot be written.
     """
     figures = {name: figure_page(figure) for name, figure in document.figures.items()}
-    # The number of all pages, which stands on each, is known after a first pass.
+    # Each page shows the number of pages, which is known after a first pass.
     text, _ = _text_pages(document, 0)
     text, places = _text_pages(document, len(PdfReader(io.BytesIO(text)).pages))
     writer = PdfWriter(clone_from=io.BytesIO(text))
@@ -160,7 +160,7 @@ def write_pdf(document: Document, file: Path) -> None:
 
 
 def _text_pages(document: Document, pages: int) -> tuple[bytes, list[Place]]:
-    """Return a PDF without figures, ``pages`` being the number it prints, and figures' places."""
+    """Return a PDF without figures that shows ``pages`` as their number, and figures' places."""
     places: list[Place] = []
     buffer = io.BytesIO()
     made = BaseDocTemplate(
@@ -231,7 +231,7 @@ def _story(document: Document, places: list[Place]) -> list[Flowable]:
 
 
 def _verdict_box(text: str, *, good: bool) -> Flowable:
-    """Return a verdict in a frame, which is dashed unless ``good``."""
+    """Return a verdict in a frame; the frame is dashed unless ``good``."""
     words = text_style(10.0, bold=True)
     wide_pt = min(width_pt(text, BOLD, 10.0) + 18.0, _ROOM_PT)
     look: list[tuple[str, tuple[int, int], tuple[int, int], *tuple[Any, ...]]] = [
@@ -261,6 +261,6 @@ def _with_caption(
     scale = min(1.0, _ROOM_PT / wide_pt, (_TALL_PT - taken_pt - 2.0 * _GAP_PT) / tall_pt)
     halved = (_TALL_PT / 2.0 - taken_pt - _GAP_PT - 1.0) / tall_pt
     if _LEAST_SHARE * scale <= halved < scale:
-        scale = halved  # two of them stand on a page, which would be half empty
+        scale = halved  # two figures fit one page
     picture = _Picture(name, (scale * wide_pt, scale * tall_pt), scale, places)
     return KeepTogether([*above, picture, caption, Spacer(1.0, _GAP_PT)])

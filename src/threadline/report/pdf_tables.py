@@ -1,4 +1,4 @@
-"""Fonts and paragraph styles of the PDF; the fonts are those of the figures."""
+"""Fonts, paragraph styles and tables of the PDF; the fonts are the same as in the figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from reportlab.platypus import CondPageBreak, Flowable, LongTable, Paragraph
 from threadline.report.document import Table, failing
 
 FONT, BOLD = "DejaVuSans", "DejaVuSans-Bold"
-"""The fonts that matplotlib includes and draws figures with."""
+"""Folder of the fonts of matplotlib, which it uses in figures."""
 
 
 @cache
@@ -40,7 +40,7 @@ def width_pt(text: str, font: str, size_pt: float) -> float:
 def text_style(
     size_pt: float, *, bold: bool = False, right: bool = False, space_before_pt: float = 0.0
 ) -> ParagraphStyle:
-    """Return the paragraph style of a size in points, bold or not, aligned left or right."""
+    """Return a paragraph style with a font size in points, bold or not, aligned left or right."""
     _load_fonts()
     return ParagraphStyle(
         f"{size_pt}{bold}{right}{space_before_pt}",
@@ -54,14 +54,14 @@ def text_style(
 
 @cache
 def heading_style() -> ParagraphStyle:
-    """Return the paragraph style of the heading of a part."""
+    """Return the paragraph style of a section heading."""
     return ParagraphStyle(
         "heading", parent=text_style(11.0, bold=True), spaceBefore=12.0, spaceAfter=4.0
     )
 
 
 def shortened(text: str, font: str, size_pt: float, room_pt: float) -> str:
-    """Return ``text``, with its middle left out where it is wider than ``room_pt``.
+    """Return ``text``, without its middle if it is wider than ``room_pt``.
 
     >>> shortened("a-very-long-name-of-a-job.prg on winder", FONT, 8.0, 100.0)
     'a-very-long… on winder'
@@ -81,12 +81,12 @@ def shortened(text: str, font: str, size_pt: float, room_pt: float) -> str:
 _SIZES_PT = (8.0, 7.5, 7.0, 6.5)
 _PADDING_PT = 5.0  # of a cell, left and right together
 _NOTE_PT = 120.0  # a narrower column breaks a note too often
-_SHORT_TEXT_PT = 105.0  # a column no wider than this is not broken if it can be helped
-_LEFT_PT = 6.0  # before words, so that they stand apart from the figures on their left
-_WITH_HEADING = 5  # rows that are worth beginning a table at the foot of a page
-_ANY_PT = 1e6  # a height that leaves room for everything
-_MOST_PT = 600.0  # that may be asked of a page: every page has it
-_SHORT_PT = 260.0  # a table no higher than this, a third of a page, is not torn apart
+_SHORT_TEXT_PT = 105.0  # a narrower column is not broken if possible
+_LEFT_PT = 6.0  # space between text and the numbers on its left
+_WITH_HEADING = 5  # smallest number of rows to begin a table at the foot of a page
+_ANY_PT = 1e6  # an unlimited height
+_MOST_PT = 600.0  # height that every page has
+_SHORT_PT = 260.0  # a table up to this height, a third of a page, is not split
 
 
 def table_parts(table: Table, room_pt: float) -> Iterator[Flowable]:
@@ -121,10 +121,10 @@ def table_parts(table: Table, room_pt: float) -> Iterator[Flowable]:
 def columns_of(
     table: Table, room_pt: float
 ) -> list[tuple[tuple[int, ...], float, tuple[float, ...]]]:
-    """Return, per table that is drawn, its columns, its font size and their widths, in points.
+    """Return, for each table to draw, its columns, its font size and their widths, points.
 
-    The font size is the largest with every short text in one line, or else with no word broken.
-    Where no size does, the table is cut into several that each begin with the first column.
+    The font size is the largest that keeps every short text in one line, or else every word whole.
+    If no size does, the table is split into several that all begin with the first column.
     """
     every = tuple(range(len(table.header)))
     for short_pt, size_pt in product((_SHORT_TEXT_PT, 0.0), _SIZES_PT):
@@ -153,10 +153,10 @@ def columns_of(
 def shared_widths(
     natural: Sequence[float], least: Sequence[float], room: float
 ) -> tuple[float, ...]:
-    """Return a width for each column, all of them together as wide as ``room``.
+    """Return a width for each column; the sum of all is ``room``.
 
-    Room beyond the ``natural`` widths is shared evenly. If there is too little room, the widest
-    columns are cut to one common width, but none below its ``least`` width.
+    Excess room is shared evenly. If there is too little room, the widest columns are reduced to
+    one common width, but none below its ``least`` width.
 
     >>> shared_widths([10.0, 30.0, 90.0], [10.0, 20.0, 20.0], 100.0)
     (10.0, 30.0, 60.0)

@@ -31,7 +31,7 @@ class KindReport:
     about
         Returns the lines of text below the verdict.
     compare
-        Writes the report of a comparison, with the tables that were printed, into a folder.
+        Writes the report of a comparison, with the printed tables, into a folder.
     """
 
     write: Callable[[Studied, Path], Path]
@@ -54,7 +54,7 @@ REPORTS: Mapping[type, KindReport] = {
 def write_report(studied: Studied, folder: Path) -> Path:
     """Write the report of a proof into ``folder``; return the path of the HTML page.
 
-    ``threadline.search.studied`` says what stands beside the proof.
+    ``threadline.search.studied`` describes the content of ``studied``.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def about(proof: Proof) -> list[str]:
 
 
 def write_comparison(found: Comparison, folder: Path, tables: Sequence[Printed]) -> Path:
-    """Write the report of a comparison; ``tables`` as they were printed: title, header, rows.
+    """Write the report of a comparison with the printed ``tables``: title, header, rows.
 
     Raises
     ------

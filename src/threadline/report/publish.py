@@ -12,14 +12,14 @@ from threadline.report.style import headed, laid_out
 
 _PNG_DPI = 160
 _PNG: dict[str, Any] = {"compress_level": 2}
-"""The usual 6 takes twice as long to write a picture, for 7 % of its size."""
+"""Compression level of PNG files. The usual 6 takes twice as long and saves 7 %."""
 
 
 def write_document(document: Document, folder: Path, stem: str) -> Path:
     """Write the document into ``folder`` and return the path of its HTML page.
 
-    All files appear together once they are complete: a failure leaves neither part of them nor a
-    new folder. The figures of an earlier page of the same name are removed.
+    The files appear together when all are complete; a failure leaves neither files nor a new
+    folder. The figures of an earlier page with the same name are removed.
 
     Raises
     ------
@@ -37,9 +37,9 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
         with staging_folder(folder) as temporary, laid_out(document.figures.values()):
             svgs = {}
             for name, figure in document.figures.items():
-                # A picture that leaves its page takes along what it is of, and how it was judged.
+                # A figure file has lines with job, machine and verdict above the figure.
                 with headed(figure, _head(document)) as area:
-                    # Not by with_suffix, to which the feed in "auto-0.6m-per-s" has one.
+                    # Not with_suffix: it would cut the feed in "auto-0.6m-per-s".
                     alone = f"{temporary / stem}-{name}"
                     svg = svg_text(figure, area)
                     Path(f"{alone}.svg").write_text(svg, encoding="utf-8")
@@ -58,13 +58,13 @@ def write_document(document: Document, folder: Path, stem: str) -> Path:
 
 
 def _head(document: Document) -> list[str]:
-    """Return what stands above a picture that is looked at without its page."""
+    """Return the lines above a figure file: title and verdicts."""
     about = ": ".join(filter(None, (document.title, document.subtitle)))
     return [about, *(text for text, _ in document.verdicts)]
 
 
 def _figure_files(folder: Path, stem: str) -> set[str]:
-    """Return the names of the figure files in ``folder`` that the page there includes."""
+    """Return the names of the figure files in ``folder`` that belong to its page."""
     try:
         page = (folder / f"{stem}.html").read_text(encoding="utf-8")
     except (OSError, ValueError):

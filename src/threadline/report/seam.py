@@ -1,4 +1,4 @@
-"""Every stitch of a proof as a row of a table, for a spreadsheet: ``report-stitches.csv``."""
+"""The seam of a proof: a table with all stitches, ``report-stitches.csv``, and a figure."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def stitch_lines(proof: Proof, recording: Recording) -> Iterator[str]:
     """Yield the lines of the table, the names of its columns first.
 
     The table has a row for each turn of the shaft in which the needle enters. Residual and force
-    are those of ``recording``; "residual of any day" is the planner's largest forecast over the
-    dampings that the modes have on different days. Values that were not recorded are empty.
+    are from ``recording``. "Residual of any day" is the largest residual that the planner forecasts
+    over the different dampings of the modes. Values that were not recorded are empty.
     """
     plan = proof.plan
     stitched, run = plan.stitched, StitchRun(recording, plan)
@@ -74,7 +74,7 @@ def stitch_lines(proof: Proof, recording: Recording) -> Iterator[str]:
 
 
 def _limits(proof: Proof) -> FloatArray:
-    """Return (A,) limits of the residual, m; NaN where there is none."""
+    """Return (A,) limits of the residual, m; NaN for none."""
     found = {
         result.axis: result.limit
         for result in proof.verdict.results
@@ -89,9 +89,9 @@ def _cell(value: float) -> str:
     return "" if isnan(value) else f"{value:.6g}"
 
 
-_LENGTH, _PLACE = 0.05, 5e-4  # limits of the stitcher's thesis, for a specification without
+_LENGTH, _PLACE = 0.05, 5e-4  # the stitcher's thesis; for a specification without
 _MAX_DRAWN = 20_000
-_ABOUT = 20  # stitches before and after the worst, all drawn
+_ABOUT = 20  # stitches before and after the worst that are all drawn
 
 # Per band of stitches: label, upper end of the share of the limit, marker, area, colour, filled.
 _BANDS: tuple[tuple[str, float, str, float, str, bool], ...] = (
@@ -107,17 +107,17 @@ _SHARES = ("stitch_length_error", "contour_error")
 
 
 def seam_run(proof: Proof) -> DrawnRun:
-    """Return the run with the stitch that uses the largest share of its limits."""
+    """Return the run with the stitch that has the largest used share of a limit."""
     worst = [w for w in (worst_result(proof.verdict, name) for name in _SHARES) if w is not None]
     used = max(worst, key=lambda w: abs(w.measured or 0.0) / (w.limit or np.inf), default=None)
     return drawn_run(proof, [] if used is None else [used.name])
 
 
 def seam_figure(proof: Proof, recording: Recording) -> Figure | None:
-    """Draw the points of a run at which the needle went down; None for a job without stitches.
+    """Draw the points at which the needle went down in a run; None for a job without stitches.
 
-    The share that a stitch uses is the larger of two: that of the limit of its length error, unless
-    the stitch is exempt, and that of the limit of its distance from the seam.
+    The used share of a stitch is the larger of two ratios to a limit: its distance from the seam,
+    and its length error unless the stitch is exempt.
     """
     from matplotlib.figure import Figure
 
@@ -177,8 +177,8 @@ def _columns(run: SewnStitches, length_limit: float, place_limit: float) -> Floa
 def _drawn(runs: Iterable[FloatArray]) -> tuple[FloatArray, IntArray]:
     """Return the stitches to draw, (m, 9), and the number of all stitches in each band.
 
-    Of many stitches every second, fourth and so on is drawn, and ``_ABOUT`` stitches on both sides
-    of the worst. A row is the number of the stitch and its row of ``_columns``.
+    If there are many, every second, fourth and so on is drawn, and ``_ABOUT`` stitches on both
+    sides of the worst. A row is the number of the stitch and its row of ``_columns``.
     """
     bounds = np.array([high for _, high, *_ in _BANDS[:-1]])
     counts = np.zeros(len(_BANDS), dtype=np.int64)

@@ -30,8 +30,8 @@ _STILL = 0.02
 def experiment_figure(campaign: Campaign) -> tuple[Figure, str]:
     """Return a figure of the steps of an axis, and its caption.
 
-    Above are motor and load over time, as shares of the step; below, over the size of the step, its
-    largest current and the overshoot of the load.
+    The upper panels show motor and load over time, as shares of the step. The lower panels show the
+    largest current and the overshoot of the load over the size of the step.
     """
     from matplotlib.figure import Figure
 
@@ -87,7 +87,7 @@ def _over_size(axes: Axes, campaign: Campaign, of: Callable[[StepRun], float]) -
 
 
 def experiment_table(campaign: Campaign) -> Table:
-    """Return the table of the steps of an axis; sweep and constant speed stand in its note."""
+    """Return the table of the steps of an axis, with sweep and constant speed in its note."""
     title, header, rows = campaign.table()
     return Table(title=title, header=tuple(header), rows=rows, note=campaign.summary())
 
@@ -97,7 +97,7 @@ _POINTS = 400
 
 
 def draw_yield(found: Yield, title: str) -> Figure:
-    """Return a figure with the cumulative distribution of each criterion that has a limit."""
+    """Return a figure with the cumulative distribution of each criterion with a limit."""
     rows = limited_rows(found)[:_MOST]
     with figure_style():
         figure = Figure(figsize=(7.2, 1.2 + 1.5 * max((len(rows) + 1) // 2, 1)))
@@ -141,7 +141,7 @@ _NAMES = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
 
 
 def draw_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> Figure:
-    """Return a figure: the fastest in spec over stiffness, a line for each mass."""
+    """Return a figure of the fastest setting in spec over the stiffness, a line for each mass."""
     with figure_style():
         figure = Figure(figsize=(5.6, 3.4))
         axes, gaps = figure.add_subplot(), False
@@ -183,7 +183,7 @@ def _drawn(cell: Mismatch, searched: Searched) -> float:
 
 
 def _nothing(cells: Sequence[Mismatch], what: str) -> str:
-    """Return the text for a figure without points: no machine is in spec, and which limit fails."""
+    """Return the text for a figure without points, which names the limit that fails."""
     limits = dict.fromkeys(cell.limited_by.replace("_", " ") for cell in cells)
     failing = " and ".join(limits)
     return f"no {what} is in spec on any of the {len(cells)} machines:\n{failing} fails at all"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _SPAN = (0.4, 1.6)
 _POINTS = 601
-_NAME_WIDE = 0.12  # of the figure: so much the name of a mode takes
+_NAME_WIDE = 0.12  # width of the name of a mode, as a share of the figure
 _READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
 
 
@@ -71,7 +71,7 @@ def _sensitivity(
     low = _SPAN[0] * min(m.frequency_hz for m in modes)
     high = _SPAN[1] * max(m.frequency_hz for m in modes)
     f = np.linspace(low, high, _POINTS)
-    # Every curve has its own dash and marker, to be told apart without colour.
+    # The curves differ in dash and marker, for readers without colour.
     dashes = ("-", (0, (6, 2)), (0, (1, 1.5)), (0, (4, 1, 1, 1)))
     for i, damping in enumerate(dict.fromkeys((*(m.damping_ratio for m in modes), 0.0))):
         curve = {**ACTUAL, "linestyle": dashes[i % len(dashes)], "color": str(0.18 * min(i, 3))}
@@ -79,7 +79,7 @@ def _sensitivity(
         axes.plot(f, residual_vibration(shaper, f, damping), label=label, **curve)
     for tolerance in dict.fromkeys(tolerances):
         axes.axhline(tolerance, label=f"tolerance {tolerance:g}", **LIMIT)
-    # Names of modes that lie close stand one below the other.
+    # The names of close modes are placed one below the other.
     row, before = 0, -high
     for m in sorted(modes, key=lambda one: one.frequency_hz):
         row = row + 1 if m.frequency_hz - before < _NAME_WIDE * (high - low) else 0

@@ -15,7 +15,7 @@ from threadline.base.writing import staged_file, together
 from threadline.commands.plan import Plan
 from threadline.files import Recording
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts, doubts_of_all
+from threadline.proof.recorded import warnings_of, warnings_of_all
 from threadline.report.document import (
     Document,
     Printed,
@@ -47,7 +47,7 @@ _SLOWEST = "all as slow as the slowest stitch alone"
 
 
 def design_figure(proof: Proof, recording: Recording) -> Figure:
-    """Draw the design as a run sewed it; each stitch is shaded by its share of the limit."""
+    """Draw the design as sewn in a run; each stitch is shaded by its used share of the limit."""
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
@@ -98,14 +98,14 @@ def design_figure(proof: Proof, recording: Recording) -> Figure:
 
 
 def _shade(share: float) -> tuple[float, float, float]:
-    """Return a colour from light blue at 0 to black at 1, which is darker in grey print, too."""
+    """Return a colour from light blue at 0 to black at 1, which also gets darker in grey print."""
     light, dark = np.array([0.60, 0.78, 0.92]), np.array([0.0, 0.05, 0.15])
     red, green, blue = (light + share * (dark - light)).tolist()
     return red, green, blue
 
 
 def _use(proof: Proof, run: StitchRun) -> tuple[FloatArray, str]:
-    """Return (s,) share of the limit that each stitch uses, and the name of that limit."""
+    """Return (s,) used shares of the limit, stitch by stitch, and the name of the limit."""
     limits = [
         result.limit
         for axis in proof.plan.axes
@@ -162,7 +162,7 @@ def pace_figure(plan: Plan) -> Figure:
 
 
 def speeds_figure(plans: Sequence[Plan]) -> Figure:
-    """Draw the speed along the design, plan by plan."""
+    """Draw the speed along the design for each plan."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.2, 3.6))
@@ -189,10 +189,10 @@ _CAPTIONS = {
 }
 _DRAWN = ("stitch_residual",)
 STITCHES = "report-stitches.csv"
-"""File beside the page with a row for each stitch."""
+"""File in the folder of the page, with a row for each stitch."""
 _WORST = 10
 _LEFT_OUT = ("feed-mode", "limits", "interpolation")
-"""Options without a meaning for a frame that moves from stitch to stitch by a law."""
+"""Options without effect on a frame that moves from stitch to stitch by a motion law."""
 
 
 def write_stitched(studied: Studied, folder: Path) -> Path:
@@ -216,7 +216,7 @@ def write_stitched(studied: Studied, folder: Path) -> Path:
             title=f"{plan.job.name} on {plan.machine.name}",
             subtitle=f"{plan.machine.title}; {plan.planned_with}",
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=grouped(doubts(proof)),
+            warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 *changes(proof.verdict),
@@ -251,7 +251,7 @@ def write_stitched_comparison(found: Comparison, folder: Path, tables: Sequence[
             title=f"{first.job.name} on {first.machine.name}: comparison",
             subtitle=first.machine.title,
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
-            warnings=grouped(doubts_of_all(found.proofs)),
+            warnings=grouped(warnings_of_all(found.proofs)),
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
             captions=captions,
@@ -302,7 +302,7 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
 
 
 def _speed_words(plan: Plan) -> str:
-    """Return the text on how the speed of the shaft was chosen."""
+    """Return the text about the choice of the shaft speed."""
     if plan.stitched.given:
         return "one for the whole design, as was given"
     if plan.stitched.constant:

@@ -17,11 +17,11 @@ from threadline.report.traces import envelope
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_STRIP = 0.38  # inches
+_STRIP = 0.38  # height of a strip, inches
 
 
 def binding_of(plan: Plan) -> Binding | None:
-    """Return the limits that bind the motion of a plan over time; None if it is not the fastest."""
+    """Return the limits that bind a plan over time; None unless it is the fastest motion."""
     motion = plan.motion
     if motion.path.timing is not Timing.FASTEST:
         return None
@@ -43,9 +43,9 @@ def binding_lines(found: Binding) -> list[str]:
 
 
 def strips_figure(plan: Plan, found: Binding) -> Figure:
-    """Draw the speed of the tool, and under it a strip for each kind of limit.
+    """Draw the speed of the tool, and below it a strip for each kind of limit.
 
-    A strip is as high as the share of the limit that is used, and black where it binds.
+    The height of a strip is the used share of the limit; it is black where the limit binds.
     """
     from matplotlib.figure import Figure
 
@@ -60,7 +60,7 @@ def strips_figure(plan: Plan, found: Binding) -> Figure:
     rows[0].set_ylabel("tool speed [mm/s]")
     rows[0].set_title("Speed along the path, and the limits that it uses")
     for panel, kind in zip(rows[1:], kinds, strict=True):
-        # Its instants are ten thousand and more; eight hundred stretches are what paper can show.
+        # Paper can show eight hundred stretches of the ten thousand instants or more.
         time_s, _, share = envelope(found.time_s, np.minimum(found.shares[kind], 1.05))
         binding_share = np.where(share >= BINDS, share, 0.0)
         for height, color in ((share, "0.78"), (binding_share, "black")):

@@ -1,4 +1,4 @@
-"""The look of every figure, readable in print, without colour and by the colour-blind."""
+"""Style of every figure: readable in print, without colour and by the colour-blind."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.transforms import Bbox
 
-# Okabe and Ito's palette, ordered so that neighbours differ in grey value too; every line also
-# differs in dash, so that nothing depends on colour.
+# Okabe and Ito's palette, in an order in which neighbours differ in grey value too. Every line also
+# differs in dash, so that no information depends on colour.
 PLANNED: dict[str, Any] = {"color": "0.45", "linestyle": (0, (6, 2)), "linewidth": 1.6}
 ACTUAL: dict[str, Any] = {"color": "#0072B2", "linestyle": "-", "linewidth": 1.1}
 PROGRAMMED: dict[str, Any] = {
@@ -41,7 +41,7 @@ AXES: tuple[dict[str, Any], ...] = (
     {"color": "#CC79A7", "linestyle": (0, (8, 2)), "linewidth": 1.2},
     {"color": "#56B4E9", "linestyle": (0, (3, 1, 1, 1, 1, 1)), "linewidth": 1.2},
 )
-"""Styles of several axes in one figure; none looks like LIMIT, which is dotted, even in grey."""
+"""Styles of several axes in one figure; none is dotted like LIMIT."""
 
 _RC: dict[Any, Any] = {
     "figure.dpi": 110,
@@ -72,24 +72,24 @@ def figure_style() -> Iterator[None]:
 
     mpl.use("Agg")
     with mpl.rc_context(_RC), warnings.catch_warnings():
-        # A name in a script that the font lacks is drawn as frames; the text of the report has it.
+        # Letters missing in the font are drawn as boxes; the text of the report shows them.
         warnings.filterwarnings("ignore", message="Glyph", category=UserWarning)
         yield
 
 
 HEAD = "head"
-"""Name of the lines above a figure among its parts."""
+"""Identifier of the lines above a figure in its SVG."""
 _HEAD_SIZE = 8.0  # points
 _LINE_IN = 0.16
-_LETTERS_PER_IN = 13.5  # that surely have room beside each other
+_LETTERS_PER_IN = 13.5  # letters that surely fit an inch
 
 
 @contextmanager
 def laid_out(figures: Iterable[Figure]) -> Iterator[None]:
-    """Place the parts of figures, once for all the files that are made of them in the block.
+    """Lay out figures once for all files that are written within the block.
 
-    A figure with any layout engine is drawn once more for each file, to place its parts, and one
-    without gets that of the style again where it was saved.
+    With a layout engine, matplotlib draws a figure once more for each file to lay it out. A figure
+    without one would get the engine of the style again when it is saved.
     """
     import matplotlib as mpl
 
@@ -105,12 +105,12 @@ def laid_out(figures: Iterable[Figure]) -> Iterator[None]:
 
 @contextmanager
 def headed(figure: Figure, lines: Sequence[str]) -> Iterator[Bbox]:
-    """Write lines above a figure, whose own size and layout stay; they are gone after the block.
+    """Write lines above a figure within the block, without a change of its size and layout.
 
     Parameters
     ----------
     lines
-        Broken where the figure ends.
+        Lines of text; they are broken at the width of the figure.
 
     Yields
     ------

@@ -1,4 +1,4 @@
-"""Figure of an on/off machine: vibration of the frame after a light barrier was interrupted."""
+"""The report of an on/off machine: broken light beam, Petri net of the PLC, tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from threadline.commands.schedule_moves import shaping_words
 from threadline.errors import PlanError
 from threadline.proof.options import OF_AXES
 from threadline.proof.pipeline import Proof
-from threadline.proof.recorded import doubts, doubts_of_all
+from threadline.proof.recorded import warnings_of, warnings_of_all
 from threadline.report.document import (
     Document,
     Printed,
@@ -54,9 +54,9 @@ MICRO = 1e6
 def break_figure(
     sweeps: Sequence[BreakSweep], twin: tuple[FloatArray, FloatArray] | None = None
 ) -> Figure:
-    """Draw the vibration after a break over the instant of the break, a panel per shaper.
+    """Draw the vibration after a beam was broken over that instant, a panel per shaper.
 
-    Simulated points ``twin``, times in s and amplitudes in m, go into the first panel.
+    The first panel also shows the simulated points ``twin``, times in s and amplitudes in m.
     """
     from matplotlib.figure import Figure
 
@@ -86,13 +86,13 @@ _TOP = 0.65  # place 0, from the upper edge
 _SMALL, _PLAIN = 7.0, 8.0  # points
 _LINE = 1.2 * _SMALL / 72.0 / _INCH  # units
 _HALF_BAR, _LABEL, _OUTPUTS, _GAP = 0.14, 0.18, 0.2, 0.06
-"""Half of a bar; where its label and the outputs of a place begin; what is left between rows."""
+"""Half width of a bar; offsets of its label and of a place's outputs; gap between rows."""
 _BREAK = "#B00000"
 
 
 @dataclass(frozen=True, slots=True)
 class _Bar:
-    """A place, and the condition of the transition after it; ``then`` where that leads back."""
+    """A place and the condition of its transition; ``then`` is the target of a way back."""
 
     place: NetPlace
     label: str
@@ -101,29 +101,29 @@ class _Bar:
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """Bars beside each other; ``step`` is empty where the row above has its name."""
+    """Bars side by side; ``step`` is empty if the row above has the name of the step."""
 
     step: str
     bars: Sequence[_Bar]
 
     @property
     def above(self) -> float:
-        """Height over its places that its labels need."""
+        """Height of the labels above its places."""
         return _LABEL + _LINE * max(bar.label.count("\n") + 1 for bar in self.bars) + _GAP
 
     @property
     def below(self) -> float:
-        """Height under its places that their outputs need."""
+        """Height of the outputs below its places."""
         return _OUTPUTS + _LINE * max(len(bar.place.on) for bar in self.bars) + _GAP
 
 
 def petri_figures(scheduled: Scheduled) -> list[Figure]:
-    """Draw the net: place 0, then rows of places for each step, bars for transitions.
+    """Draw the net: place 0, then rows of places for each step, with bars for transitions.
 
-    Behind the cycle come the places of the way home, where the machine has one.
-    A bar is labelled with the time of the place before it, or with the input that is waited for and
-    its timeout. The dashed line beside the rows is the transition from every place back to place 0.
-    A figure is as high as a page of a report; a long schedule has several.
+    The places of homing, if the machine has it, follow the cycle. The label of a bar is the time of
+    the place before it, or the awaited input and its timeout. The dashed line beside the rows is
+    the transition from every place back to place 0. A figure has the height of a page; a long
+    schedule has several.
     """
     net = petri_net(scheduled)
     home = _home(scheduled, len(net.places), net.scan_ms)
@@ -144,11 +144,11 @@ def petri_figures(scheduled: Scheduled) -> list[Figure]:
 
 
 def _home(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlace, ...]:
-    """Return the places of the way home; none where a cylinder has no switch at its start."""
+    """Return the places of homing; none if a cylinder has no switch at its start."""
     try:
         return home_places(scheduled, after, scan_ms)
     except PlanError:
-        return ()  # ``compile`` refuses such a machine, and says why
+        return ()  # ``compile`` refuses such a machine with a reason
 
 
 def _bars(places: Sequence[NetPlace], then: str) -> list[_Bar]:
@@ -194,7 +194,7 @@ def _page(rows: Sequence[_Row], begins: str) -> Figure:
                        fontsize=_SMALL)  # fmt: skip
         _arc(panel, [(-0.16, at), (-0.55, at)])
         last, at = at, at - row.below
-    # One line for all rows: a dashed one drawn again for each of them would look solid.
+    # One line for all rows: dashed lines drawn over each other would look solid.
     _arc(panel, [(-0.55, last), (-0.55, 0.0)])
     _arc(panel, [(-0.55, 0.0), (-0.17, 0.0)], arrow=True)
     panel.text(-0.62, 0.0, "any fault\nat any place", ha="right", va="center", fontsize=_SMALL,
@@ -244,7 +244,7 @@ _CAPTIONS = {
 def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = ()) -> Path:
     """Write the report of a proof into ``folder``; return the path of the HTML page.
 
-    ``tables`` come behind those of the proof: of the search that found its job.
+    ``tables`` are from the search that found the job; they follow the tables of the proof.
 
     Raises
     ------
@@ -290,7 +290,7 @@ def write_switching(studied: Studied, folder: Path, tables: Sequence[Printed] = 
                 ]
             ),
             verdicts=[(closing(proof.verdict), proof.verdict.passed)],
-            warnings=grouped(doubts(proof)),
+            warnings=grouped(warnings_of(proof)),
             tables=[
                 Table(title="Criteria", header=header, rows=rows),
                 *changes(proof.verdict),
@@ -325,7 +325,7 @@ def write_switching_comparison(found: Comparison, folder: Path, tables: Sequence
             verdicts=[(closing_of_all([proof.verdict for proof in found.proofs]), good)],
             warnings=[
                 *(f"{name} is refused: {why}" for name, why in found.refused),
-                *grouped(doubts_of_all(found.proofs)),
+                *grouped(warnings_of_all(found.proofs)),
             ],
             tables=[Table(title=t, header=h, rows=r) for t, h, r in tables],
             figures=figures,
@@ -344,7 +344,7 @@ def about_switching(proof: Proof) -> list[str]:
 
 
 def shaping_rows(plan: Plan) -> list[list[str]]:
-    """Return rows of a cylinder and its shaper, in words; none if no shaper was asked for."""
+    """Return rows of a cylinder and its shaper, in words; none without shapers."""
     if "shaper" not in plan.options:
         return []
     shaping = plan.scheduled.shaping

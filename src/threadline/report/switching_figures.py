@@ -24,13 +24,13 @@ MICRO = 1e6
 _MOST_SAMPLES = 20_000
 _PARTS: Any = {"color": "0.45", "linewidth": 0.6, "linestyle": (0, (1, 2)), "zorder": 0}
 _READABLE: Any = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}
-"""Behind a number that a limit would strike out."""
+"""White background for a number, so that a limit line does not cross it."""
 _LEAST_UM = 1.0
 """Lower end of the logarithmic scale of residual vibration, micrometres."""
 
 
 def shaper_words(plan: Plan) -> str:
-    """Return the shaper of a plan in words; a list may have shapers or levels of its own."""
+    """Return the shaper of a plan in words; the job may have shapers or levels, too."""
     own = any(
         m.levels.realised is not None or len(m.levels.levels) > 2 for m in plan.scheduled.moves
     )
@@ -38,7 +38,7 @@ def shaper_words(plan: Plan) -> str:
 
 
 def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
-    """Part the steps by thin lines, and name them above the panel."""
+    """Separate the steps by thin lines, with their names above the panel."""
     for step in run.steps:
         panel.axvline(step.begin_s, **_PARTS)
         if names:
@@ -52,7 +52,7 @@ def _mark_steps(panel: Axes, run: SwitchRun, *, names: bool) -> None:
 
 
 def _thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return times and values, (n,) each; of a long trace the extremes of every stretch."""
+    """Return times and values, (n,) each; for a long trace the extremes of every stretch."""
     if len(values) <= _MOST_SAMPLES:
         return time_s, values
     keep = extremes(values[:, None], np.arange(len(values)) * (_MOST_SAMPLES // 2) // len(values))
@@ -97,7 +97,7 @@ def cycle_figure(proof: Proof, recording: Recording) -> Figure:
 
 
 def frame_figure(proof: Proof, recording: Recording, unshaped: Proof | None) -> Figure:
-    """Draw the motion of the frame over the cycle of a run, and that of the unshaped proof."""
+    """Draw the motion of the frame over the cycle of a run, shaped and unshaped."""
     from matplotlib.figure import Figure
 
     run = SwitchRun(recording, proof.plan)

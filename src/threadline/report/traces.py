@@ -1,4 +1,4 @@
-"""Choice of the run that a figure shows: the one with the worst value of a criterion."""
+"""The samples that a figure shows: the run with the worst value, thinned."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class DrawnRun:
     recording
         Recording of this run alone.
     number
-        Its number, as in ``Result.run``: from 1, runs of other machines last.
+        Number of the run, as in ``Result.run``: from 1, runs of other machines last.
     worst_of
-        The criterion that is worst in this run; empty where no run is worse than another, and the
-        first one is drawn.
+        The criterion that is worst in this run; empty if all runs are equal, and the first is
+        drawn.
     """
 
     recording: Recording
@@ -42,7 +42,7 @@ class DrawnRun:
     worst_of: str
 
     def words(self, proof: Proof) -> str:
-        """Return the sentence for a caption; empty where only one run was judged."""
+        """Return a sentence for the caption; empty if only one run was judged."""
         if len(proof.judged) == proof.judged[0].runs == 1:
             return ""
         why = f", in which {self.worst_of} is worst" if self.worst_of else ""
@@ -50,19 +50,19 @@ class DrawnRun:
 
 
 def run_words(verdict: Verdict, number: int) -> str:
-    """Return the name of a run in a caption: a run of the machine, or a machine in tolerance."""
+    """Return the name of a run for a caption: a run of the machine, or a machine in tolerance."""
     if number <= verdict.runs:
         return f"run {number} of {verdict.runs}"
     return f"machine {number - verdict.runs} of {verdict.machines} within the tolerances"
 
 
 def drawn_run(proof: Proof, names: Sequence[str]) -> DrawnRun:
-    """Return the run that is worst in the first of the criteria in which runs differ.
+    """Return the worst run by the first criterion in which the runs differ.
 
     Parameters
     ----------
     names
-        Criteria that the figure marks or shows, the most important first.
+        Criteria shown in the figure, the most important first.
     """
     for name in names:
         worst = worst_result(proof.verdict, name)
@@ -72,7 +72,7 @@ def drawn_run(proof: Proof, names: Sequence[str]) -> DrawnRun:
 
 
 def worst_result(verdict: Verdict, name: str) -> Result | None:
-    """Return the result of ``name`` that is nearest to, or furthest over, its limit."""
+    """Return the result of criterion ``name`` with the largest used share of its limit."""
     results = [
         r
         for r in verdict.results
@@ -86,10 +86,10 @@ def worst_result(verdict: Verdict, name: str) -> Result | None:
 def envelope(
     time_s: FloatArray, values: FloatArray, stretches: int = 800
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return starts of stretches of time, (k,), and their least and largest values, (k,) each.
+    """Return (k,) starts of stretches of time, and their smallest and largest values, (k,) each.
 
     A stretch includes the first value of the next one, so that the drawn bands have no gap. The
-    last entry of all three is that of the last sample; NaN is left out.
+    last entry of all three is the last sample. NaN is left out.
 
     Parameters
     ----------
@@ -110,9 +110,10 @@ def envelope(
 
 
 def extremes(columns: FloatArray, stretch: IntArray) -> NDArray[np.bool_]:
-    """Return (n,) True where one of the (n, m) ``columns`` is at an extreme of its stretch.
+    """Return (n,) True for rows in which one of the (n, m) ``columns`` has an extreme.
 
-    ``stretch`` is the (n,) number of each row's stretch. The first and the last row are True.
+    The extremes are taken over each stretch; ``stretch`` is the (n,) number of each row's stretch.
+    The first and the last row are True.
     """
     keep = np.zeros(len(columns), dtype=bool)
     keep[[0, -1]] = True
@@ -128,9 +129,9 @@ def extremes(columns: FloatArray, stretch: IntArray) -> NDArray[np.bool_]:
 MAX_SAMPLES = 20_000
 MAX_VERTICES = 2_000
 AROUND_SAMPLES = 2_000
-"""Number of samples on both sides of a marked place that are all drawn."""
+"""Number of samples on both sides of a marked place that are always drawn."""
 AROUND_OPERATIONS = 50
-"""Number of operations on both sides of a marked place whose points are all drawn."""
+"""Number of operations on both sides of a marked place whose points are always drawn."""
 MARKED = ("contour_error", "tracking_error")
 """The criteria whose worst place is marked in a figure."""
 
@@ -142,12 +143,12 @@ class Traces:
     Parameters
     ----------
     time_s
-        (n,) instants of the samples that were kept, increasing.
+        (n,) instants of the kept samples, increasing.
     whole
-        (n,) True where no sample was left out before this one.
+        (n,) True if no sample was left out directly before this one.
     commanded, actual
-        Per axis: (n,) m or rad. ``actual`` is the position that the judge uses: that of the tool or
-        the load where the recording has one, else that of the encoder.
+        Per axis: (n,) m or rad. ``actual`` is the position used for the verdict: the position of
+        tool or load if the recording has it, otherwise of the encoder.
     velocity, acceleration
         Per axis: (n,) differences of ``actual`` over the recording's own ticks, SI.
     planned
@@ -155,12 +156,12 @@ class Traces:
     vertices
         (m, axes) programmed vertices.
     stride
-        Number of samples of a stretch, of which the extremes were kept; 1 where all were kept.
+        Number of samples in a stretch, whose extremes were kept; 1 if all samples were kept.
     run
-        The run that is drawn: the one in which the first of ``MARKED`` is worst.
+        The drawn run: the run in which the first of ``MARKED`` is worst.
     contour
-        (k,) times and (k,) contour errors, m, each the largest of a stretch of the job; None
-        where it could not be measured.
+        (k,) times and (k,) largest contour errors of the stretches of the job, m; None if it could
+        not be measured.
     """
 
     time_s: FloatArray
@@ -177,23 +178,23 @@ class Traces:
 
     @property
     def drawn_axes(self) -> tuple[str, ...]:
-        """The axes whose motion is known; of a machine without dynamics all, as planned."""
+        """The axes with known motion; for a machine without dynamics all axes, as planned."""
         return tuple(self.actual or self.planned)
 
 
 def collect(proof: Proof, around_s: Sequence[float] = ()) -> Traces:
-    """Read the run with the worst place, its trajectory and the programmed path, and thin them.
+    """Read the worst run, its trajectory and the programmed path, and thin them.
 
-    Of every stretch of a long recording those samples are kept at which an axis has an extreme of
-    position, velocity or acceleration, planned or actual, or of tracking error: a peak of a single
-    sample stays. Near the places that figures mark every sample is kept.
+    In every stretch of a long recording, the samples are kept at which an axis has an extreme of
+    position, velocity or acceleration, planned or actual, or of tracking error, so a peak of a
+    single sample remains. Near the places that figures mark, every sample is kept.
 
     Parameters
     ----------
     proof
-        Its plan has axes with a path.
+        Proof of a plan that has axes with a path.
     around_s
-        More instants, s, near which every sample is kept.
+        Additional instants near which every sample is kept, s.
     """
     plan, run = proof.plan, drawn_run(proof, MARKED)
     recording = as_intended(run.recording, plan)
@@ -236,10 +237,10 @@ def _kept(
     stride: int,
     around_s: Sequence[float],
 ) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield block by block the kept samples' number, time, command, positions and their plan.
+    """Yield, block by block, number, time, command, motion and plan of the kept samples.
 
-    Numbers and times are (n,), command, position, velocity and acceleration (n, axes), the plan
-    (n, 3, axes): position, velocity, acceleration. A signal that the recording lacks is NaN.
+    Numbers and times are (n,). Command, position, velocity and acceleration are (n, axes). The plan
+    is (n, 3, axes): position, velocity, acceleration. A signal missing in the recording is NaN.
     """
     before: FloatArray | None = None
     reader = TrajectoryReader(trajectory)
@@ -260,7 +261,7 @@ def _kept(
         planned = reader.ladder(block.due_s, 3)
         reader.drop(float(block.due_s[0]))
         if block.slow is not None:
-            _pass_slowly(planned, block.due_s - block.time_s, interval_s)
+            pass_slowly(planned, block.due_s - block.time_s, interval_s)
         keep = np.ones(len(actual), dtype=bool)
         if stride > 1:
             told = planned.reshape(len(planned), -1)
@@ -279,16 +280,16 @@ def _kept(
         )
 
 
-def _pass_slowly(planned: FloatArray, ahead_s: FloatArray, interval_s: float) -> None:
-    """Give (n, 3, axes) planned velocity and acceleration the rate at which they were run.
+def pass_slowly(planned: FloatArray, ahead_s: FloatArray, interval_s: float) -> None:
+    """Scale (n, 3, axes) planned velocity and acceleration to the rate at which they were run.
 
-    Where rows were held a motion x(p) of the plan's time p has the velocity x' p' and the
-    acceleration x'' p'^2 + x' p''.
+    During a hold, a motion x(p) of the plan's time p has the velocity x' p' and the acceleration
+    x'' p'^2 + x' p''.
 
     Parameters
     ----------
     ahead_s
-        (n,) the plan's time less the recording's, s; it falls in a hold.
+        (n,) plan's time minus recording's time, s; it decreases during a hold.
     """
     if len(ahead_s) < 2:
         return
@@ -299,10 +300,10 @@ def _pass_slowly(planned: FloatArray, ahead_s: FloatArray, interval_s: float) ->
 
 
 def _vertices(plan: Plan, around: Sequence[int]) -> FloatArray:
-    """Return programmed vertices, (m, axes) and in no order: all of them where there are few.
+    """Return (m, axes) programmed vertices in no particular order.
 
-    Of many, every second, fourth and so on is taken, those near a place in ``around``, and those
-    that are outermost in an axis.
+    If there are many, the result is every second, fourth and so on, the vertices near a place in
+    ``around``, and the outermost vertices of each axis.
     """
     near: list[FloatArray] = []
     others: list[FloatArray] = []

@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from threadline.base.progress import Progress
 from threadline.dynamics import EARLIEST
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
@@ -25,12 +24,13 @@ from threadline.motion.timing.optimal.fastest_motion import least_time_s
 from threadline.motion.timing.optimal.motion_limits import axis_limits, limits_of
 from threadline.proof.option_words import LEAST_CONTOUR_M
 from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Trials, plan_job, try_plan
+from threadline.proof.pipeline import plan_job
 from threadline.search.fastest import Fastest
-from threadline.search.feed import beyond, feed_range_m_s
+from threadline.search.feed import feed_range_m_s
 from threadline.search.forbidden import Interval, closeness, worst_criterion
-from threadline.search.until import Until, as_far_as
-from threadline.verdict import Spec, Verdict
+from threadline.search.paced import Question, beyond
+from threadline.search.until import as_far_as
+from threadline.verdict import Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,47 +128,28 @@ _MOST_ALONE = 3
 _PLACED = ("contour_error", "turning_point_error", "progress_error")
 
 
-def fastest_allowed(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    high: float | None = None,
-    progress: Progress | None = None,
-    actual: Machine | None = None,
-    trials: Trials = NOMINAL,
-    until: Until | None = None,
-) -> FastestJob:
+def fastest_allowed(asked: Question) -> FastestJob:
     """Return the fastest plan in spec, and the least times that the limits alone would allow.
 
-    Parameters
-    ----------
-    options
-        Those of ``optimal``; if they name a contour allowance, only that one is tried.
-    high
-        A feed that caps the speed, m/s of the fastest axis; None for all that the axes can do.
-    actual
-        The machine that does the job, where it isn't the one that plans are made for.
-    trials
-        Which runs a plan is judged by.
-    until
-        When the search has to come to an answer.
+    The options of the question are those of ``optimal``; if they name a contour allowance, only
+    that one is tried. ``Question.high`` is a feed that caps the speed, m/s of the fastest axis;
+    None for all that the axes can do.
 
     Raises
     ------
     PlanError
         If the machine cannot do the job.
     """
-    top = feed_range_m_s(machine)[1] if high is None else high
-    options = replace(options, feed=Feed(FeedMode.FASTEST_AXIS, top))
+    job, machine, until = asked.job, asked.machine, asked.until
+    top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
+    options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
     by_contour = options.follows_contour and not machine.told_positions  # no loop, no lag
 
     def proved(amount: float) -> Rung:
         if until is not None:
             until.check()
-        if progress is not None:
-            progress("proving", len(rungs) / _MOST_PROOFS)
+        if asked.progress is not None:
+            asked.progress("proving", len(rungs) / _MOST_PROOFS)
         chosen = (
             replace(options, contour_m=amount)
             if by_contour
@@ -181,8 +162,7 @@ def fastest_allowed(
             if by_contour or error.quantity == "travel":
                 raise
             return _rung(chosen, top, beyond(error, machine), None, by_contour)
-        verdict = try_plan(plan, spec, trials, actual).verdict
-        return _rung(chosen, top, verdict, plan.duration_s, by_contour)
+        return _rung(chosen, top, asked.judged(plan), plan.duration_s, by_contour)
 
     rungs: dict[float, Rung] = {}
     next_one = _next_contour if by_contour else _next_share
@@ -223,16 +203,14 @@ def _short(allowance_m: float) -> float:
     return float(f"{allowance_m:.5g}")
 
 
-def options_at(
-    machine: Machine, options: Options, rung: Rung, high: float | None = None
-) -> Options:
+def options_at(asked: Question, rung: Rung) -> Options:
     """Return the options of a plan that was proved by ``fastest_allowed``."""
-    top = feed_range_m_s(machine)[1] if high is None else high
+    top = feed_range_m_s(asked.machine)[1] if asked.high is None else asked.high
     return replace(
-        options,
+        asked.options,
         feed=Feed(FeedMode.FASTEST_AXIS, top),
         limit_share=rung.share,
-        contour_m=options.contour_m if rung.contour_m is None else rung.contour_m,
+        contour_m=asked.options.contour_m if rung.contour_m is None else rung.contour_m,
     )
 
 

@@ -1,133 +1,129 @@
 """How the fastest way to do a job is searched, by what paces the job.
 
-The command line and ``import threadline as tl`` both ask a ``Question``; each tells the answer in
-its own way.
+The command line and ``import threadline as tl`` both ask a ``Question`` and get an ``Answer``; each
+tells it in its own way.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
-from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD, USUAL
-from threadline.errors import OptionError
-from threadline.jobs.operations import Feed, FeedMode, Job, Pace
-from threadline.machine import Machine
-from threadline.proof.asked import Words, with_radii_of
-from threadline.proof.option_form import Word
-from threadline.proof.option_words import (
-    feed_words,
-    parse_margin,
-    parse_robust,
-    share_words,
-    tolerance_words,
-)
-from threadline.proof.options import Options
-from threadline.proof.pipeline import Trials, open_job
-from threadline.search.allowance import FastestJob
+from threadline.base.option_defaults import NO_CONTOUR, UNSHAPED_WORD
+from threadline.commands.plan import Plan
+from threadline.jobs.operations import Feed, FeedMode
+from threadline.motion.path.interpolations import OPTIMAL
+from threadline.proof.option_words import feed_words, share_words, tolerance_words
+from threadline.proof.pipeline import plan_job
+from threadline.search.allowance import FastestJob, options_at
 from threadline.search.cycle import FastestCycle, cycle_s, fastest_cycle
-from threadline.search.feed import fastest_needle
-from threadline.search.least_limits import fastest_job
-from threadline.search.shaft import FastestShaft, fastest_shaft
-from threadline.verdict import Spec
+from threadline.search.cycle_robust import RobustCycle, robust_cycle
+from threadline.search.fastest import COARSE, Fastest
+from threadline.search.feed import (
+    fastest_feed,
+    fastest_needle,
+    feed_unit,
+    search_range,
+    sewn_at,
+)
+from threadline.search.forbidden import Interval
+from threadline.search.least_limits import fastest_job, planned_at
+from threadline.search.mismatch import (
+    CYCLE,
+    F_WORDS,
+    FEED,
+    NEEDLE,
+    OVERRIDE,
+    SHAFT,
+    Certainty,
+    Found,
+    Mismatch,
+    Searched,
+    near_best,
+    off_tolerances,
+)
+from threadline.search.paced import Question
+from threadline.search.question import searched_as
+from threadline.search.shaft import (
+    FastestShaft,
+    at_speed,
+    constant_speeds,
+    fastest_shaft,
+    speed_range_hz,
+)
+from threadline.search.until import with_answer
+from threadline.verdict import Verdict
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
-    """What is asked of a search for the fastest.
-
-    Parameters
-    ----------
-    file, job
-        The job and its file; a seam is read again for every needle speed.
-    machine, spec, options
-        The machine that it is planned for, what is asked, and how to plan.
-    margin
-        Share of every limit of ``spec`` that is kept free already.
-    actual
-        The machine that runs it, where it is another one.
-    trials
-        Which runs every verdict is made of.
-    words
-        The options that plan the same, by word, without those that the search finds.
-    """
-
-    file: Path
-    job: Job
-    machine: Machine
-    spec: Spec
-    options: Options
-    margin: float
-    actual: Machine | None
-    trials: Trials
-    words: Mapping[str, Word]
-
-    @classmethod
-    def of(cls, words: Words, file: Path, machine: str | Path | Machine) -> Question:
-        """Return the question that the words of ``fastest`` ask of a job.
-
-        Raises
-        ------
-        InputError
-            If the job, the machine or an option cannot be read, or an option has no meaning for
-            the job.
-        """
-        robust = words.text("robust")
-        share = None if robust is None else parse_robust(robust)
-        trials = words.trials(ends=robust if share else None)
-        planned = _planned_for(words)
-        named, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
-        options = words.options(robust=planned)
-        chosen = with_radii_of(named, options)
-        options = options.on(chosen)
-        job = open_job(file, chosen, options)
-        given = {f"--{word}": words.text(word) for word in _NOT_EVERYWHERE}
-        refuse_for_pace(job, given)
-        return cls(
-            file=file,
-            job=job,
-            machine=chosen,
-            spec=words.spec(chosen).with_margin(margin),
-            options=options,
-            margin=margin,
-            actual=words.actual(),
-            trials=trials,
-            words=words.changed(robust=planned),
-        )
-
-
-def _planned_for(words: Words) -> str | None:
-    """Return the share of tolerances that plans are made for; None for the machine of the file.
-
-    A plan without averages to choose is made for the machine of the file, and judged on the others.
-    """
-    plain = words.text("interpolation") in USUAL and words.text("law") is None
-    return words.text("robust") if words.flag("feed_forward") and plain else None
-
-
-class Answer(NamedTuple):
-    """What a search found.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Answer:
+    """What a search found, of whatever kind.
 
     Parameters
     ----------
+    asked
+        The question.
     best, unit
-        The best, or None, and its unit.
+        The best pace or the shortest duration, None where nothing is in spec, and its unit.
+    duration_s
+        How long the job takes at the best; None where nothing is in spec, or it is not known.
+    intervals
+        All that is in spec, the fastest first.
     limited_by
         The criterion that forbids more.
+    verdict
+        At the best, or where the search came closest.
+    tried
+        How many plans were.
+    searched
+        What was searched, in words.
     of
         The result of the search with every try.
     words
         The planning options that the search found; None where nothing is in spec, or where only a
         move list can say it.
+    plan
+        Plans the best; where nothing is in spec, what the question says.
+    over_band
+        The cycle for a band of modes, where one was asked for.
+    certainty
+        What it costs to hold at the ends of the tolerances, where that was asked for.
+    mismatch
+        What was found on machines at the ends of the tolerances, where that was asked for.
     """
 
+    asked: Question
     best: float | None
     unit: str
+    duration_s: float | None
+    intervals: tuple[Interval, ...]
     limited_by: str
+    verdict: Verdict
+    tried: int
+    searched: Searched
     of: Any
     words: Mapping[str, str] | None
+    plan: Callable[[], Plan]
+    over_band: RobustCycle | None = None
+    certainty: Certainty | None = None
+    mismatch: tuple[Mismatch, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether something is in spec, all over the band where one was asked for."""
+        if self.over_band is not None:
+            return self.over_band.job is not None
+        return self.best is not None
+
+    @property
+    def again(self) -> dict[str, Any] | None:
+        """The options of ``prove`` that plan the best, by word; None where none do."""
+        return (
+            None
+            if self.words is None or self.over_band is not None
+            else {**self.asked.words, **self.words}
+        )
 
 
 def job_words(found: FastestJob) -> dict[str, str] | None:
@@ -144,16 +140,11 @@ def job_words(found: FastestJob) -> dict[str, str] | None:
     return words
 
 
-def needle_words(best_hz: float | None) -> dict[str, str] | None:
-    """Return the option that plans a seam at the best needle speed."""
-    return None if best_hz is None else {"needle": f"{best_hz!r} stitch/s"}
-
-
 def shaft_words(found: FastestShaft) -> dict[str, str] | None:
     """Return the option that plans the best of a design: a swing, or a constant speed."""
     if found.duration_s is None:
         return None
-    if found.schedule is not None and found.schedule.plan.duration_s == found.duration_s:
+    if found.by_schedule:
         return {"tolerance": tolerance_words(found.tolerance_m)}
     assert found.constant.best is not None
     return {"feed": feed_words(Feed(FeedMode.SHAFT, found.constant.best))}
@@ -176,36 +167,109 @@ def cycle_words(found: FastestCycle) -> dict[str, str] | None:
 
 
 def _feed(asked: Question) -> Answer:
-    result = fastest_job(
-        asked.job, asked.machine, asked.spec, asked.options,
-        actual=asked.actual, trials=asked.trials,
+    found = fastest_job(asked)
+    best, by = found.best, found.by
+
+    def plan() -> Plan:
+        if found.bounds:
+            return plan_job(asked.job, asked.machine, options_at(asked, best))
+        if best.found.best is None:
+            return plan_job(asked.job, asked.machine, asked.options)
+        return planned_at(replace(asked, by=by), best.share, best.found.best)
+
+    return Answer(
+        asked=asked, best=best.found.best, unit=feed_unit(by), duration_s=best.duration_s,
+        intervals=best.found.intervals, limited_by=best.found.limited_by,
+        verdict=best.found.verdict, tried=sum(rung.found.tried for rung in found.rungs),
+        searched={FeedMode.F_WORD: F_WORDS, FeedMode.OVERRIDE: OVERRIDE}.get(by, FEED),
+        of=found, words=job_words(found), plan=plan,
     )  # fmt: skip
-    found = result.best.found
-    unit = "" if result.by is FeedMode.OVERRIDE else "m/s"
-    return Answer(found.best, unit, found.limited_by, result, job_words(result))
+
+
+def _feed_again(asked: Question, answer: Answer) -> Callable[[Question], Found]:
+    found: FastestJob = answer.of
+    about = near_best(asked, answer.best, search_range(asked.job, asked.machine, found.by)[1])
+    options = replace(asked.options, limit_share=found.best.share)
+    return lambda one: speeds(
+        fastest_feed(
+            replace(one, by=found.by, options=options, low=about.low, high=about.high), COARSE
+        )
+    )
 
 
 def _needle(asked: Question) -> Answer:
-    seam = fastest_needle(
-        asked.file, asked.machine, asked.spec, asked.options,
-        actual=asked.actual, trials=asked.trials,
+    found = fastest_needle(asked)
+
+    def plan() -> Plan:
+        if found.best is None:
+            return plan_job(asked.job, asked.machine, asked.options)
+        return sewn_at(asked, found.best)
+
+    return Answer(
+        asked=asked, best=found.best, unit="stitch/s", duration_s=None, intervals=found.intervals,
+        limited_by=found.limited_by, verdict=found.verdict, tried=found.tried, searched=NEEDLE,
+        of=found, plan=plan,
+        words=None if found.best is None else {"needle": f"{found.best!r} stitch/s"},
     )  # fmt: skip
-    return Answer(seam.best, "stitch/s", seam.limited_by, seam, needle_words(seam.best))
+
+
+_UNKNOWN_HZ = 100.0
+
+
+def _needle_again(asked: Question, answer: Answer) -> Callable[[Question], Found]:
+    about = near_best(asked, answer.best, _UNKNOWN_HZ)
+    return lambda one: speeds(fastest_needle(replace(one, low=about.low, high=about.high), COARSE))
 
 
 def _shaft(asked: Question) -> Answer:
-    sewn = fastest_shaft(
-        asked.job, asked.machine, asked.spec, asked.options,
-        actual=asked.actual, trials=asked.trials,
+    found = fastest_shaft(asked)
+
+    def plan() -> Plan:
+        if found.schedule is not None and found.by_schedule:
+            return found.schedule.plan
+        if found.constant.best is None:
+            return plan_job(asked.job, asked.machine, asked.options)
+        return at_speed(asked, found.constant.best)
+
+    return Answer(
+        asked=asked, best=found.duration_s, unit="s", duration_s=found.duration_s,
+        intervals=found.constant.intervals, limited_by=found.limited_by, verdict=found.verdict,
+        tried=found.constant.tried, searched=SHAFT, of=found, words=shaft_words(found), plan=plan,
     )  # fmt: skip
-    return Answer(sewn.duration_s, "s", sewn.limited_by, sewn, shaft_words(sewn))
+
+
+def _shaft_again(asked: Question, answer: Answer) -> Callable[[Question], Found]:
+    about = near_best(asked, answer.of.constant.best, speed_range_hz(asked.machine)[1])
+    return lambda one: speeds(constant_speeds(replace(one, low=about.low, high=about.high), COARSE))
 
 
 def _switchings(asked: Question) -> Answer:
-    cycle = fastest_cycle(
-        asked.job, asked.machine, asked.spec, actual=asked.actual, trials=asked.trials
-    )
-    return Answer(cycle.cycle_s, "s", cycle.limited_by, cycle, cycle_words(cycle))
+    found = fastest_cycle(asked)
+    over = None if asked.band is None else robust_cycle(asked, asked.band)
+    best = found.cycle_s
+    return Answer(
+        asked=asked, best=best, unit="s", duration_s=best, intervals=_alone(best),
+        limited_by=found.limited_by, verdict=found.proof.verdict, tried=found.tried,
+        searched=CYCLE, of=found, words=cycle_words(found), over_band=over,
+        plan=lambda: found.proof.plan if over is None else over.proof.plan,
+    )  # fmt: skip
+
+
+def _switchings_again(_asked: Question, _answer: Answer) -> Callable[[Question], Found]:
+    def again(one: Question) -> Found:
+        found = fastest_cycle(one)
+        return found.cycle_s, _alone(found.cycle_s), found.limited_by
+
+    return again
+
+
+def _alone(cycle_s: float | None) -> tuple[Interval, ...]:
+    return () if cycle_s is None else (Interval(low=cycle_s, high=cycle_s),)
+
+
+def speeds(found: Fastest) -> Found:
+    """Return what a search for a pace found, as one on another machine tells it."""
+    return found.best, found.intervals, found.limited_by
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,55 +280,62 @@ class Search:
     ----------
     find
         Answers a question.
-    searched
-        What is searched, with its verb, for a message.
-    takes
-        The options that it takes of those that not every search has, as typed.
+    again
+        Returns, of a question and its answer, the search on another machine that runs the plans.
     """
 
     find: Callable[[Question], Answer]
-    searched: str
-    takes: frozenset[str]
+    again: Callable[[Question, Answer], Callable[[Question], Found]]
 
 
-_SPAN = frozenset({"--low", "--high", "--robust", "--shaper"})
-SEARCHES: Mapping[Pace, Search] = {
-    "feed": Search(find=_feed, searched="the feed is", takes=_SPAN),
-    "needle": Search(find=_needle, searched="the speed of the needle is", takes=_SPAN),
-    "shaft": Search(find=_shaft, searched="the speed of the shaft is", takes=_SPAN),
-    "switchings": Search(
-        find=_switchings, searched="commands and waits are", takes=frozenset({"--band", "--out"})
-    ),
+SEARCHES: Mapping[str, Search] = {
+    "feed": Search(find=_feed, again=_feed_again),
+    OPTIMAL: Search(find=_feed, again=_feed_again),
+    "needle": Search(find=_needle, again=_needle_again),
+    "shaft": Search(find=_shaft, again=_shaft_again),
+    "switchings": Search(find=_switchings, again=_switchings_again),
 }
-"""By pace: the search for the fastest way to do a job in spec."""
-_NOT_EVERYWHERE = ("low", "high", "band", "robust", "shaper")
-_INSTEAD = {
-    "--robust": "; --band finds commands for every mode within a share of its frequency",
-    "--band": "; prove --tolerances judges other machines",
-    "--out": "; the command that proves the answer is printed",
-    "--shaper": "; the search chooses a shaper for every move",
-}
-"""What there is instead of an option that not every search has."""
+"""By ``searched_as``: the search for the fastest way to do a job in spec."""
 
 
-def refuse_for_pace(job: Job, given: Mapping[str, object]) -> None:
-    """Refuse options that the search for a job of this pace does not have.
-
-    Parameters
-    ----------
-    given
-        By their names as typed: what was given, None where nothing was.
+def answered(asked: Question) -> Answer:
+    """Answer a question, with the searches on other machines that it asks for.
 
     Raises
     ------
     OptionError
-        Naming the option, and what there is instead.
+        If no number has a tolerance where its ends are asked for, or the time was over before a
+        plan was judged.
     """
-    search = SEARCHES[job.paced_by]
-    for name, value in given.items():
-        if value is not None and name not in search.takes:
-            raise OptionError(
-                f"{name} {str(value)!r} does not apply to {job.name}, of which "
-                f"{search.searched} searched",
-                remedy=f"Leave it out{_INSTEAD.get(name, '')}.",
-            )
+    search = SEARCHES[searched_as(asked.job, asked.options)]
+    with with_answer():
+        found = search.find(asked)
+        certainty = _certainty(found, search)
+        cells: tuple[Mismatch, ...] = ()
+        if asked.mismatch:
+            cells = off_tolerances(asked, search.again(asked, found))
+    return replace(found, certainty=certainty, mismatch=cells)
+
+
+def _certainty(found: Answer, search: Search) -> Certainty | None:
+    """Search once more for the machine of the file alone; None where no ends were asked for."""
+    asked = found.asked
+    others = asked.trials.others(asked.actual or asked.machine)
+    if not others:
+        return None
+    options = asked.options
+    if options.robust_share is not None:
+        options = replace(options, robust_share=0.0)
+    alone = search.find(replace(asked, options=options, trials=asked.trials.alone))
+    timed = found.duration_s is not None or alone.duration_s is not None
+    sure, best = (one.duration_s if timed else one.best for one in (found, alone))
+    share = None
+    if sure is not None and best is not None:
+        share = sure / best - 1.0 if timed else 1.0 - sure / best
+    return Certainty(
+        machines=1 + sum(map(len, others.values())),
+        sure=sure,
+        alone=best,
+        unit="s" if timed else found.unit,
+        share=share,
+    )

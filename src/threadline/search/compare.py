@@ -19,6 +19,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Proof, Trials, check_machine, plan_job, prove_plan
 from threadline.search.allowance import FastestJob
 from threadline.search.least_limits import fastest_job
+from threadline.search.paced import Question
 from threadline.verdict import Spec
 
 PLACEMENT = ("contour_error", "turning_point_error")
@@ -121,8 +122,11 @@ def compare(
             stepped(f"fastest {interpolation}")
             chosen = replace(options, feed=None, shaper=None)
             fastest[interpolation] = fastest_job(
-                job, machine, placement_spec(spec), chosen, trials=trials
-            )
+                Question(
+                    job=job, machine=machine, spec=placement_spec(spec), options=chosen,
+                    trials=trials,
+                )
+            )  # fmt: skip
     return Comparison(
         proofs=tuple(proofs),
         fastest=fastest,

@@ -11,17 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from threadline.base.progress import Progress
 from threadline.errors import PlanError, RecordingError
 from threadline.jobs.operations import Job
-from threadline.machine import Machine
 from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Proof, Trials, plan_job, try_plan
+from threadline.proof.pipeline import Proof, plan_job, try_plan
 from threadline.search.cycle_forecast import Cycle, CycleForecast, MoveChoice
 from threadline.search.fastest import RANGE
 from threadline.search.move_list import overlapped, with_choices
-from threadline.search.until import Until, as_far_as
-from threadline.verdict import Spec, Status
+from threadline.search.paced import Question
+from threadline.search.until import as_far_as
+from threadline.verdict import Status
 
 _ROUNDS = 14
 
@@ -68,43 +67,29 @@ def cycle_s(proof: Proof) -> float:
     return found[0] if found and found[0] is not None else proof.plan.duration_s
 
 
-def fastest_cycle(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    *,
-    progress: Progress | None = None,
-    actual: Machine | None = None,
-    trials: Trials = NOMINAL,
-    until: Until | None = None,
-) -> FastestCycle:
+def fastest_cycle(asked: Question) -> FastestCycle:
     """Search commands and waits of every move together; the shortest cycle in spec wins.
 
-    Parameters
-    ----------
-    job
-        A move list. Shapers and levels that it gives to its moves are replaced; rests and what must
-        not overlap are kept.
-    spec
-        Its limits of the residual vibration lead the search; the twin is judged by all of it.
-    actual
-        The machine that runs the cycles, where it isn't the one that commands are made for.
-    trials
-        Which runs a cycle is judged by.
-    until
-        When the search has to come to an answer: the job as it is, without a shaper, is judged
-        however short the time is.
+    The job is a move list. Shapers and levels that it gives to its moves are replaced; rests and
+    what must not overlap are kept. The specification's limits of the residual vibration lead the
+    search; the twin is judged by all of it. The job as it is, without a shaper, is judged however
+    short the time is.
 
     Raises
     ------
     PlanError, RecordingError
         If the machine cannot do the job even without a shaper, or does not come to its end.
     """
-    plain = with_choices(job, {}, {})
-    unshaped = try_plan(plan_job(plain, machine, Options()), spec, trials, actual)
+    machine, spec, until = asked.machine, asked.spec, asked.until
+
+    def proved(job: Job) -> Proof:
+        return try_plan(plan_job(job, machine, Options()), spec, asked.trials, asked.actual)
+
+    plain = with_choices(asked.job, {}, {})
+    unshaped = proved(plain)
     free = overlapped(plain, machine)
-    base = try_plan(plan_job(free, machine, Options()), spec, trials, actual)
-    forecast = CycleForecast(free, machine, spec, base, machine if actual is None else actual)
+    base = proved(free)
+    forecast = CycleForecast(free, machine, spec, base, asked.actual or machine)
     best: tuple[Job, Proof, Cycle] | None = None
     closest: tuple[float, Proof, Cycle | None] = (_excess(base), base, None)
     limited_by = RANGE if base.verdict.passed else _failing(base)
@@ -123,15 +108,15 @@ def fastest_cycle(
         for round_ in range(_ROUNDS):
             if until is not None:
                 until.check()
-            if progress is not None:
-                progress("cycles", round_ / _ROUNDS)
+            if asked.progress is not None:
+                asked.progress("cycles", round_ / _ROUNDS)
             cycle = forecast.next()
             if cycle is None or (best is not None and cycle.scans >= best[2].scans):
                 break
             chosen = forecast.job_of(cycle)
             tried += 1
             try:
-                proof = try_plan(plan_job(chosen, machine, Options()), spec, trials, actual)
+                proof = proved(chosen)
             except (PlanError, RecordingError):
                 continue  # its valves cannot, or an input that it waits for never comes
             if proof.verdict.passed:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from threadline.base.progress import Progress
 from threadline.errors import PlanError, RecordingError
-from threadline.jobs.operations import Job
-from threadline.machine import Machine
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, plan_job, prove_plan
 from threadline.search.cycle import FastestCycle, cycle_s
 from threadline.search.cycle_robust import MEASURE, BandRun, RobustCycle, band_machines, over_band
 from threadline.search.move_list import overlapped, with_choices
-from threadline.verdict import Spec, Verdict
+from threadline.search.paced import Question
+from threadline.verdict import Verdict
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei")
 """Shapers that are compared, each for all moves and designed for the machine's own modes."""
@@ -47,32 +45,25 @@ class BesideRow:
 
 
 def cycles_beside(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    found: FastestCycle,
-    robust: RobustCycle | None,
-    band: float | None,
-    *,
-    actual: Machine | None = None,
-    progress: Progress | None = None,
+    asked: Question, found: FastestCycle, robust: RobustCycle | None
 ) -> tuple[BesideRow, ...]:
     """Return rows for the cycle unshaped, with one shaper for every move, and as it was found.
 
     All rows but the first overlap moves where the list allows it. Of the shapers that of the
     shortest cycle in spec on the machine as its file says is shown, and with a band also that of
     the shortest cycle in spec on all machines of the band; where none is in spec, the one with the
-    least vibration. ``actual`` runs the cycles where it isn't the machine that they are made for.
+    least vibration.
     """
-    machines = band_machines(machine, band) if band is not None else ()
+    machine, spec, progress = asked.machine, asked.spec, asked.progress
+    machines = () if asked.band is None else band_machines(machine, asked.band)
     rows = {}
-    free = overlapped(with_choices(job, {}, {}), machine)
+    free = overlapped(with_choices(asked.job, {}, {}), machine)
     for number, name in enumerate(SHAPERS):
         if progress is not None:
             progress("cycles side by side", number / len(SHAPERS))
         try:
             plan = plan_job(free, machine, Options(shaper=name))
-            proof = prove_plan(plan, spec, None, NOMINAL, actual)
+            proof = prove_plan(plan, spec, None, NOMINAL, asked.actual)
             over = over_band(plan, spec, machines)
         except (PlanError, RecordingError):
             continue  # its valves cannot make that command, or the cycle comes to no end

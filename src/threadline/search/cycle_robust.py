@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.base.progress import Progress
 from threadline.commands.plan import Plan
 from threadline.commands.schedule import ScheduledMove
 from threadline.commands.schedule_moves import levels_text, valves_of
@@ -23,7 +22,7 @@ from threadline.dynamics.pneumatic import flow_mode, step_ringing
 from threadline.errors import OptionError, Place, PlanError
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
-from threadline.machine.vary import mode_off
+from threadline.machine.vary import band_of, band_parts, mode_off
 from threadline.motion.shaping.onoff.flow_levels import (
     FlowCommand,
     FlowMove,
@@ -31,13 +30,13 @@ from threadline.motion.shaping.onoff.flow_levels import (
     shortest_flow_command,
 )
 from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Proof, Trials, plan_job, simulate, try_plan
+from threadline.proof.pipeline import NOMINAL, Proof, plan_job, simulate, try_plan
+from threadline.search.cycle import cycle_s
 from threadline.search.move_list import levels_of_operations, overlapped, with_choices
-from threadline.search.until import Until
+from threadline.search.paced import Question
 from threadline.verdict import Criterion, Judge, Spec, Status, Verdict
 
 MEASURE = "residual_vibration"
-_MACHINES = 17
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,20 +62,15 @@ class BandRun:
 
 
 def band_machines(machine: Machine, band: float) -> tuple[tuple[float, Machine], ...]:
-    """Return machines all over the band, each with by how much its modes are off.
+    """Return the machines of ``band_of``, each with by how much its modes are off.
 
     Raises
     ------
     OptionError
-        If the band is not above 0 and below 1.
+        If the machine has no spring, or the band is not above 0 and below 1.
     """
-    if not 0.0 < band < 1.0:
-        raise OptionError(
-            f"a band of +-{band * 100:g} % must be above 0 % and below 100 %",
-            remedy='A fifth to either side is "20 %".',
-        )
-    parts = np.linspace(-band, band, _MACHINES).tolist()
-    return tuple((part, mode_off(machine, part)) for part in parts)
+    others = (other for _, other in band_of(machine, band).machines)
+    return tuple(zip(band_parts(band), others, strict=True))
 
 
 def over_band(
@@ -156,28 +150,22 @@ class RobustCycle:
     frequencies_hz: dict[str, tuple[float, float]]
     tried: int
 
+    @property
+    def cycle_s(self) -> float | None:
+        """Duration of the cycle; None where none in spec all over the band was found."""
+        return None if self.job is None else cycle_s(self.proof)
 
-def robust_cycle(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    band: float,
-    *,
-    progress: Progress | None = None,
-    trials: Trials = NOMINAL,
-    until: Until | None = None,
-) -> RobustCycle:
+
+def robust_cycle(asked: Question, band: float) -> RobustCycle:
     """Search the shortest cycle that is in spec on every machine of the band.
+
+    Its trials are of the machine as its file says, besides one run of each machine of the band.
+    Where the time is over, the cycle that is tried then is the last.
 
     Parameters
     ----------
     band
         Half its width, of the frequency: 0.2 for +-20 %.
-    trials
-        Which runs of the machine as its file says a cycle is judged by, besides one run of each
-        machine of the band.
-    until
-        When the search has to come to an answer: the cycle that is tried then is its last.
 
     Raises
     ------
@@ -187,10 +175,11 @@ def robust_cycle(
         If the machine cannot do the job even unshaped, or no command of its valves rings little
         enough.
     """
+    machine, spec, progress, until = asked.machine, asked.spec, asked.progress, asked.until
     machines = band_machines(machine, band)
-    free = overlapped(with_choices(job, {}, {}), machine)
+    free = overlapped(with_choices(asked.job, {}, {}), machine)
     plain = plan_job(free, machine, Options())
-    search = _Search(free, machine, spec, band, plain, progress)
+    search = _Search(free, asked, band, plain)
     watched = replace(spec, criteria=(*spec.criteria, *search.by_step()))
     for tried in range(1, _ROUNDS + 1):
         if progress is not None:
@@ -200,7 +189,7 @@ def robust_cycle(
         plan = plan_job(candidate, machine, Options())
         runs = over_band(plan, watched, machines)
         in_spec = not search.learn(runs)
-        proof = try_plan(plan, spec, trials if in_spec else NOMINAL)
+        proof = try_plan(plan, spec, asked.trials if in_spec else NOMINAL)
         passed = in_spec and proof.verdict.passed
         if passed or tried == _ROUNDS or (until is not None and until.over()):
             return RobustCycle(
@@ -219,16 +208,9 @@ def robust_cycle(
 class _Search:
     """One search of ``robust_cycle``: the commands of each move, and how much each may ring."""
 
-    def __init__(
-        self,
-        job: Job,
-        machine: Machine,
-        spec: Spec,
-        band: float,
-        plain: Plan,
-        progress: Progress | None,
-    ) -> None:
-        self._job, self._machine, self._spec = job, machine, spec
+    def __init__(self, job: Job, asked: Question, band: float, plain: Plan) -> None:
+        machine, progress = asked.machine, asked.progress
+        self._job, self._machine, self._spec = job, machine, asked.spec
         self._base = plain.scheduled
         self._scan_s = float(self._base.commands.clock.period_s)
         self._steps = tuple(e.name for e in self._base.commands.events if e.kind == "tool")

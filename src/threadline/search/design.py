@@ -17,7 +17,7 @@ from threadline.machine import Machine
 from threadline.machine.model import check_dynamics
 from threadline.machine.numbers import number_at, with_numbers
 from threadline.proof.kinds import kind_of
-from threadline.proof.kinds.variants import retold
+from threadline.proof.kinds.variants import with_machine_hash
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, Trials, open_job, plan_job, simulate, try_plan
 from threadline.search.design_evaluate import FEW, THOROUGH, Effort, Evaluator, Tried
@@ -162,20 +162,9 @@ _DIGITS = 3
 _RETRIED = 8  # settings of a known answer that are tried over the tolerances
 
 
-def design(
-    job_file: Path,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    trials: Trials = REPEATED,
-    corners: bool = False,
-    plotted: tuple[str, str] | None = None,
-    smoothing_s: tuple[float, ...] = (),
-    effort: Effort | None = None,
-    progress: Progress | None = None,
-) -> DesignResult:
-    """Search the smallest change to ``machine`` with which a job is in ``spec``.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Wanted:
+    """What a design must hold for, and how it is searched.
 
     Parameters
     ----------
@@ -192,13 +181,35 @@ def design(
         Widths of the smoothing that feed-forward is tried with: the commands then go through the
         exact inverse of each candidate instead of through filters designed for it. Empty for none.
     effort
-        How long to search.
+        How long to search; as long as the kind of machine allows when None.
+    """
+
+    trials: Trials = REPEATED
+    corners: bool = False
+    plotted: tuple[str, str] | None = None
+    smoothing_s: tuple[float, ...] = ()
+    effort: Effort | None = None
+
+
+_BY_DEFAULT = Wanted()
+
+
+def design(
+    job_file: Path,
+    machine: Machine,
+    spec: Spec,
+    options: Options,
+    wanted: Wanted = _BY_DEFAULT,
+    progress: Progress | None = None,
+) -> DesignResult:
+    """Search the smallest change to ``machine`` with which a job is in ``spec``.
 
     Raises
     ------
     MachineError, JobError, PlanError, OptionError
         If the input is wrong, or the machine as it is cannot be told to do the job.
     """
+    trials, corners, smoothing_s = wanted.trials, wanted.corners, wanted.smoothing_s
     check_dynamics("what a change of its parts would do", machine)
     kind_of(machine).check_options(machine, options)
     space = design_space(machine, smoothing_s)
@@ -219,7 +230,7 @@ def design(
         spec,
         options,
         OtherRuns.of(space, trials, corners=corners),
-        effort or (FEW if smoothing_s or space.alone else THOROUGH),
+        wanted.effort or (FEW if smoothing_s or space.alone else THOROUGH),
     )
     tried = first_sample(space, evaluator, report("sampling", 0.0, 0.25))
     tried = least_change(space, evaluator, tried, report("narrowing", 0.25, 0.55))
@@ -240,7 +251,7 @@ def design(
         centre,
         level,
         np.median(used, axis=0) * space.weights if len(used) else space.weights,
-        plotted,
+        wanted.plotted,
         report("drawing the region", 0.75, 1.0),
     )
     return DesignResult(
@@ -329,7 +340,8 @@ def _proved(
     """Return the cheapest candidate that the whole pipeline proves, and why others were refused."""
     refused: list[str] = []
     order = _cheapest_first(space, tried)
-    if trials.machines:  # many cost nearly the same, and would all be as far from passing
+    if trials.machines or trials != trials.alone:
+        # Many cost nearly the same, and would all be as far from passing.
         order = pareto(space, tried, 1.0 + 1e-9)
         # Evenly, from the cheapest to the one of most margin, which passes if any does.
         most = min(len(order), _MOST_PROOFS)
@@ -419,7 +431,7 @@ def _at_corners(
         off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
         machine = with_numbers(redesigned, off)
         kind_of(machine).check(machine)
-        recordings.append(simulate(retold(plan.commands, machine), machine))
+        recordings.append(simulate(with_machine_hash(plan.commands, machine), machine))
     return Judge(plan, spec).verdict(recordings[:1], recordings[1:])
 
 

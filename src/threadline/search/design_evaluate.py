@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
+from threadline.base.option_defaults import FEED_FORWARD
 from threadline.dynamics import lead_deg, lead_from_response
 from threadline.dynamics.elements import working_rates
 from threadline.dynamics.network import PiecewiseLinear, piecewise_linear
@@ -18,6 +19,7 @@ from threadline.jobs.operations import Job
 from threadline.machine import Machine
 from threadline.machine.controllers import COEFFICIENT_HIGH, COEFFICIENT_LOW
 from threadline.machine.numbers import with_numbers
+from threadline.proof.option_words import parse_width_s
 from threadline.proof.options import Options
 from threadline.proof.pipeline import NOMINAL, Trials, plan_job, prove_plan
 from threadline.search.design_judge import HOPELESS, DesignJudge, OtherRuns, Ratios, design_judge
@@ -380,7 +382,11 @@ class Evaluator:
         """Return how candidates of a level are planned, once their numbers are the machine's."""
         if not self.space.ahead:
             return self._options
-        return replace(self._options, feed_forward_s=self.space.levels[level])
+        width_s = self.space.levels[level]
+        if self._options.robust_share is None:
+            return replace(self._options, feed_forward_s=width_s)
+        # Of a robust plan the smoothing is the time in which the speed may change.
+        return replace(self._options, feed_forward_s=parse_width_s(FEED_FORWARD), change_s=width_s)
 
     def _one_by_one(
         self, proofs: AloneProofs, points: FloatArray, level: IntArray, beyond: float

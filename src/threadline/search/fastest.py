@@ -34,14 +34,43 @@ from threadline.search.forbidden import (
 from threadline.search.until import HaltError, Until
 from threadline.verdict import Verdict
 
-SCAN_POINTS = 48
 EDGE_RELATIVE = 2e-3
-NEAR_POINTS = 16
 _ENOUGH = 4  # feeds of a scan
 _UNDER_WAY = 0.98
 """Of a search that is not over, whatever was expected of it."""
 RANGE = "range"
 """What limits a search that ended before anything failed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grid:
+    """How closely a search looks: the resolution of its answer.
+
+    Parameters
+    ----------
+    points
+        Feeds in the scan. An interval narrower than the spacing can be missed.
+    near
+        Feeds tried within each gap of the scan between pass and fail, and in the gaps beside it.
+    edge
+        Edges are refined until pass and fail are this close, relative to the feed.
+    every
+        Whether every interval is looked into that closely, or the fastest alone, and feeds near its
+        upper edge. The scan then goes down from above only until a few feeds in a row pass; what it
+        meets on the way is as the scan and the bisection of edges have it.
+    """
+
+    points: int = 48
+    near: int = 0
+    edge: float = EDGE_RELATIVE
+    every: bool = True
+
+
+PLAIN: Grid = Grid()
+FINE: Grid = Grid(near=16)
+"""Of a search whose answer is told."""
+COARSE: Grid = Grid(points=12, edge=5e-3)
+"""Of one of many searches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,15 +151,11 @@ def find_fastest(
     judged: Judged,
     low: float,
     high: float,
+    grid: Grid = PLAIN,
     *,
-    points: int = SCAN_POINTS,
-    edge_relative: float = EDGE_RELATIVE,
-    near: int = 0,
     progress: Progress | None = None,
-    unit: str = "m/s",
     until: Until | None = None,
     seen: dict[float, Verdict] | None = None,
-    every: bool = True,
 ) -> Fastest:
     """Scan feeds from ``low`` to ``high``, then refine every edge between pass and fail.
 
@@ -141,25 +166,12 @@ def find_fastest(
     low, high
         Ends of the scan, ``0 < low < high``; evenly spaced on a logarithmic scale, because what
         limits a machine scales with powers of its speed.
-    points
-        Feeds in the scan. An interval narrower than the spacing can be missed: that is the
-        resolution of the search.
-    edge_relative
-        Edges are refined until pass and fail are this close, relative to the feed.
-    near
-        Feeds tried within each gap of the scan between pass and fail, and in the gaps beside it.
-    unit
-        Of the feeds, for an error.
     until
         When the search has to come to an answer. With it, an interrupt ends the search and not the
         program, once a feed was judged.
     seen
         Verdicts by feed that an earlier search of the same range has come to: they are not asked
         for again, and count as tried. Those that this search comes to are added.
-    every
-        Whether every interval is looked into that closely, or the fastest alone, and feeds near its
-        upper edge. The scan then goes down from above only until a few feeds in a row pass; what it
-        meets on the way is as the scan and the bisection of edges have it.
 
     Raises
     ------
@@ -168,9 +180,10 @@ def find_fastest(
     HaltError
         If the time is over before a feed was judged.
     """
+    points, near, edge_relative = grid.points, grid.near, grid.edge
     if points < 2:
         raise ValueError(f"nothing to scan with {points} points, two are the least")
-    check_range(low, high, unit)
+    check_range(low, high, "m/s")
     seen = {} if seen is None else seen
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = INSIDE if near else 0
@@ -197,7 +210,7 @@ def find_fastest(
 
     step = (high / low) ** (1.0 / (points - 1))
     steps: dict[str, Any] = {
-        "every": every,
+        "every": grid.every,
         "step": step - 1.0,
         "near_step": step ** (1.0 / (near + 1)) - 1.0,
         "low": low,
@@ -205,9 +218,8 @@ def find_fastest(
     }
     complete = True
     try:
-        intervals = (_searched if every else _searched_from_above)(
-            verdict_at, seen, (low, high), points, near, edge_relative, expects
-        )
+        searched = _searched if grid.every else _searched_from_above
+        intervals = searched(verdict_at, seen, (low, high), grid, expects)
     except KeyboardInterrupt as signal:
         if until is None or not seen or not until.interrupted(signal):
             raise
@@ -230,7 +242,7 @@ def find_fastest(
             forbidden=forbidden(seen),
             **steps,
         )
-    if not every:
+    if not grid.every:
         steps["low"] = min(seen)
     best = _first(intervals).high
     # A feed that passes alone may lie between the best and the first that fails.
@@ -263,15 +275,14 @@ def _searched(
     verdict_at: Judged,
     seen: Mapping[float, Verdict],
     span: tuple[float, float],
-    points: int,
-    near: int,
-    edge_relative: float,
+    grid: Grid,
     expects: Callable[[int], None],
 ) -> list[Interval]:
     """Return every interval that passes, the lowest first.
 
     ``expects`` is told how many edges between pass and fail are refined, once that is known.
     """
+    points, near, edge_relative = grid.points, grid.near, grid.edge
     feeds = _spaced(*span, points)
     passes = _passes(verdict_at, feeds)
     if near:
@@ -292,9 +303,7 @@ def _searched_from_above(
     verdict_at: Judged,
     seen: Mapping[float, Verdict],
     span: tuple[float, float],
-    points: int,
-    near: int,
-    edge_relative: float,
+    grid: Grid,
     expects: Callable[[int], None],
 ) -> list[Interval]:
     """Return the intervals that pass, the lowest first, the fastest of them looked into.
@@ -303,6 +312,7 @@ def _searched_from_above(
     fastest interval, and inside it; where nothing of it holds but feeds that pass alone, the next
     one below is looked into, and where no interval holds, all of them are.
     """
+    points, near, edge_relative = grid.points, grid.near, grid.edge
     scan = _down_to_passing(verdict_at, _spaced(*span, points))
     if not near:
         intervals = _bounded(verdict_at, scan, _passes(verdict_at, scan), edge_relative)
@@ -317,7 +327,7 @@ def _searched_from_above(
         while intervals and all(part.alone for part in held):
             held = held_parts(verdict_at, seen, intervals.pop(), edge_relative) + held
         if all(part.alone for part in held):
-            return _searched(verdict_at, seen, span, points, near, edge_relative, expects)
+            return _searched(verdict_at, seen, span, grid, expects)
         top = max(part.high for part in held if not part.alone)
         gap = bisect_right(scan, top) - 1
         if gap in about or gap == len(scan) - 1:

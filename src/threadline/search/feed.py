@@ -5,44 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 
-from threadline.base.progress import Progress
-from threadline.commands.plan import Following
-from threadline.errors import LimitError, OptionError
+from threadline.commands.plan import Following, Plan
+from threadline.errors import OptionError
 from threadline.jobs.feed_times import feed_time_s
 from threadline.jobs.gcode.feeds import RULES, as_f_words
 from threadline.jobs.operations import Feed, FeedMode, Job, Move, MoveRun, move_runs
 from threadline.machine import Machine
 from threadline.motion.path import programmed_path
-from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Trials, open_job, plan_job, try_plan
+from threadline.proof.pipeline import open_job, plan_job
 from threadline.search.distinct import LongMoves, moves_in
-from threadline.search.fastest import EDGE_RELATIVE, NEAR_POINTS, SCAN_POINTS, Fastest, find_fastest
-from threadline.search.forbidden import used
+from threadline.search.fastest import FINE, Fastest, Grid
 from threadline.search.judge_runs import kept_in_memory
-from threadline.search.until import Until
-from threadline.verdict import Result, Spec, Status, Verdict
-
-_PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
-
-
-def beyond(error: LimitError, machine: Machine) -> Verdict:
-    """Return the verdict on a plan that breaks a limit: the criterion of that limit failed."""
-    over = error.quantity == "travel"
-    base = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
-    failed = Result(
-        name=error.quantity,
-        axis=error.axis,
-        measured=abs(error.value_si - error.limit_si) if over else abs(error.value_si),
-        limit=0.0 if over else error.limit_si,
-        unit=f"{base}{_PER[error.quantity]}",
-        status=Status.FAILED,
-        note="the plan is refused",
-    )
-    return Verdict(results=(failed,), simulated=False)
+from threadline.search.paced import Paced, Question, fastest_paced
+from threadline.verdict import Verdict
 
 
 def searched_by(job: Job, machine: Machine) -> FeedMode:
@@ -130,20 +109,6 @@ def feed_range_m_s(
     return _typed(low, math.ceil), _typed(high, math.floor)
 
 
-def _of_all(passed: Sequence[Verdict]) -> Verdict:
-    """Return one verdict over all stretches of a job, each of which passes: the worst of each row.
-
-    Stretches have the same criteria and axes, hence the same rows; where one has others, since it
-    is judged without ends of travel, the verdict is that of the stretch closest to a limit.
-    """
-    closest = max(passed, key=used)
-    if len({tuple(row.name for row in verdict.results) for verdict in passed}) > 1:
-        return closest
-    rows = zip(*(verdict.results for verdict in passed), strict=True)
-    worst = (max(row, key=lambda one: (one.measured is not None, one.severity)) for row in rows)
-    return replace(closest, results=tuple(worst))
-
-
 _SAME = 1e-3
 """Speeds that differ by a smaller share are the same one."""
 
@@ -155,88 +120,54 @@ def _typed(feed: float, towards: Callable[[float], int]) -> float:
 
 
 def fastest_feed(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    points: int = SCAN_POINTS,
-    near: int = NEAR_POINTS,
-    progress: Progress | None = None,
-    actual: Machine | None = None,
-    edge_relative: float = EDGE_RELATIVE,
-    trials: Trials = NOMINAL,
+    asked: Question,
+    grid: Grid = FINE,
     parts: Sequence[Job] = (),
-    until: Until | None = None,
-    by: FeedMode = FeedMode.FASTEST_AXIS,
     seen: dict[float, Verdict] | None = None,
-    every: bool = True,
 ) -> Fastest:
-    """Return every interval of feed (m/s of the fastest axis) at which ``job`` stays in spec.
+    """Return every interval of feed (m/s of the fastest axis) at which a job stays in spec.
 
     Where loads follow, a feed at which the smoothed motion breaks a limit of the machine is out of
-    spec.
+    spec. ``Question.by`` is what the feed is of: the fastest axis unless given, or F words, by the
+    job's rule for them; or an override, a share of the programmed feeds.
 
     Parameters
     ----------
-    points, near, edge_relative
-        As ``find_fastest`` takes them; their steps are the resolution.
-    actual
-        The machine that does the job, where it isn't the one that plans are made for.
-    trials
-        Which runs a feed is judged by.
+    grid, seen
+        As ``fastest_paced`` takes them.
     parts
         Jobs that are judged in the place of this one: its distinct stretches.
-    until
-        When the search has to come to an answer.
-    by
-        What the feed is of: the fastest axis, or F words, by the job's rule for them; or an
-        override, a share of the programmed feeds.
-    seen, every
-        As ``find_fastest`` takes them.
     """
+    machine, options = asked.machine, asked.options
+    by = FeedMode.FASTEST_AXIS if asked.by is None else asked.by
+
+    def planner(part: LongMoves) -> Callable[[float], Plan]:
+        def planned_at(pace: float) -> Plan:
+            feed = Feed(by, pace)
+            watched, on = part.without_middles(feed, options.limit_share)
+            return kept_in_memory(plan_job(watched, on, replace(options, feed=feed)))
+
+        return planned_at
+
     # Where one of the shortest shows already that a feed fails, the others need no simulation.
-    shortest_first = sorted(parts, key=moves_in) if len(parts) > 1 else parts or (job,)
-    judged_jobs = [LongMoves.of(part, machine) for part in shortest_first]
-    lowest, highest = search_range(job, machine, by)
-
-    def judged(feed_m_s: float) -> Verdict:
-        passed = []
-        for at, part in enumerate(judged_jobs):
-            verdict = judged_part(part, feed_m_s)
-            if not verdict.passed:
-                # What fails at one feed most likely fails at the next: it is judged first.
-                judged_jobs.insert(0, judged_jobs.pop(at))
-                return verdict
-            passed.append(verdict)
-        return _of_all(passed)
-
-    def judged_part(part: LongMoves, feed_m_s: float) -> Verdict:
-        feed = Feed(by, feed_m_s)
-        watched, on = part.without_middles(feed, options.limit_share)
-        try:
-            plan = plan_job(watched, on, replace(options, feed=feed))
-        except LimitError as error:
-            # What is programmed outside the travel is so at every feed.
-            if options.following is Following.MOTOR or error.quantity == "travel":
-                raise
-            return beyond(error, machine)
-        return try_plan(kept_in_memory(plan), spec, trials, actual).verdict
-
-    return find_fastest(
-        judged,
-        lowest if low is None else low,
-        highest if high is None else high,
-        points=points,
-        near=near,
-        edge_relative=edge_relative,
-        progress=progress,
-        until=until,
-        seen=seen,
-        every=every,
+    shortest_first = sorted(parts, key=moves_in) if len(parts) > 1 else parts or (asked.job,)
+    low, high = asked.low, asked.high
+    if low is None or high is None:
+        low, high = search_range(asked.job, machine, by)
+    paced = Paced(
+        low=low,
+        high=high,
+        unit=feed_unit(by) or "times the feeds",
+        planned_at=[planner(LongMoves.of(part, machine)) for part in shortest_first],
+        # What is programmed outside the travel is so at every feed.
+        is_verdict=lambda e: options.following is Following.LOAD and e.quantity != "travel",
     )
+    return fastest_paced(asked, paced, grid, seen)
+
+
+def feed_unit(by: FeedMode) -> str:
+    """Return the unit of a feed of ``by``; "" for a share of the programmed feeds."""
+    return "" if by is FeedMode.OVERRIDE else "m/s"
 
 
 _SLOWEST = 0.025  # of the highest needle speed: where a search begins
@@ -262,37 +193,11 @@ def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
     return max(_SLOWEST * high, slowest), high
 
 
-def fastest_needle(
-    seam: Path,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    points: int = SCAN_POINTS,
-    near: int = NEAR_POINTS,
-    progress: Progress | None = None,
-    actual: Machine | None = None,
-    edge_relative: float = EDGE_RELATIVE,
-    trials: Trials = NOMINAL,
-    until: Until | None = None,
-) -> Fastest:
-    """Return every interval of needle speed (stitches a second) at which ``seam`` is in spec.
+def fastest_needle(asked: Question, grid: Grid = FINE) -> Fastest:
+    """Return every interval of needle speed (stitches a second) at which a seam is in spec.
 
     The seam is read anew at each speed, so that its stitches are placed for it; every contour is
     sewn at the same speed. A speed at which the plan breaks a limit of the machine is out of spec.
-
-    Parameters
-    ----------
-    points, near
-        As ``find_fastest`` takes them; their steps are the resolution.
-    actual
-        The machine that sews, where it isn't the one that plans are made for.
-    trials
-        Which runs a speed is judged by.
-    until
-        When the search has to come to an answer, as ``find_fastest`` takes it.
 
     Raises
     ------
@@ -301,26 +206,18 @@ def fastest_needle(
     HaltError
         If the time is over before a speed was judged.
     """
-    lowest, highest = needle_range_hz(open_job(seam, machine, options), machine)
-    begin, end = lowest if low is None else low, highest if high is None else high
-
-    def judged(speed_hz: float) -> Verdict:
-        at_speed = replace(options, needle=f"{speed_hz!r} stitch/s")
-        job = open_job(seam, machine, at_speed)
-        try:
-            plan = plan_job(job, machine, at_speed)
-        except LimitError as error:
-            return beyond(error, machine)
-        return try_plan(plan, spec, trials, actual).verdict
-
-    return find_fastest(
-        judged,
-        begin,
-        end,
-        points=points,
-        near=near,
-        edge_relative=edge_relative,
-        progress=progress,
+    low, high = needle_range_hz(asked.job, asked.machine)
+    paced = Paced(
+        low=low,
+        high=high,
         unit="stitch/s",
-        until=until,
+        planned_at=[partial(sewn_at, asked)],
+        is_verdict=lambda _: True,
     )
+    return fastest_paced(asked, paced, grid)
+
+
+def sewn_at(asked: Question, speed_hz: float) -> Plan:
+    """Return the plan of a seam at a needle speed, stitches a second."""
+    options = replace(asked.options, needle=f"{speed_hz!r} stitch/s")
+    return plan_job(open_job(asked.file, asked.machine, options), asked.machine, options)

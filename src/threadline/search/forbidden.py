@@ -209,7 +209,7 @@ def closeness(verdict: Verdict) -> tuple[bool, float]:
 
 
 def _beyond_one_run(verdict: Verdict) -> bool:
-    return verdict.runs + verdict.machines + verdict.ends > 1
+    return verdict.runs + verdict.machines + verdict.ends + verdict.band > 1
 
 
 def worst_criterion(verdict: Verdict) -> tuple[str, float]:

@@ -24,7 +24,7 @@ from threadline.files import ChannelKind, Stream, tick_table
 from threadline.machine import Machine
 from threadline.machine.variants import uncertain, variant
 from threadline.proof.kinds import kind_of
-from threadline.proof.kinds.variants import retold
+from threadline.proof.kinds.variants import with_machine_hash
 from threadline.twin import fastest_rates, simulate_runs
 from threadline.twin.simulate import DEFAULT_SETTLE_S
 from threadline.verdict import EachRun, Judge, Spec, needed_channels
@@ -69,7 +69,9 @@ class AloneJudge:
     def _one(self, row: FloatArray) -> EachRun:
         plan = self._plan
         machine = variant(plan.machine, row)
-        return self._judge.each(kind_of(machine).simulate(retold(plan.commands, machine), machine))
+        return self._judge.each(
+            kind_of(machine).simulate(with_machine_hash(plan.commands, machine), machine)
+        )
 
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # parameters of mallopt, malloc.h

@@ -13,6 +13,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
 from threadline.base.progress import Progress
+from threadline.commands.plan import Plan
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine
@@ -20,14 +21,15 @@ from threadline.motion.path.interpolations import OPTIMAL
 from threadline.motion.timing import Pace
 from threadline.proof.option_words import LEAST_SHARE
 from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Trials, check_loops, plan_job, try_plan
+from threadline.proof.pipeline import check_loops, plan_job
 from threadline.search.allowance import FastestJob, Rung, fastest_allowed
 from threadline.search.distinct import LongMoves, distinct_parts, moves_in
-from threadline.search.fastest import NEAR_POINTS, Fastest, check_range
-from threadline.search.feed import fastest_feed, search_range, searched_by
+from threadline.search.fastest import FINE, Fastest, Grid, check_range
+from threadline.search.feed import fastest_feed, feed_unit, search_range, searched_by
 from threadline.search.forbidden import Interval, closeness, worst_criterion
+from threadline.search.paced import Question
 from threadline.search.until import HaltError, Until, as_far_as, no_answer
-from threadline.verdict import Spec, Verdict
+from threadline.verdict import Verdict
 
 LONG_S = 300.0
 """A job that takes longer, however fast it was so far, is not searched with shares of the limits
@@ -41,8 +43,8 @@ class Shares:
     Parameters
     ----------
     searched
-        Returns the feeds in spec with a share, from how many feeds are scanned, how many near each
-        edge, and whom to tell how far that is.
+        Returns the feeds in spec with a share, from how closely feeds are looked at, and whom to
+        tell how far that is.
     duration_s
         Returns how long the job takes with a share at the best of its feeds.
     at_top_s
@@ -60,7 +62,7 @@ class Shares:
         How many searches were begun, and how much of all was told to be done.
     """
 
-    searched: Callable[[float, int, int, Progress | None], Fastest]
+    searched: Callable[[float, Grid, Progress | None], Fastest]
     duration_s: Callable[[float, Fastest], float | None]
     at_top_s: Callable[[float], float]
     expected: int
@@ -72,7 +74,7 @@ class Shares:
     steps: int = 0
     told: float = 0.0
 
-    def tried(self, share: float, points: int, near: int = 0) -> Rung | None:
+    def tried(self, share: float, grid: Grid) -> Rung | None:
         """Return what was found with a share, searched unless that is known; None: left out.
 
         Raises
@@ -80,13 +82,13 @@ class Shares:
         HaltError
             If the time is over, or somebody asks for the answer, after this share was known.
         """
-        if share in self.rungs and not near:
+        if share in self.rungs and not grid.near:
             return self.rungs[share]
         telling = self._telling(share)
         self.steps += 1
         if share in self.left_out or (share not in self.rungs and self._hopeless(share)):
             return None
-        found = self.searched(share, points, near, telling)
+        found = self.searched(share, grid, telling)
         try:
             duration_s = self.duration_s(share, found)
         except KeyboardInterrupt as signal:
@@ -147,7 +149,8 @@ class Shares:
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
 _STEP = 2.0**0.25  # from rung to rung once the best of the ladder is known
-_SCAN_POINTS = 20
+_SCAN = Grid(points=20)
+_CLOSELY = Grid(points=20, near=FINE.near)
 _STEPS = len(_LADDER) + 5
 """Of a search: the ladder, most often two shares on either side of the best, and the best again,
 near its edges."""
@@ -155,38 +158,13 @@ _LOWERED = 8  # feeds that the whole job is tried at
 _LOWER = 0.98
 
 
-def fastest_job(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    progress: Progress | None = None,
-    actual: Machine | None = None,
-    trials: Trials = NOMINAL,
-    until: Until | None = None,
-    by: FeedMode | None = None,
-) -> FastestJob:
+def fastest_job(asked: Question) -> FastestJob:
     """Search feed and share of the limits together; the shortest job in spec wins.
 
     Paths and timings that ignore the limits (the 1994 controller's, programmed times) are searched
-    by feed alone. ``optimal`` needs no feed: see ``fastest_allowed``.
-
-    Parameters
-    ----------
-    low, high
-        Feeds to search between: m/s of the fastest axis or of F words, shares of an override.
-    actual
-        The machine that does the job, where it isn't the one that plans are made for.
-    trials
-        Which runs a feed is judged by.
-    until
-        When the search has to come to an answer.
-    by
-        What the feed is of; when None what ``searched_by`` says. ``optimal`` is always capped by
-        the fastest axis.
+    by feed alone. ``optimal`` needs no feed: see ``fastest_allowed``. ``Question.low`` and ``high``
+    are m/s of the fastest axis or of F words, or shares of an override; where ``Question.by`` does
+    not say what, ``searched_by`` does.
 
     Notes
     -----
@@ -199,25 +177,17 @@ def fastest_job(
     tried from above until four in a row are in spec, and near the end the fastest interval alone is
     looked into closely, and its upper edge.
     """
+    job, machine, options, until = asked.job, asked.machine, asked.options, asked.until
     check_loops(machine)
     if options.interpolation == OPTIMAL:
-        return fastest_allowed(
-            job,
-            machine,
-            spec,
-            options,
-            high=high,
-            progress=progress,
-            actual=actual,
-            trials=trials,
-            until=until,
-        )
-    by = searched_by(job, machine) if by is None else by
-    lowest, highest = search_range(job, machine, by)
-    unit = "times the feeds" if by is FeedMode.OVERRIDE else "m/s"
-    check_range(lowest if low is None else low, highest if high is None else high, unit)
-    if progress is not None:
-        progress("looking for what repeats", 0.0)
+        return fastest_allowed(asked)
+    by = searched_by(job, machine) if asked.by is None else asked.by
+    low, high = search_range(job, machine, by)
+    low, high = low if asked.low is None else asked.low, high if asked.high is None else asked.high
+    asked = replace(asked, by=by, low=low, high=high)
+    check_range(low, high, feed_unit(by) or "times the feeds")
+    if asked.progress is not None:
+        asked.progress("looking for what repeats", 0.0)
     if until is not None:
         until.check()  # before any file is open
     with nullcontext() if until is None else until.interrupting():
@@ -225,42 +195,29 @@ def fastest_job(
         by_feed = ignores_limits(parts[0], machine, options)
     seen: dict[float, dict[float, Verdict]] = {}
 
-    def searched(share: float, points: int, near: int, telling: Progress | None) -> Fastest:
-        return fastest_feed(
-            job,
-            machine,
-            spec,
-            replace(options, limit_share=share),
-            low=low,
-            high=high,
-            points=points,
-            near=near,
-            progress=telling,
-            actual=actual,
-            trials=trials,
-            parts=parts,
-            until=until,
-            by=by,
-            seen=seen.setdefault(share, {}),
-            every=by_feed or not shares.long,
-        )
+    def searched(share: float, grid: Grid, telling: Progress | None) -> Fastest:
+        with_share = replace(options, limit_share=share)
+        question = replace(asked, options=with_share, progress=telling)
+        closely = replace(grid, every=by_feed or not shares.long)
+        return fastest_feed(question, closely, parts, seen.setdefault(share, {}))
+
+    def planned_s(share: float, feed: float) -> float:
+        return planned_at(asked, share, feed).duration_s
 
     shares = Shares(
         searched=searched,
-        duration_s=lambda share, found: _duration_s(
-            job, machine, replace(options, limit_share=share), found, by
+        duration_s=lambda share, found: (
+            None if found.best is None else planned_s(share, found.best)
         ),
-        at_top_s=lambda share: _planned_s(
-            job, machine, replace(options, limit_share=share), highest if high is None else high, by
-        ),
+        at_top_s=lambda share: planned_s(share, high),
         expected=1 if by_feed else _STEPS,
-        progress=progress,
+        progress=asked.progress,
         until=until,
     )
     tried, rungs = shares.tried, shares.rungs
     try:
         if by_feed:
-            tried(1.0, 48, NEAR_POINTS)
+            tried(1.0, FINE)
         else:
             _climb(tried, rungs)
     except HaltError as halt:
@@ -270,32 +227,27 @@ def fastest_job(
         if until is None or not rungs or not until.interrupted(signal):
             raise
     best = min(rungs.values(), key=_order)
-    ended = "" if until is None else until.ended
-    repeats = parts != (job,)
-    cut = _cut(parts, machine, best, by)
-    never = tuple(sorted(shares.left_out, reverse=True))
-    if not (repeats or cut):
-        return FastestJob(best=best, rungs=_ordered(rungs), left_out=never, ended=ended, by=by)
-    whole = not ended
-    if whole and best.duration_s is not None:
+    repeats, cut = parts != (job,), _cut(parts, machine, best, by)
+    stopped = until is not None and bool(until.ended)
+    whole = not stopped or not (repeats or cut)
+    if (repeats or cut) and not stopped and best.duration_s is not None:
         whole = False
-        if progress is not None:
-            progress("the whole job", shares.steps / (shares.steps + 1))
+        if asked.progress is not None:
+            asked.progress("the whole job", shares.steps / (shares.steps + 1))
         with as_far_as(until, lambda: rungs):
-            best = _of_whole(best, job, machine, spec, options, actual, trials, by)
+            best = _of_whole(best, asked)
             rungs[best.share] = best
             whole = True
-        ended = "" if until is None else until.ended
     return FastestJob(
         best=best,
-        rungs=_ordered(rungs),
-        left_out=never,
-        moves=moves_in(job),
-        judged_moves=sum(map(moves_in, parts)),
+        rungs=tuple(sorted(rungs.values(), key=lambda rung: -rung.share)),
+        left_out=tuple(sorted(shares.left_out, reverse=True)),
+        moves=moves_in(job) if repeats or cut else 0,
+        judged_moves=sum(map(moves_in, parts)) if repeats or cut else 0,
         parts=len(parts) if repeats else 0,
         cut=cut,
         whole=whole,
-        ended=ended,
+        ended="" if until is None else until.ended,
         by=by,
     )
 
@@ -303,13 +255,13 @@ def fastest_job(
 def _climb(tried: Callable[..., Rung | None], rungs: Mapping[float, Rung]) -> None:
     """Try shares of the limits until none beside the best is better."""
     for share in _LADDER:
-        tried(share, _SCAN_POINTS)
+        tried(share, _SCAN)
     best = min(rungs.values(), key=_order)
     if best.duration_s is not None:
         for factor in (_STEP, 1.0 / _STEP):
             share = round(best.share * factor, 6)
             while LEAST_SHARE <= share <= 1.0:
-                rung = tried(share, _SCAN_POINTS)
+                rung = tried(share, _SCAN)
                 if rung is None or not _order(rung) < _order(best):
                     break
                 best = rung
@@ -317,12 +269,8 @@ def _climb(tried: Callable[..., Rung | None], rungs: Mapping[float, Rung]) -> No
     finer: set[float] = set()
     while best.duration_s is not None and best.share not in finer:
         finer.add(best.share)
-        tried(best.share, _SCAN_POINTS, NEAR_POINTS)
+        tried(best.share, _CLOSELY)
         best = min(rungs.values(), key=_order)
-
-
-def _ordered(rungs: Mapping[float, Rung]) -> tuple[Rung, ...]:
-    return tuple(sorted(rungs.values(), key=lambda rung: -rung.share))
 
 
 def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bool:
@@ -337,25 +285,21 @@ def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bo
     )
 
 
-def _of_whole(
-    best: Rung,
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    actual: Machine | None,
-    trials: Trials,
-    by: FeedMode,
-) -> Rung:
+def planned_at(asked: Question, share: float, feed: float) -> Plan:
+    """Return the plan of the whole job at a feed of ``Question.by``, with a share of the limits."""
+    by = FeedMode.FASTEST_AXIS if asked.by is None else asked.by
+    options = replace(asked.options, limit_share=share, feed=Feed(by, feed))
+    return plan_job(asked.job, asked.machine, options)
+
+
+def _of_whole(best: Rung, asked: Question) -> Rung:
     """Return ``best`` as the whole job has it, with the highest feed at which that is in spec."""
     interval = best.found.fastest
     assert interval is not None
     feed_m_s = interval.high
-    chosen = replace(options, limit_share=best.share)
     for _ in range(_LOWERED):
-        feed = Feed(by, feed_m_s)
-        plan = plan_job(job, machine, replace(chosen, feed=feed))
-        verdict = try_plan(plan, spec, trials, actual).verdict
+        plan = planned_at(asked, best.share, feed_m_s)
+        verdict = asked.judged(plan)
         if verdict.passed:
             kept = best.found.intervals
             if feed_m_s < interval.high:
@@ -383,14 +327,3 @@ def _order(rung: Rung) -> tuple[float, tuple[bool, float]]:
     if rung.duration_s is None:
         return math.inf, closeness(rung.found.verdict)
     return rung.duration_s, (False, 0.0)
-
-
-def _duration_s(
-    job: Job, machine: Machine, options: Options, found: Fastest, by: FeedMode
-) -> float | None:
-    return None if found.best is None else _planned_s(job, machine, options, found.best, by)
-
-
-def _planned_s(job: Job, machine: Machine, options: Options, feed: float, by: FeedMode) -> float:
-    """Return how long the whole job takes at a feed."""
-    return plan_job(job, machine, replace(options, feed=Feed(by, feed))).duration_s

@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
-from threadline.base.progress import Progress
 from threadline.errors import OptionError
-from threadline.jobs.operations import FeedMode, Job
-from threadline.machine import Machine
 from threadline.machine.vary import off_tolerance
-from threadline.proof.options import Options
-from threadline.search.cycle import fastest_cycle
-from threadline.search.fastest import Fastest
-from threadline.search.feed import fastest_feed, fastest_needle
+from threadline.proof.pipeline import NOMINAL
 from threadline.search.forbidden import Interval
-from threadline.search.shaft import constant_speeds, speed_range_hz
-from threadline.verdict import Spec
+from threadline.search.paced import Question
 
 ENDS = (-1.0, 0.0, 1.0)
 """Lower end of the tolerance, the file's own value, upper end."""
-_POINTS = 12
 _SLOWEST = 0.25  # of the highest speed of the search
-_EDGE = 5e-3
+_ABOVE = 1.1  # the nominal best
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Searched:
-    """What a search over tolerances varies, in the words of its tables and pictures.
+    """What a search varies, in the words of its tables and pictures.
 
     Parameters
     ----------
@@ -92,194 +83,79 @@ class Mismatch:
     limited_by: str
 
 
-_Found = tuple[float | None, tuple[Interval, ...], str]
+Found = tuple[float | None, Sequence[Interval], str]
+"""The best pace, all that is in spec, the fastest first, and what limits it."""
 
 
-def needle_over_tolerances(
-    seam: Path,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float,
-    progress: Progress | None = None,
-) -> list[Mismatch]:
-    """Return the needle speeds in spec at the ends of the tolerances of masses and stiffnesses.
+def off_tolerances(asked: Question, again: Callable[[Question], Found]) -> tuple[Mismatch, ...]:
+    """Return what a search finds on machines at the ends of the tolerances, one run each.
 
-    Plans are those for ``machine`` as it is in its file; what sews them has other numbers, as a
-    real machine has. The speeds are scanned more coarsely than by ``fastest_needle``: 12 of them,
-    edges to half a percent, each judged by one run.
+    Plans are those for the machine as it is in its file; what runs them has other numbers, as a
+    real machine has.
 
     Parameters
     ----------
-    low, high
-        Needle speeds to search between, in stitches a second; ``low`` is a quarter of ``high``
-        when None.
+    again
+        Searches with the machine that runs; a scan is coarser than that of the answer itself.
 
     Raises
     ------
     OptionError
-        If no number has a tolerance, or the range is empty.
+        If no number of a load or a spring has a tolerance.
     """
-
-    def search(actual: Machine) -> _Found:
-        return _speeds(
-            fastest_needle(
-                seam,
-                machine,
-                spec,
-                options,
-                low=_SLOWEST * high if low is None else low,
-                high=high,
-                points=_POINTS,
-                near=0,
-                edge_relative=_EDGE,
-                actual=actual,
-            )
-        )
-
-    return _over_tolerances(search, machine, progress)
-
-
-def feed_over_tolerances(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float,
-    progress: Progress | None = None,
-    by: FeedMode = FeedMode.FASTEST_AXIS,
-) -> list[Mismatch]:
-    """Return the feeds in spec at the ends of the tolerances, as ``needle_over_tolerances`` does.
-
-    Parameters
-    ----------
-    low, high
-        Feeds to search between, m/s of what ``by`` says; ``low`` is a quarter of ``high`` when
-        None.
-    by
-        As ``fastest_feed`` takes it.
-
-    Raises
-    ------
-    OptionError
-        If no number has a tolerance.
-    """
-
-    def search(actual: Machine) -> _Found:
-        return _speeds(
-            fastest_feed(
-                job,
-                machine,
-                spec,
-                options,
-                low=_SLOWEST * high if low is None else low,
-                high=high,
-                points=_POINTS,
-                near=0,
-                edge_relative=_EDGE,
-                actual=actual,
-                by=by,
-            )
-        )
-
-    return _over_tolerances(search, machine, progress)
-
-
-def shaft_over_tolerances(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    progress: Progress | None = None,
-) -> list[Mismatch]:
-    """Return the constant speeds of the shaft in spec, as ``needle_over_tolerances`` does.
-
-    Parameters
-    ----------
-    low, high
-        Speeds to search between, in stitches a second; ``high`` is that of the machine when None,
-        and ``low`` a quarter of it.
-
-    Raises
-    ------
-    OptionError
-        If no number has a tolerance.
-    """
-    end = speed_range_hz(machine)[1] if high is None else high
-
-    def search(actual: Machine) -> _Found:
-        return _speeds(
-            constant_speeds(
-                job,
-                machine,
-                spec,
-                options,
-                low=_SLOWEST * end if low is None else low,
-                high=end,
-                points=_POINTS,
-                near=0,
-                actual=actual,
-            )
-        )
-
-    return _over_tolerances(search, machine, progress)
-
-
-def cycle_over_tolerances(
-    job: Job, machine: Machine, spec: Spec, *, progress: Progress | None = None
-) -> list[Mismatch]:
-    """Return the shortest cycle in spec at the ends of the tolerances.
-
-    The commands that a cycle is made of are shapers and switchings for the modes that ``machine``
-    has in its file; which of them are chosen, and the waits, is found on a machine with other
-    masses and stiffnesses. One run judges each.
-
-    Raises
-    ------
-    OptionError
-        If no number has a tolerance, or several cylinders move at once.
-    """
-
-    def search(actual: Machine) -> _Found:
-        found = fastest_cycle(job, machine, spec, actual=actual)
-        best = found.cycle_s
-        return best, () if best is None else (Interval(low=best, high=best),), found.limited_by
-
-    return _over_tolerances(search, machine, progress)
-
-
-def _speeds(found: Fastest) -> _Found:
-    return found.best, found.intervals, found.limited_by
-
-
-def _over_tolerances(
-    search: Callable[[Machine], _Found], machine: Machine, progress: Progress | None
-) -> list[Mismatch]:
+    machine = asked.machine
     if off_tolerance(machine, mass=1.0, stiffness=1.0) == machine:
         raise OptionError(
             f"loads and springs of {machine.name} have no tolerances",
             remedy='Write them in the machine file: "111 kg +- 10 %".',
         )
+    asked = replace(asked, trials=NOMINAL, until=None)
     cells = []
     places = [(mass, stiffness) for mass in ENDS for stiffness in ENDS]
     for number, (mass, stiffness) in enumerate(places):
-        if progress is not None:
-            progress("searching over tolerances", number / len(places))
-        best, intervals, limited_by = search(off_tolerance(machine, mass=mass, stiffness=stiffness))
+        if asked.progress is not None:
+            asked.progress("searching off the tolerances", number / len(places))
+        actual = off_tolerance(machine, mass=mass, stiffness=stiffness)
+        best, intervals, limited_by = again(replace(asked, actual=actual, progress=None))
         cells.append(
             Mismatch(
                 mass=mass,
                 stiffness=stiffness,
                 best=best,
-                intervals=intervals,
+                intervals=tuple(intervals),
                 limited_by=limited_by,
             )
         )
-    return cells
+    return tuple(cells)
+
+
+def near_best(asked: Question, best: float | None, top: float) -> Question:
+    """Return a question that asks for paces about the best; ``top`` where there is none.
+
+    Other machines are rarely faster.
+    """
+    high = asked.high if asked.high is not None else top if best is None else best * _ABOVE
+    return replace(asked, low=_SLOWEST * high if asked.low is None else asked.low, high=high)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Certainty:
+    """The fastest on all machines at the ends of the tolerances, and that of the file's alone.
+
+    Parameters
+    ----------
+    machines
+        How many the plan is for, that of the file among them.
+    sure, alone
+        Best speeds, or durations in s, of both searches; None where none is in specification.
+    unit
+        Of both.
+    share
+        By how much the speed falls, or the duration grows; None where one of them has no best.
+    """
+
+    machines: int
+    sure: float | None
+    alone: float | None
+    unit: str
+    share: float | None

@@ -7,22 +7,20 @@ which its verdict passes gives the fastest.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
-from threadline.base.progress import Progress
 from threadline.commands.plan import Plan
-from threadline.jobs.operations import Feed, FeedMode, Job
+from threadline.jobs.operations import Feed, FeedMode
 from threadline.machine import Machine
 from threadline.proof.option_words import parse_tolerance_m, tolerance_words
-from threadline.proof.options import Options
-from threadline.proof.pipeline import NOMINAL, Proof, Trials, check_machine, plan_job, try_plan
-from threadline.search.fastest import Fastest, find_fastest
-from threadline.search.until import Until, as_far_as
+from threadline.proof.pipeline import NOMINAL, Proof, check_machine, plan_job, try_plan
+from threadline.search.fastest import Fastest, Grid
+from threadline.search.paced import Paced, Question, fastest_paced
+from threadline.search.until import as_far_as
 from threadline.verdict import Spec, Verdict
 
-_POINTS, _NEAR = 24, 3
-_EDGE = 5e-3
+GRID = Grid(points=24, near=3, edge=5e-3)
 _RANGE = (0.5, 1.5)
 """Of the limit of the residual: tolerances between which a schedule is searched."""
 _HALVINGS = 6
@@ -63,66 +61,40 @@ class FastestShaft:
         """What limits the constant speed."""
         return self.constant.limited_by
 
+    @property
+    def by_schedule(self) -> bool:
+        """Whether the shorter time is that of the schedule."""
+        return self.schedule is not None and self.schedule.plan.duration_s == self.duration_s
 
-def fastest_shaft(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    progress: Progress | None = None,
-    actual: Machine | None = None,
-    trials: Trials = NOMINAL,
-    until: Until | None = None,
-) -> FastestShaft:
+
+def fastest_shaft(asked: Question) -> FastestShaft:
     """Search the speeds of the shaft, and the schedule of speeds.
 
-    Parameters
-    ----------
-    low, high
-        Constant speeds to search between, stitches a second; unless given the highest of the
-        machine, and half of that from which on down the slowest stitch, alone, is still enough.
-    actual
-        The machine that sews, where it isn't the one that plans are made for.
-    trials
-        Which runs a speed is judged by.
-    until
-        When the search has to come to an answer, as ``find_fastest`` takes it.
+    ``Question.low`` and ``high`` are constant speeds, stitches a second; unless given the highest
+    of the machine, and half of that from which on down the slowest stitch, alone, is still enough.
 
     Raises
     ------
     HaltError
         If the time is over before a speed was judged.
     """
+    machine = asked.machine
     check_machine(machine)
-    constant = constant_speeds(
-        job,
-        machine,
-        spec,
-        options,
-        low=low,
-        high=high,
-        progress=progress,
-        actual=actual,
-        trials=trials,
-        until=until,
-    )
+    constant = constant_speeds(asked)
     constant_s = None
     if constant.best is not None:
-        constant_s = plan_job(job, machine, _at_speed(options, constant.best)).duration_s
+        constant_s = at_speed(asked, constant.best).duration_s
     schedule = None
     assert machine.shaft is not None
     if machine.shaft.acceleration is not None and constant.complete:
-        schedule = _schedule(job, machine, spec, options, actual, trials, progress, until)
+        schedule = _schedule(asked)
     times = [constant_s, None if schedule is None else schedule.plan.duration_s]
     best = min((t for t in times if t is not None), default=None)
     by_schedule = schedule is not None and best == schedule.plan.duration_s
     return FastestShaft(
         constant=constant,
         schedule=schedule,
-        tolerance_m=options.tolerance_m
+        tolerance_m=asked.options.tolerance_m
         if schedule is None
         else schedule.plan.stitched.pace.tolerance_m,
         duration_s=best,
@@ -131,68 +103,39 @@ def fastest_shaft(
     )
 
 
-def constant_speeds(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    points: int = _POINTS,
-    near: int = _NEAR,
-    progress: Progress | None = None,
-    actual: Machine | None = None,
-    trials: Trials = NOMINAL,
-    until: Until | None = None,
-) -> Fastest:
-    """Search the constant speeds of the shaft, in stitches a second, as ``fastest_shaft`` does.
-
-    Parameters
-    ----------
-    points, near
-        Speeds of the scan, and those in each of its gaps about an edge.
-    """
-    lowest_hz, fastest_hz = speed_range_hz(machine)
-    if low is None:
-        low = max(lowest_hz, _lowest_of_interest_hz(job, machine, options))
-
+def constant_speeds(asked: Question, grid: Grid = GRID) -> Fastest:
+    """Search the constant speeds of the shaft, in stitches a second, as ``fastest_shaft`` does."""
+    trials = asked.trials
+    low, high = speed_range_hz(asked.machine)
+    if asked.low is None:
+        low = max(low, _lowest_of_interest_hz(asked))
     whole: dict[float, Verdict] = {}
 
-    def judged(speed_hz: float, *, shorten: bool = True) -> Verdict:
-        plan = plan_job(job, machine, _at_speed(options, speed_hz))
-        # Of other machines neither one run nor the forecast of this one says anything.
-        if shorten and trials.repeats > 1 and not trials.machines and actual is None:
-            first = try_plan(plan, spec, NOMINAL).verdict
-            if not first.passed or _far_within(plan, first, spec):
-                return first
-        whole[speed_hz] = try_plan(plan, spec, trials, actual).verdict
+    def by_all(speed_hz: float, plan: Plan) -> Verdict:
+        whole[speed_hz] = asked.judged(plan)
         return whole[speed_hz]
 
-    def searched(judge: Callable[[float], Verdict]) -> Fastest:
-        return find_fastest(
-            judge,
-            low,
-            fastest_hz if high is None else high,
-            points=points,
-            near=near,
-            edge_relative=_EDGE,
-            progress=progress,
-            unit="stitch/s",
-            until=until,
-        )
+    def shortened(speed_hz: float, plan: Plan) -> Verdict:
+        # Of other machines neither one run nor the forecast of this one says anything.
+        if trials.repeats > 1 and not trials.machines and asked.actual is None:
+            first = replace(asked, trials=NOMINAL).judged(plan)
+            if not first.passed or _far_within(plan, first, asked.spec):
+                return first
+        return by_all(speed_hz, plan)
 
-    found = searched(judged)
+    planned_at = partial(at_speed, asked)
+    paced = Paced(low=low, high=high, unit="stitch/s", planned_at=[planned_at], judged=shortened)
+    found = fastest_paced(asked, paced, grid)
     for interval in found.intervals:
         for end in (interval.low, interval.high):
             if end not in whole:
-                judged(end, shorten=False)
+                by_all(end, planned_at(end))
     ends = [whole[end] for one in found.intervals for end in (one.low, one.high)]
     if not found.complete:
         held = tuple(i for i in found.intervals if whole[i.low].passed and whole[i.high].passed)
         found = replace(found, intervals=held)
     elif not all(verdict.passed for verdict in ends):
-        return searched(lambda speed_hz: judged(speed_hz, shorten=False))
+        return fastest_paced(asked, replace(paced, judged=by_all), grid)
     return found if found.best is None else replace(found, verdict=whole[found.best])
 
 
@@ -215,12 +158,12 @@ def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
     return max(used) <= _FAR and bool(forecast <= _FAR * min(limits))
 
 
-def _lowest_of_interest_hz(job: Job, machine: Machine, options: Options) -> float:
+def _lowest_of_interest_hz(asked: Question) -> float:
     """Return half of the speed from which on down the slowest stitch alone is still enough.
 
     What is slower takes longest to simulate, and the fastest is looked for.
     """
-    stitched = plan_job(job, machine, _at_speed(options, speed_range_hz(machine)[1])).stitched
+    stitched = at_speed(asked, speed_range_hz(asked.machine)[1]).stitched
     return _OF_THE_SLOWEST * len(stitched.turns) / stitched.slowest_s
 
 
@@ -230,24 +173,18 @@ def speed_range_hz(machine: Machine) -> tuple[float, float]:
     return 1.0 / machine.shaft.slowest_turn.si, 1.0 / float(machine.shaft.turn_s)
 
 
-def _at_speed(options: Options, speed_hz: float) -> Options:
-    return replace(options, feed=Feed(FeedMode.SHAFT, speed_hz))
+def at_speed(asked: Question, speed_hz: float) -> Plan:
+    """Return the plan of a design at a constant speed of the shaft, stitches a second."""
+    options = replace(asked.options, feed=Feed(FeedMode.SHAFT, speed_hz))
+    return plan_job(asked.job, asked.machine, options)
 
 
-def _schedule(
-    job: Job,
-    machine: Machine,
-    spec: Spec,
-    options: Options,
-    actual: Machine | None,
-    trials: Trials,
-    progress: Progress | None,
-    until: Until | None,
-) -> Proof | None:
+def _schedule(asked: Question) -> Proof | None:
     """Return the fastest schedule in spec, by the tolerance that it is planned with.
 
     Where the time is over first, it is the fastest of those that were tried.
     """
+    spec, options, until = asked.spec, asked.options, asked.until
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     limit = min(limits, default=options.tolerance_m)
     tried = 0
@@ -256,10 +193,11 @@ def _schedule(
         nonlocal tried
         # What was found is typed back in millimetres, and is to mean the same.
         chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
-        proof = try_plan(plan_job(job, machine, chosen), spec, trials, actual)
+        plan = plan_job(asked.job, asked.machine, chosen)
+        proof = try_plan(plan, spec, asked.trials, asked.actual)
         tried += 1
-        if progress is not None:
-            progress("searching schedules", tried / (_HALVINGS + 2.0))
+        if asked.progress is not None:
+            asked.progress("searching schedules", tried / (_HALVINGS + 2.0))
         return proof
 
     low, high = _RANGE

@@ -99,19 +99,20 @@ class Until:
             self.ended = OUT_OF_TIME
             raise HaltError
 
-    @contextmanager
-    def with_answer(self) -> Iterator[None]:
-        """Search, and refuse to have been given less time than one plan takes.
 
-        Raises
-        ------
-        OptionError
-            If the time was over before a plan was judged.
-        """
-        try:
-            yield
-        except HaltError as halt:
-            raise no_answer() from halt
+@contextmanager
+def with_answer() -> Iterator[None]:
+    """Search in this block, and refuse to have been given less time than one plan takes.
+
+    Raises
+    ------
+    OptionError
+        If the time was over before a plan was judged.
+    """
+    try:
+        yield
+    except HaltError as halt:
+        raise no_answer() from halt
 
 
 @contextmanager

@@ -1,6 +1,6 @@
-"""Speed, gear and motor from the demands of a product, before there is a machine file.
+"""Sizing of speed, gear and motor from the demands of a product, without a machine file.
 
-Nothing here needs a machine or its plant; seams and searches use the same formulas.
+Seams and searches use the same formulas.
 """
 
 from threadline.sizing.profiles import (

@@ -1,9 +1,9 @@
 """Speed profiles of a move, and the error of interpolated motion at a corner.
 
-A head that moves along the unit vector d1 at speed v is to go on along d2, turned by the angle
-theta (0 straight on, pi back). In discrete motion the head stops in the corner and reaches it. In
-interpolated motion the head begins to accelerate along d2 when it begins to decelerate along d1.
-Its position p, counted from the corner, is ::
+A head moves along the unit vector d1 at speed v and then along d2, after a turn by the angle theta
+(0: straight, pi: back). In discrete motion the head stops in the corner. In interpolated motion the
+head begins to accelerate along d2 when it begins to decelerate along d1. Its position p, relative
+to the corner, is ::
 
     p(t) = -(v - a_d t)^2 / (2 a_d) d1  +  a_a t^2 / 2 d2
 
@@ -14,11 +14,11 @@ apex, at half the time, is the point nearest to the corner ::
 
 which is sqrt(2) v^2 / (8 a) at a right angle: eqs 2.4 to 2.7 of the stitcher thesis.
 
-The heat in the armature is proportional to the mean square of the torque, hence of the
-acceleration. For a distance D in a time T the mean square acceleration is least, 12 D^2 / T^4, when
-the speed is a parabola. The efficiency of a profile is that least value over its own: 0.75 for the
-triangle, 0.889 for the trapezoid of thirds and 1 for the parabola, as in section 6.3 (Figure 6-3)
-of the filament winding thesis.
+The heat in the armature is proportional to the mean square of the torque, and therefore of the
+acceleration. For a distance D in a time T the mean square acceleration is smallest, 12 D^2 / T^4,
+for a parabolic speed. The efficiency of a profile is this minimum / its mean square acceleration:
+0.75 for the triangle, 0.889 for the trapezoid of thirds and 1 for the parabola, as in section 6.3
+(Figure 6-3) of the filament winding thesis.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def corner_error_m(
     turn_rad: float,
     deceleration_m_s2: float | None = None,
 ) -> float:
-    """Return the least distance of interpolated motion from a corner, in m.
+    """Return the smallest distance of interpolated motion from a corner, in m.
 
     Parameters
     ----------
@@ -61,14 +61,14 @@ def corner_error_m(
 
     def distance_m(time_s: float) -> float:
         left = (speed_m_s - deceleration_m_s2 * time_s) ** 2 / (2.0 * deceleration_m_s2)
-        if time_s > up_s:  # the second leg is at speed before the first has come to rest
+        if time_s > up_s:  # the second leg reaches its speed before the first leg stops
             right = speed_m_s * (time_s - up_s / 2.0)
         else:
             right = acceleration_m_s2 * time_s**2 / 2.0
         return math.sqrt(left**2 + right**2 - 2.0 * left * right * math.cos(turn_rad))
 
-    # Once the motion along the first leg has ended the head only moves away from the corner; until
-    # then the distance has a single minimum.
+    # After the first leg has stopped the head only moves away from the corner; before that the
+    # distance has a single minimum.
     nearest = minimize_scalar(
         distance_m, bounds=(0.0, down_s), method="bounded", options={"xatol": 1e-12 * down_s}
     )
@@ -78,8 +78,8 @@ def corner_error_m(
 def corner_speed_m_s(error_m: float, acceleration_m_s2: float, turn_rad: float) -> float:
     """Return the speed in m/s at which interpolated motion misses the corner by ``error_m``.
 
-    It is infinite where the path does not turn. A ValueError refuses an acceleration that is not
-    above 0 and a turn outside 0 to pi.
+    It is infinite for a straight path. Raises ValueError for an acceleration not above 0 and for a
+    turn outside 0 to pi.
     """
     _check(acceleration_m_s2, turn_rad)
     bend = math.sin(turn_rad / 2.0)
@@ -89,7 +89,7 @@ def corner_speed_m_s(error_m: float, acceleration_m_s2: float, turn_rad: float) 
 def corner_acceleration_m_s2(speed_m_s: float, error_m: float, turn_rad: float) -> float:
     """Return the acceleration in m/s^2 at which interpolated motion misses a corner by ``error_m``.
 
-    A ValueError refuses an error that is not above 0 and a turn outside 0 to pi.
+    Raises ValueError for an error not above 0 and for a turn outside 0 to pi.
     """
     _check(error_m, turn_rad)
     return speed_m_s**2 * math.sin(turn_rad / 2.0) / (4.0 * error_m)
@@ -100,10 +100,10 @@ def ramp_acceleration_m_s2(
 ) -> float:
     """Return the acceleration in m/s^2 that reaches the speed within ``ramp_stitches`` stitches.
 
-    The needle makes ``v / length`` stitches a second throughout, so k stitches take
-    ``k length / v`` and ``a = v^2 / (k length)``; the head travels ``k / 2`` stitch lengths in that
-    time. The default is the two stitches beside a corner whose length the quality rule of the
-    stitcher thesis does not judge. A ValueError refuses a length or a number that is not above 0.
+    The needle makes ``v / length`` stitches a second throughout, so k stitches take ``k length /
+    v`` and ``a = v^2 / (k length)``; the head travels ``k / 2`` stitch lengths in that time. The
+    default is two stitches: the quality rule of the stitcher thesis does not judge the length of
+    two stitches next to a corner. Raises ValueError for a length or a number not above 0.
     """
     _check(stitch_length_m, 0.0)
     _check(ramp_stitches, 0.0)
@@ -129,13 +129,13 @@ class SpeedProfile:
     name
         ``triangular``, ``trapezoidal`` or ``parabolic``.
     ramp
-        Share of the time that each ramp of the trapezoid takes: 1/3 heats the motor least, 1/2 is
-        the triangle. The other profiles ignore it.
+        Share of the time for each ramp of the trapezoid: 1/3 heats the motor least, 1/2 is the
+        triangle. Other profiles ignore it.
 
     Raises
     ------
     ValueError
-        If there is no profile of that name, or the ramps of a trapezoid take no time or all of it.
+        If the name is unknown, or the ramp of a trapezoid is not above 0 and at most 0.5.
     """
 
     name: str
@@ -179,7 +179,7 @@ class SpeedProfile:
 
     @property
     def efficiency(self) -> float:
-        """Least heat over the heat of this profile."""
+        """Heat of the parabola / heat of this profile."""
         return _LEAST / self.mean_square_acceleration
 
     def rms_torque(

@@ -1,7 +1,7 @@
-"""Results of a sizing: each with its value, its formula and the source of the formula.
+"""Sizing: results with their values, formulas and sources.
 
-The formulas are those of the stitcher thesis (chapter 2) and of the filament winding thesis
-(chapter 4 and section 6.3).
+Formulas come from the stitcher thesis (chapter 2) and the filament winding thesis (chapter 4 and
+section 6.3).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from threadline.sizing.profiles import (
 
 @dataclass(frozen=True, slots=True)
 class SizeLine:
-    """One result.
+    """One result of a sizing.
 
     Parameters
     ----------
@@ -30,9 +30,9 @@ class SizeLine:
     value, unit
         In SI; the unit is empty for a ratio.
     formula
-        Written with the names of the demands and of earlier results.
+        Formula, with the names of demands and of earlier results.
     source
-        Thesis, paper or field that the formula is from.
+        Thesis, paper or field of the formula.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Sizing:
     warnings: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> SizeLine:
-        """Return the line called ``name``; a KeyError lists those that there are."""
+        """Return the line called ``name``; a KeyError lists all names."""
         for line in self.lines:
             if line.name == name:
                 return line
@@ -73,39 +73,37 @@ _BEYOND = 1e15  # squares and products of numbers up to here are finite
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demands:
-    """What a product asks of a machine, and what is known of the drive, in SI; None if unknown.
+    """Demands of a product, and known data of the drive, in SI; None if unknown.
 
     Parameters
     ----------
     needle_speed_hz, stitch_length_m
-        Stitches a second, and the length of a stitch.
+        Stitches per second, and the length of a stitch.
     speed_m_s
-        Speed of the head of a machine that does not sew; needle speed times stitch length gives it
-        for one that does.
+        Speed of the head; on a sewing machine it follows from needle speed and stitch length.
     ramp_stitches
-        Number of stitches within which the head has to reach its speed.
+        Number of stitches in which the head must reach its speed.
     placement_m, turn_rad
-        Largest distance by which a corner may be missed, and the angle of the corner.
+        Largest allowed distance from a corner, and the angle of the corner.
     acceleration_m_s2
-        Acceleration of the head. When None, the larger one of those that the ramp and the corner
-        need.
+        Acceleration of the head; None: the larger of the accelerations for ramp and corner.
     load_mass_kg, load_damping_n_s_m, friction_n
-        Mass, viscous damping and friction of the load that the motor drives.
+        Mass, viscous damping and friction of the load.
     pulley_radius_m, gear_ratio
-        ``x = radius * motor angle / ratio``. Without a ratio, the one that matches the inertia of
-        the load to that of the motor is used.
+        ``x = radius * motor angle / ratio``. By default the ratio makes the reflected inertia of
+        the load equal to the inertia of the motor.
     motor_inertia_kg_m2, motor_damping_n_m_s
-        Inertia and damping of the rotor and all that turns with it.
+        Inertia and damping of the rotor and the parts that turn with it.
     torque_constant_n_m_a, back_emf_v_s, resistance_ohm, current_limit_a
         Constants of the motor, and the limit of its amplifier.
     move_m, move_s, dwell_s, profile, ramp
         Distance and time of a repeated move from rest to rest, the pause after each, and its speed
         profile (``SpeedProfile``).
     motor_torque_n_m, torque_margin
-        Peak torque of the motor, and the wanted ratio of it to the peak torque of the motion.
+        Peak torque of the motor, and its required ratio to the peak torque of the motion.
     encoder_lines, count_rate_limit_hz
-        Lines of the encoder in a turn of the motor (four counts each), and the fastest rate of
-        counts that the counter follows.
+        Lines of the encoder per turn of the motor (four counts each), and the largest count rate of
+        the counter.
 
     Raises
     ------
@@ -176,12 +174,12 @@ _KT_KV_AGREE = 0.05
 
 
 def size(demands: Demands) -> Sizing:
-    """Return every result that ``demands`` are enough for.
+    """Return every result that can be computed from ``demands``.
 
     Raises
     ------
     OptionError
-        If they are enough for none, or name a speed profile that does not exist.
+        If nothing can be computed, or the speed profile is unknown.
     """
     sheet = _Sheet(demands)
     sheet.product()
@@ -191,14 +189,14 @@ def size(demands: Demands) -> Sizing:
     sheet.encoder()
     if not sheet.lines:
         raise OptionError(
-            "nothing follows from what is given",
+            "the demands are not enough for any result",
             remedy="Give needle speed and stitch length, or a load with a pulley and a motor.",
         )
     return Sizing(lines=tuple(sheet.lines), warnings=tuple(sheet.warnings))
 
 
 class _Sheet:
-    """The results so far, and the numbers that later results are made from."""
+    """The results so far, and the numbers for later results."""
 
     def __init__(self, demands: Demands) -> None:
         self.given = demands
@@ -362,7 +360,7 @@ class _Sheet:
             )
 
     def _margin(self, name: str, needed_n_m: float) -> None:
-        """Add the ratio of the motor's peak torque to the torque that is needed."""
+        """Add the ratio of the motor's peak torque to the needed torque."""
         g = self.given
         if g.motor_torque_n_m is None or needed_n_m == 0.0:
             return
@@ -371,7 +369,7 @@ class _Sheet:
         )
         if g.torque_margin is not None and margin < g.torque_margin:
             self.warnings.append(
-                f"the motor has {margin:.3g} times the torque that is needed, wanted are "
+                f"the motor has {margin:.3g} times the needed torque, required are "
                 f"{g.torque_margin:g} times: {g.torque_margin * needed_n_m:.4g} N m"
             )
 
@@ -383,7 +381,7 @@ class _Sheet:
         if abs(ke / kt - 1.0) > _KT_KV_AGREE:
             self.warnings.append(
                 f"Kt is {kt:.4g} N m/A and Ke {ke:.4g} V s/rad, {abs(ke / kt - 1) * 100:.0f} % "
-                "apart; in SI they are one number"
+                "apart; in SI they must be equal"
             )
         if resistance is not None and g.motor_inertia_kg_m2 is not None:
             self.add(
@@ -397,7 +395,7 @@ class _Sheet:
     def move(self) -> None:
         """A repeated move: speeds, torque and heat by profile."""
         g = self.given
-        try:  # even where no move is given: a wrong option is refused and not ignored
+        try:  # also without a move, so that a wrong option is not ignored
             profile = SpeedProfile(name=g.profile, ramp=g.ramp)
         except ValueError as error:
             raise OptionError(str(error)) from error

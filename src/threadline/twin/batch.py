@@ -31,12 +31,12 @@ from threadline.twin.simulate import DEFAULT_SETTLE_S, RunOptions, check_command
 _AT_ONCE = 2048
 _MOST_ROWS = 1 << 16
 _MOST_BYTES = 1 << 27
-"""The most that samples may take before they are sorted into channels."""
+"""Largest memory of samples before they are sorted into channels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BatchResult:
-    """What became of each variant; V variants, axes in the order of the machine file.
+    """Results of a batch of V variants; axes in the order of the machine file.
 
     Parameters
     ----------
@@ -47,16 +47,17 @@ class BatchResult:
     end
         (V, axes) load at the last tick, m or rad.
     lowest, highest
-        (V, axes) smallest and largest load from ``window_s`` on, m or rad; None without it.
+        (V, axes) smallest and largest load position from ``window_s`` on, m or rad; None without
+        it.
     current_peak
-        (V, axes) current of largest magnitude, A; None when it was not watched, and when
-        ``channels`` were sampled (``X.current_peak`` is one of them).
+        (V, axes) current of largest magnitude, A; None if it was not watched or if ``channels``
+        were sampled (which may include ``X.current_peak``).
     ticks
-        Ticks simulated of each variant.
+        Simulated ticks per variant.
     slow_ticks, events
-        Advances of all variants and axes in which a mode changed or might have, and changes.
+        Advances, over all variants and axes, with a possible change of mode, and actual changes.
     samples
-        Per channel asked for: (samples, V), m or rad, V or A.
+        Per requested channel: (samples, V), m or rad, V or A.
     """
 
     axes: tuple[str, ...]
@@ -85,11 +86,11 @@ def simulate_batch(
     quantised: bool = True,
     threads: int | None = None,
 ) -> BatchResult:
-    """Simulate variants of ``machine`` that differ in some numbers, all under ``commands``.
+    """Simulate variants of ``machine`` that differ in some numbers, under the same ``commands``.
 
-    A variant does what ``simulate`` does with a machine of those numbers, by the same arithmetic.
-    Memory grows with the number of variants, not with the length of the commands, unless
-    ``channels`` are asked for.
+    Each variant gives the same result as ``simulate`` with a machine of those numbers. Memory grows
+    with the number of variants, not with the length of the commands, unless ``channels`` are
+    requested.
 
     Parameters
     ----------
@@ -97,20 +98,20 @@ def simulate_batch(
         Path of a number of the machine file, such as ``"bodies.x.friction"``, to its (V,) SI
         values.
     encoder_phase
-        (V, axes) or (axes,) where between two counts each encoder stands; 0.5 when None.
+        (V, axes) or (axes,) position of each encoder between two counts; None: 0.5.
     settle_s
-        How long to go on after the last row.
+        Simulated time after the last row.
     window_s
-        ``lowest`` and ``highest`` are kept from this time on; None leaves them out.
+        ``lowest`` and ``highest`` are recorded from this time on; None omits them.
     channels
-        Of ``"X.load"``, ``"X.measured"``, ``"X.voltage"``, ``"X.current"``, ``"X.current_peak"``:
-        those to be kept, one sample every ``record_every`` ticks.
+        Channels to sample every ``record_every`` ticks, out of ``"X.load"``, ``"X.measured"``,
+        ``"X.voltage"``, ``"X.current"``, ``"X.current_peak"``.
     watch_current
-        False leaves ``current_peak`` out, for speed.
+        False omits ``current_peak``, for speed.
     quantised
-        False leaves out the rounding of encoders and DACs.
+        False omits the rounding of encoders and DACs.
     threads
-        Cores to use; all when None.
+        Cores to use; None for all.
 
     Raises
     ------
@@ -165,7 +166,7 @@ def _phases(
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """What all parts of a batch share."""
+    """Common arguments of all parts of a batch."""
 
     commands: TickTable
     machine: Machine
@@ -202,7 +203,7 @@ class _Batch:
         return min(_MOST_ROWS, max(1, _MOST_BYTES // run.sample_bytes(readings)) * self.every)
 
     def _positions(self, most: int) -> Iterator[IntArray]:
-        """Yield (n, axes) commanded counts from the start, n at most, at the ticks' instants."""
+        """Yield (n, axes) commanded counts since the start, ``most`` ticks at a time."""
         position = np.zeros(len(self.machine.axes), dtype=np.int64)
         for block in self.commands:
             for at in range(0, len(block), most):
@@ -216,7 +217,7 @@ class _Batch:
             left -= count
 
     def _wanted(self, engine: Engine) -> dict[str, tuple[Reading, float, float]]:
-        """Return what to read for each channel asked for, its scale and offset."""
+        """Return the reading, scale and offset of each requested channel."""
         offers: dict[str, tuple[Reading, float, float]] = {}
         known = set(engine.readings())
         for at, (name, axis) in enumerate(self.machine.axes.items()):
@@ -245,9 +246,9 @@ class _Batch:
         if failure is not None or not answered.all():
             axes = failure[0] if failure else [names[i] for i in np.flatnonzero(~answered.all(0))]
             raise MachineError(
-                f"axes {', '.join(axes)}: a variant has no answer: its motion grows "
-                "without bound, or its modes change without end",
-                remedy="Keep the variants nearer to the machine.",
+                f"axes {', '.join(axes)}: a variant has no solution: its motion grows "
+                "without bound, or its modes change endlessly",
+                remedy="Choose variants nearer to the machine.",
             )
         start = commands.start_counts / commands.counts_per_unit
         windowed, peak = self.window_s is not None, self.watch_current and not self.channels
@@ -266,7 +267,7 @@ class _Batch:
 
 
 def _joined(parts: list[BatchResult], order: IntArray) -> BatchResult:
-    """Return the parts as one, variant k of it being row ``order[k]`` of theirs."""
+    """Join the parts; variant k of the result is row ``order[k]`` of the concatenated parts."""
 
     def rows(name: str) -> FloatArray:
         return np.concatenate([getattr(part, name) for part in parts])[order]
@@ -292,26 +293,26 @@ def _joined(parts: list[BatchResult], order: IntArray) -> BatchResult:
 
 
 _SHARED = (ChannelKind.COMMANDED, ChannelKind.OPERATION)
-"""Channels that all runs have in common."""
+"""Kinds of channels that are the same in all runs."""
 
 
 def simulate_told_runs(
     commands: TickTable, machines: Sequence[Machine], *, encoder_phase: FloatArray
 ) -> Recording | None:
-    """Simulate machines that are told positions side by side, to the bit as ``simulate`` does each.
+    """Simulate machines with position-commanded drives together, bit by bit as ``simulate``.
 
     Parameters
     ----------
     machines
-        Of the same parts, with numbers of their own.
+        Machines with the same parts and different numbers.
     encoder_phase
-        (machines, axes) where in a full step each stepper stands at the start.
+        (machines, axes) position of each stepper within a full step at the start.
 
     Returns
     -------
     Recording or None
-        One of as many runs as machines; None where a belt of one may fall slack, which ends its
-        run before the others.
+        A recording with a run per machine; None if a belt may go slack, which would end one run
+        before the others.
     """
     machine = machines[0]
     advances = tuple(advances_of(one) for one in machines)
@@ -341,7 +342,7 @@ def _told_runs_blocks(
     commands: TickTable,
     options: RunOptions,
 ) -> Iterator[RecordingBlock]:
-    """Run sessions of all machines over the commands and their settling."""
+    """Run sessions of all machines over the commands and the settling time."""
     sessions = [
         ToldSession(machine, start_counts=commands.start_counts, phases=phase, advances=own)
         for own, machine, phase in zip(advances, machines, options.phases, strict=True)
@@ -350,9 +351,9 @@ def _told_runs_blocks(
 
 
 class ToldRuns:
-    """Sessions of machines that differ in their numbers, under the same rows, as one recording.
+    """Sessions of machines with different numbers, under the same rows, as one recording.
 
-    Nothing in them may fail, so that all of them have as many samples.
+    No session may fail, so that all have the same number of samples.
 
     Parameters
     ----------
@@ -360,32 +361,32 @@ class ToldRuns:
         At least one.
     """
 
-    failed = False  # none of them can
+    failed = False  # sessions cannot fail
 
     def __init__(self, sessions: Sequence[ToldSession]) -> None:
         self._sessions = tuple(sessions)
 
     @property
     def halted(self) -> Event | None:
-        """The stop or wait at which the rows stand."""
+        """The stop or wait at which the rows are halted."""
         return self._sessions[0].halted
 
     def resume(self) -> None:
-        """Go on with the rows after a stop, in every run."""
+        """Continue the rows after a stop, in every run."""
         for session in self._sessions:
             session.resume()
 
     def finish(self, ended: Ended = Ended.COMPLETED, text: str = "") -> None:
-        """Say that no more rows come."""
+        """End the run: no more rows follow."""
         for session in self._sessions:
             session.finish(ended, text)
 
     def advance(self, rows: TickBlock | None = None, *, ticks: int | None = None) -> RecordingBlock:
-        """Take up rows and go on, as ``RowSession.advance``; the runs side by side."""
+        """Take rows and advance, as ``RowSession.advance``, with a column per run."""
         blocks = [session.advance(rows, ticks=ticks) for session in self._sessions]
         own = [c.name for c in self._sessions[0].channels if c.kind not in _SHARED]
         samples = dict(blocks[0].samples)
-        # The runs of one axis at one instant side by side, the axes of one kind beside them.
+        # Memory order: instants, then axes of one kind, then runs.
         for ending in dict.fromkeys(name.rpartition(".")[2] for name in own):
             names = [name for name in own if name.rpartition(".")[2] == ending]
             whole = np.empty((len(samples[names[0]]), len(names), len(blocks)))

@@ -1,4 +1,4 @@
-"""What a recording of a machine with axes holds, and how it comes from what the engine reads."""
+"""Channels of a recording of a machine with axes, and their samples from engine readings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from threadline.twin.kernel import Reading, Signal
 def tick_channels(
     machine: Machine, every: int, kinds: Collection[ChannelKind] = tuple(ChannelKind)
 ) -> tuple[Channel, ...]:
-    """Return the channels of a recording with a sample every so many ticks, of some kinds."""
+    """Return the channels of ``kinds`` of a recording with a sample every ``every`` ticks."""
     clock = machine.tick_clock
     found = []
 
@@ -51,7 +51,7 @@ _SIGNALS = {
 
 
 def readings_of(channels: Sequence[Channel]) -> dict[str, Reading]:
-    """Return what has to be read of the engine for each channel that comes from there."""
+    """Return the engine reading of each channel that has one."""
     found = {}
     for channel in channels:
         ending = channel.name.rpartition(".")[2]
@@ -64,16 +64,16 @@ def readings_of(channels: Sequence[Channel]) -> dict[str, Reading]:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What a channel is made of.
+    """Source of a channel.
 
     Parameters
     ----------
     name, kind
         Of the channel.
     reading
-        What is read for it; None for the command.
+        Its engine reading; None for the command.
     axis
-        Column of its axis where it is a position of one, else 0.
+        Column of its axis for a position, else 0.
     scale, start
         Counts per m or rad of that axis, and its position in counts before the first row.
     """
@@ -92,7 +92,7 @@ _PLACES = (ChannelKind.COMMANDED, ChannelKind.MEASURED, ChannelKind.LOAD)
 def sources_of(
     machine: Machine, channels: Sequence[Channel], start_counts: IntArray
 ) -> tuple[Source, ...]:
-    """Return what every channel but the operation is made of.
+    """Return the source of every channel except the operation.
 
     Parameters
     ----------
@@ -114,21 +114,21 @@ def sources_of(
 def samples_of(
     sources: Sequence[Source], read: Mapping[Reading, FloatArray], travelled: IntArray
 ) -> dict[str, FloatArray]:
-    """Return the samples of every channel but the operation.
+    """Return the samples of every channel except the operation.
 
     Parameters
     ----------
     sources
-        What they are made of.
+        Sources of the channels.
     read
-        (n, runs) of every reading.
+        (n, runs) values of every reading.
     travelled
-        (n, axes) counts commanded since the first row, of all runs.
+        (n, axes) commanded counts since the first row, the same for all runs.
 
     Returns
     -------
     dict
-        (n,) of each channel; of several runs (n, runs) but for what they have in common.
+        (n,) per channel; with several runs (n, runs), except for common channels.
     """
     samples: dict[str, FloatArray] = {}
     for source in sources:
@@ -138,8 +138,8 @@ def samples_of(
             values = read[source.reading]
             samples[source.name] = counts = values[:, 0] if values.shape[1] == 1 else values
         if source.kind is ChannelKind.LOAD:
-            # What was read is in nobody else's hands, and stays beside the other axes. Of many runs
-            # it is more than the processor holds, and nothing is added where they start at 0.
+            # Readings are not shared, so the sum is in place and keeps the memory order. With many
+            # runs the array exceeds the cache, so a sum with 0 is skipped.
             if source.start or counts.ndim == 1:
                 samples[source.name] = np.add(source.start / source.scale, counts, out=counts)
         elif source.kind in _PLACES:
@@ -151,12 +151,12 @@ def samples_of(
 
 
 def encoder_phases(machine: Machine, phase: FloatArray | None) -> FloatArray:
-    """Return the (axes,) encoder phases: where between two counts each encoder stands at rest.
+    """Return the (axes,) encoder phases: position of each encoder between two counts at rest.
 
     Raises
     ------
     OptionError
-        If a phase is outside [0, 1), or their number is not that of the axes.
+        If a phase is outside [0, 1), or the number of phases is wrong.
     """
     count = len(machine.axes)
     phases = np.full(count, 0.5) if phase is None else np.asarray(phase, dtype=np.float64)
@@ -168,12 +168,12 @@ def encoder_phases(machine: Machine, phase: FloatArray | None) -> FloatArray:
 
 
 def run_phases(machine: Machine, phase: FloatArray | None, runs: int) -> FloatArray:
-    """Return (runs, axes) encoder phases; what is given for one run, all have.
+    """Return (runs, axes) encoder phases; phases of shape (axes,) apply to all runs.
 
     Raises
     ------
     OptionError
-        As ``encoder_phases``; or if they are of another number of runs.
+        As ``encoder_phases``; or if the number of runs differs.
     """
     given = None if phase is None else np.asarray(phase, dtype=np.float64)
     if given is None or given.ndim == 1:

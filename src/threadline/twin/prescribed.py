@@ -1,8 +1,8 @@
-"""The exponential of many generators over a step that is short for all of them, by its series.
+"""Simulates machines whose drives follow commanded positions, such as steppers and pulse servos.
 
-Within a tick the pulses come evenly: the motor runs at a constant speed, and its load, a linear
-network on the other end of belt and gear, is advanced by one matrix exponential. What the load, the
-rotor and friction ask of the motor stands beside what its curve has at that speed.
+Within a tick the pulses are evenly spaced, so the motor has a constant speed. The load is a linear
+network behind belt and gear, and one matrix exponential advances it by a tick. The torque that
+load, rotor and friction need is compared with the torque of the motor at that speed.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from threadline.twin.channels import encoder_phases
 from threadline.twin.row_session import Part, RowSession
 
 _TERMS, _ROUNDING = 24, 1e-17
-_FAR = 1e3  # a series of so few terms has no chance to converge beyond
+_FAR = 1e3  # the series does not converge for larger generators
 
 
 def exponential_of_short_step(turned: FloatArray) -> FloatArray:
-    """Return the exponential of (V, K, n, n) generators by their series.
+    """Return the matrix exponentials of (V, K, n, n) generators by their power series.
 
-    In the shortest part of a step even the stiffest beam turns by a thousandth of a radian, so that
-    a few terms are enough, much faster than a general exponential. Where the series has not
-    converged after ``_TERMS`` terms a mode is fast against the step, and the general one is used.
-    Where a generator is beyond ``_FAR`` its powers could overflow, and that one is used at once.
+    In the shortest part of a step even the stiffest beam turns by a thousandth of a radian, so a
+    few terms are enough, and the series is much faster than a general exponential. If the series
+    has not converged after ``_TERMS`` terms, or an entry is above ``_FAR`` so that its powers could
+    overflow, the general exponential is used.
     """
     if float(np.abs(turned).max()) > _FAR:
         return np.asarray(expm(turned))
@@ -50,26 +50,29 @@ def exponential_of_short_step(turned: FloatArray) -> FloatArray:
 
 
 _MOST_AVERAGED = 1_000_000
-"""Ticks of which the speeds are kept: of the slowest swing of a stepper."""
+"""Largest number of ticks over which the acceleration of a stepper is averaged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Advance:
-    """A piece ready to be run; its state is ``[x, positions and speeds of its servos]``.
+    """A connected piece, ready to be simulated; its state is ``[x, servo positions and speeds]``.
 
     Parameters
     ----------
     piece, sources
-        Equations and drives.
+        Equations of the piece, and its drives.
     step
-        (m, m) of the state over a tick.
+        (m, m) transition matrix of the state over a tick.
     by_position, by_speed
-        (m, s) of what the drives are told: where they are at the tick, and their speed in it.
+        (m, s) effect of the commanded position at the tick, and of the commanded speed within it.
     servo
-        (s,) place of each drive's position in the state, -1 of a stepper.
+        (s,) index of each servo's position in the state; -1 for a stepper.
     averaged
-        (s,) ticks over which a stepper's acceleration is averaged: half a period of its own
-        resonance, in which its magnetic spring takes up a microstep more or less.
+        (s,) number of ticks over which a stepper's acceleration is averaged: half a period of its
+        resonance, because its magnetic spring absorbs single microsteps.
+    spread
+        (s,) number of ticks over which a stepper makes a step: a quarter of that period, which its
+        rotor takes to its next position. 1 where a tick is longer.
     """
 
     piece: Prescribed
@@ -79,21 +82,23 @@ class Advance:
     by_speed: FloatArray
     servo: IntArray
     averaged: IntArray
+    spread: IntArray
     tick_s: float
 
 
-# A search asks for the same machines again. They are found by their numbers, because the days of a
-# proof, of which these are three times as many, are drawn anew for every plan.
+# A search simulates the same machines repeatedly. They are compared by value, because a proof draws
+# its days anew for every plan. The cache holds three times the days of a proof.
 _RECENT: Recent[Machine, tuple[Advance, ...]] = Recent(64, lambda a, b: a is b or a == b)
 
 
 def advances_of(machine: Machine) -> tuple[Advance, ...]:
-    """Return the connected pieces of a machine, ready to be run; none of one without dynamics.
+    """Return the connected pieces of a machine, ready to be simulated; none without dynamics.
 
     Raises
     ------
     MachineError
-        If an axis has a loop, a part is not linear, or a stepper swings too slowly to be averaged.
+        If an axis has a control loop, a part is not linear, or a stepper resonates too slowly for
+        its acceleration to be averaged.
     """
     return _RECENT.of(machine, lambda: _made(machine))
 
@@ -105,10 +110,10 @@ def _made(machine: Machine) -> tuple[Advance, ...]:
     if looped:
         told = next(name for name in machine.axes if name not in looped)
         raise MachineError(
-            f"axis {looped[0]} has a loop and axis {told} is told positions: a machine of both "
-            "sorts is not simulated",
+            f"axis {looped[0]} has a control loop and axis {told} takes positions: a machine with "
+            "both is not simulated",
             place=machine.place,
-            remedy="Make a machine file of each sort.",
+            remedy="Make a machine file for each.",
         )
     return tuple(_advance_of(machine, piece) for piece in prescribed(machine))
 
@@ -136,7 +141,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
             swing_hz = resonance_hz(source, float(piece.inertia[k]))
             assert swing_hz is not None
             averaged[k] = _half_period(machine, piece.drives[k], swing_hz, tick_s)
-    # x' = rates x + told (p + p' t) + speeds p', with p' constant over the tick.
+    # x' = rates x + told (p + p' t) + speeds p', where p' is constant over the tick.
     whole = np.zeros((size + 2 * count, size + 2 * count))
     whole[:size, :size] = rates
     whole[:size, size : size + count], whole[:size, size + count :] = told, speeds
@@ -150,6 +155,7 @@ def _advance_of(machine: Machine, piece: Prescribed) -> Advance:
         by_speed=moved[:size, size + count :].copy(),
         servo=servo,
         averaged=averaged,
+        spread=np.maximum(averaged // 2, 1),
         tick_s=tick_s,
     )
 
@@ -159,17 +165,17 @@ def _half_period(machine: Machine, drive: str, swing_hz: float, tick_s: float) -
     ticks = 0.5 / (swing_hz * tick_s)
     if ticks > _MOST_AVERAGED:
         raise MachineError(
-            f"drives.{drive}: its rotor swings at {swing_hz:.3g} Hz with what it carries; half a "
-            f"period is {ticks:.3g} ticks, and its acceleration is averaged over "
-            f"{_MOST_AVERAGED} at most",
+            f"drives.{drive}: its rotor and its load resonate at {swing_hz:.3g} Hz; half a "
+            f"period is {ticks:.3g} ticks, and the acceleration is averaged over at most "
+            f"{_MOST_AVERAGED}",
             place=machine.place,
-            remedy="Correct the inertia that it carries, or its holding torque.",
+            remedy="Correct the inertia of its load, or its holding torque.",
         )
     return max(1, round(ticks))
 
 
 class Moving:
-    """One connected piece while it is run: its state between blocks."""
+    """One connected piece during a simulation: its state between blocks."""
 
     def __init__(self, machine: Machine, advance: Advance, phases: FloatArray) -> None:
         self.machine, self.advance = machine, advance
@@ -180,30 +186,35 @@ class Moving:
             for drive in advance.piece.drives
         ]
         self.phases = phases[self.columns]
-        # Speeds of the ticks before, the latest last.
+        # Counts of the previous ticks, the latest last: the drive starts at rest.
+        self.counts = np.zeros((int(advance.spread.max()), len(advance.sources)), dtype=np.int64)
+        # Speeds in the previous ticks, the latest last.
         self.before = np.zeros((int(advance.averaged.max()), len(advance.sources)))
 
     def run(self, travelled: IntArray) -> tuple[FloatArray, FloatArray, tuple[int, str]]:
-        """Return states and torques at n ticks, and how many of the ticks are valid.
+        """Return states and torques at n ticks, and the number of valid ticks with the reason.
 
-        States are (n, n_states + 2 s): those of the piece, then position and speed of its s
-        drives. Torques are (n, s), as shares of what each drive has at its speed. A piece is
-        linear until a belt falls slack: the last pair is the number of ticks before that, and
-        the reason, empty where all are valid.
+        States are (n, n_states + 2 s): the states of the piece, then position and speed of its s
+        drives. Torques are (n, s), each divided by the torque that the drive has at its speed. The
+        piece is linear until a belt becomes slack: ticks from there on are not valid. The reason
+        is empty if all ticks are valid.
 
         Parameters
         ----------
         travelled
-            (n + 1, axes) counts from the start at the ticks, and at the one behind the last.
+            (n + 1, axes) counts since the start, at the ticks and at the tick after the last one.
         """
         a, count = self.advance, len(self.advance.sources)
+        stood = np.concatenate((self.counts, travelled[:, self.columns]))
         told = np.stack(
             [
-                _stands(source, travelled[:, column], phase)
-                for source, column, phase in zip(a.sources, self.columns, self.phases, strict=True)
+                _stands(source, stood[:, k], phase, len(travelled), int(a.spread[k]))
+                for k, (source, phase) in enumerate(zip(a.sources, self.phases, strict=True))
             ],
             axis=1,
         )
+        # The last row comes again as the first of the next part.
+        self.counts = stood[len(stood) - 1 - len(self.counts) : -1]
         speed = np.diff(told, axis=0) / a.tick_s
         pushed = in_order(told[:-1], a.by_position) + in_order(speed, a.by_speed)
         states = follow(a.step, pushed, self.state)
@@ -228,7 +239,7 @@ class Moving:
         demand = a.piece.inertia * acceleration - in_order(whole, a.piece.pulls)
         demand += a.piece.friction * np.sign(rate)
         most = np.stack([s.most_torque(rate[:, k]) for k, s in enumerate(a.sources)], axis=1)
-        # Where there is no torque left, what is asked is beyond any number.
+        # If the drive has no torque left, the share becomes a very large number.
         share = np.abs(demand) / np.maximum(most, 1e-9 * np.abs(demand) + 1e-300)
         return whole, share.reshape(-1, count), self._tight(whole)
 
@@ -244,9 +255,9 @@ class Moving:
 
 
 def in_order(rows: FloatArray, factors: FloatArray) -> FloatArray:
-    """Return (n, k) ``rows @ factors.T`` of (n, m) rows, summed in the order of the columns.
+    """Return (n, k) ``rows @ factors.T`` for (n, m) rows, summed in the order of the columns.
 
-    A product of matrices is rounded differently for each number of rows, and on each processor.
+    A matrix product would round differently for each number of rows, and on each processor.
 
     Parameters
     ----------
@@ -257,7 +268,7 @@ def in_order(rows: FloatArray, factors: FloatArray) -> FloatArray:
 
 
 def _summed(rows: FloatArray, factors: FloatArray) -> FloatArray:
-    """Return what ``in_order`` does, of contiguous arrays: one pass over the rows."""
+    """Return the result of ``in_order`` for contiguous arrays."""
     total = np.empty((len(rows), len(factors)))
     for i in range(len(rows)):
         for k in range(len(factors)):
@@ -271,14 +282,33 @@ def _summed(rows: FloatArray, factors: FloatArray) -> FloatArray:
 summed = njit(nogil=True)(_summed)
 
 
-def _stands(source: Source, counts: IntArray, phase: float) -> FloatArray:
-    """Return where a drive is told to stand, rad or m from the start, its own error included."""
-    position = counts / source.counts
-    if isinstance(source, PulseServo) or source.microstep_error is None:
-        return position
-    turns = 2.0 * np.pi * (source.full_steps.si * position + phase)
-    error = np.sin(turns) - np.sin(2.0 * np.pi * phase)
-    return np.asarray(position + source.microstep_error.si * error)
+_FINEST = 2.0**40  # parts of a radian in which errors are summed up: whole numbers, exactly
+
+
+def _stands(source: Source, counts: IntArray, phase: float, rows: int, ticks: int) -> FloatArray:
+    """Return the commanded position of a drive at the last ``rows`` of ``counts``.
+
+    It is in rad or m from the start, includes the microstep error, and is the mean over the last
+    ``ticks``.
+    """
+    kept = counts[len(counts) - rows - ticks + 1 :]
+    position = kept / source.counts
+    error: FloatArray | None = None
+    if not isinstance(source, PulseServo) and source.microstep_error is not None:
+        turns = 2.0 * np.pi * (source.full_steps.si * position + phase)
+        error = source.microstep_error.si * (np.sin(turns) - np.sin(2.0 * np.pi * phase))
+    if ticks == 1:
+        return np.asarray(position if error is None else position + error)
+    commanded = _means(kept, ticks) / source.counts
+    if error is not None:
+        commanded += _means(np.rint(_FINEST * error).astype(np.int64), ticks) / _FINEST
+    return np.asarray(commanded)
+
+
+def _means(numbers: IntArray, ticks: int) -> FloatArray:
+    """Return the means of each ``ticks`` consecutive numbers; they do not depend on the first."""
+    total = np.concatenate(([0], np.cumsum(numbers)))
+    return np.asarray((total[ticks:] - total[:-ticks]) / ticks)
 
 
 def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArray:
@@ -300,33 +330,32 @@ follow = njit(nogil=True)(_follow)
 
 
 class ToldSession(RowSession):
-    """One machine whose drives are told positions, under rows that arrive piece by piece.
+    """One simulated machine whose drives take positions, which receives its rows in pieces.
 
-    Channels, per axis: ``X.commanded``, ``X.load`` and, where it has one, ``X.frame`` in m or rad;
-    ``X.torque_share``, the torque asked of the drive over what it has at its speed, its largest
-    since the sample before. Then ``operation``. Of a machine without dynamics ``X.commanded`` and
-    ``operation`` are all that is known.
+    Channels, per axis: ``X.commanded``, ``X.load`` and, if the axis has a frame, ``X.frame`` in m
+    or rad; ``X.torque_share``, the largest ratio since the previous sample of needed torque to the
+    torque that the drive has at its speed. Then ``operation``. A machine without dynamics has only
+    ``X.commanded`` and ``operation``.
 
-    Where a run of a belt falls slack it has failed: it tells of a fault, and nothing is known from
-    there on.
+    If a belt becomes slack, the simulation ends there with a fault.
 
     Parameters
     ----------
     machine
-        What is driven; it starts at rest.
+        The simulated machine; it starts at rest.
     start_counts
         (axes,) commanded position before the first row; 0 when None.
     phases
-        (axes,) where in a full step each stepper stands at the start, in [0, 1); 0.5 when None.
+        (axes,) position of each stepper within a full step at the start, in [0, 1); 0.5 when None.
     record_every
-        Ticks from sample to sample.
+        Number of ticks from sample to sample.
     advances
-        Those of ``advances_of(machine)``, where they are there already; it saves time.
+        The result of ``advances_of(machine)``, if it is known already; it saves time.
 
     Raises
     ------
     MachineError
-        If an axis has a loop, or a part is not linear.
+        If an axis has a control loop, or a part is not linear.
     OptionError
         If a number or a phase is out of range.
     """
@@ -353,7 +382,7 @@ class ToldSession(RowSession):
 
     @property
     def tick(self) -> int:
-        """Ticks of the machine's clock so far."""
+        """Number of ticks simulated so far."""
         return self._tick
 
     def _tripped(self, name: str) -> bool:
@@ -383,7 +412,7 @@ class ToldSession(RowSession):
         return read
 
     def _fail(self, tick: int, operation: int, why: str) -> None:
-        """Tell of the fault that ends everything at ``tick``, and of nothing behind it."""
+        """End the run with a fault at ``tick``, and drop all later events."""
         self._told = [event for event in self._told if event.tick < tick]
         self._rows.clear()
         self._events.clear()
@@ -419,7 +448,7 @@ class ToldSession(RowSession):
 
 
 def told_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
-    """Return the channels of a machine whose drives are told positions."""
+    """Return the channels of a machine whose drives take positions."""
     return tuple(_channels(machine, every))
 
 
@@ -441,7 +470,7 @@ def _channels(machine: Machine, every: int) -> Iterator[Channel]:
 
 
 def _since(share: FloatArray, kept: slice, carried: float) -> tuple[FloatArray, float]:
-    """Return the largest share since the sample before, and since the last one of these."""
+    """Return, for each sample, the largest share since the previous one; and since the last."""
     at = np.arange(len(share))[kept]
     if not len(at):
         return np.empty(0), float(max(carried, share.max(initial=0.0)))

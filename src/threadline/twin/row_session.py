@@ -1,7 +1,7 @@
-"""Ticks of a session in one piece, and pieces put together.
+"""Base class of the sessions that take rows of counts, one row at each tick.
 
-What the rows do to a plant is up to the class that is derived: ``Session`` for machines with loops,
-``ToldSession`` for those whose drives are told positions.
+The derived classes simulate the plant: ``Session`` for machines with control loops, ``ToldSession``
+for machines whose drives take positions.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from threadline.twin.kernel import Reading
 
 @dataclass(slots=True)
 class Part:
-    """Ticks in one piece: (n, axes) counts commanded, (n,) operations, what is read at them."""
+    """Consecutive ticks: (n, axes) commanded counts, (n,) operations, and the readings."""
 
     travelled: IntArray
     operation: IntArray
@@ -31,14 +31,14 @@ class Part:
 
 
 def joined(parts: Sequence[Part], axes: int, runs: int, readings: Sequence[Reading]) -> Part:
-    """Return parts that follow each other as one; without any, one of no ticks.
+    """Return consecutive parts joined into one; a part without ticks if there are none.
 
     Parameters
     ----------
     axes, runs
-        How many axes and runs every part has.
+        Number of axes and of runs in every part.
     readings
-        What every part holds.
+        Readings in every part.
     """
     nothing = np.zeros((0, axes), dtype=np.int64)
     unread = np.zeros((0, runs))
@@ -57,37 +57,37 @@ _AT_ONCE = 1 << 16
 
 
 class Rows(Protocol):
-    """What takes up rows: a ``RowSession``, or several under the same rows."""
+    """A consumer of rows: a ``RowSession``, or several sessions under the same rows."""
 
     @property
     def failed(self) -> bool:
-        """Whether nothing is known of it any more."""
+        """Whether the simulation has failed."""
 
     @property
     def halted(self) -> Event | None:
-        """The stop or wait at which the rows stand."""
+        """The stop or wait that halts the rows; None if they are not halted."""
 
     def resume(self) -> None:
-        """Let the rows go on."""
+        """Continue with the rows."""
 
     def finish(self, ended: Ended = ..., text: str = ...) -> None:
-        """Say that no more rows come."""
+        """Declare that no more rows follow."""
 
     def advance(self, rows: TickBlock | None = ..., *, ticks: int | None = ...) -> RecordingBlock:
-        """Take up rows and go on; return what happened."""
+        """Take rows, simulate, and return the samples and events."""
 
 
 class RowSession(ABC):
-    """One machine under rows of counts that arrive piece by piece.
+    """One simulated machine that receives rows of counts in pieces.
 
-    The machine has its own clock, the tick, which always goes on; rows are taken up one at each
-    tick unless they are halted. While they are halted the command stands still and the plant goes
-    on. The same rows in pieces of any length give the same samples, to the bit.
+    The tick of the machine always goes on; one row is taken at each tick unless the rows are
+    halted. While they are halted, the commanded position stands still and the plant moves on. The
+    same rows give the same samples, to the bit, however they are divided into pieces.
 
     Parameters
     ----------
     machine
-        What is driven; it starts at rest.
+        The simulated machine; it starts at rest.
     start_counts
         (axes,) commanded position before the first row; 0 when None.
 
@@ -96,12 +96,12 @@ class RowSession(ABC):
     channels
         The channels of the blocks that are returned.
     failed
-        Whether the plant has failed, so that nothing is known of it from ``tick`` on.
+        Whether the plant has failed; there are no samples from ``tick`` on.
 
     Raises
     ------
     OptionError
-        If there are not as many positions as axes.
+        If the number of start positions differs from the number of axes.
     """
 
     channels: tuple[Channel, ...]
@@ -114,26 +114,26 @@ class RowSession(ABC):
         self._machine, self._start = machine, start
         self.failed = False
         self._rows: deque[tuple[IntArray, IntArray]] = deque()
-        self._events: deque[Event] = deque()  # of the commands, not met yet
+        self._events: deque[Event] = deque()  # of the commands, not reached yet
         self._inputs: dict[str, float] = {}
         self._position = np.zeros(axes, dtype=np.int64)
         self._operation = self._row = 0
         self._halted: Event | None = None
         self._held = False
         self._ended: tuple[Ended, str] | None = None
-        self._final = False  # the end has been told
+        self._final = False  # the end has been recorded
         self._told: list[Event] = []  # since the last block
 
     @property
     @abstractmethod
     def tick(self) -> int:
-        """Ticks of the machine's clock so far."""
+        """Number of ticks simulated so far."""
 
     @abstractmethod
     def _read(self, part: Part) -> Mapping[Any, FloatArray]:
-        """Let the plant go through a part, and return what is read of it.
+        """Simulate the plant over a part, and return the readings.
 
-        ``self._position`` is the commanded position behind the part.
+        ``self._position`` is the commanded position after the part.
         """
 
     @abstractmethod
@@ -142,23 +142,23 @@ class RowSession(ABC):
 
     @abstractmethod
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
-        """Return what happened from the tick ``first`` on, and forget the events told."""
+        """Return the block that begins at tick ``first``, and clear the pending events."""
 
-    # --- what it is doing ------------------------------------------------------------------
+    # --- state -----------------------------------------------------------------------------
 
     @property
     def row(self) -> int:
-        """Rows taken up so far."""
+        """Number of rows taken so far."""
         return self._row
 
     @property
     def queued(self) -> int:
-        """Rows that wait to be taken up."""
+        """Number of rows that wait to be taken."""
         return sum(len(counts) for counts, _ in self._rows)
 
     @property
     def halted(self) -> Event | None:
-        """The stop or wait at which the rows stand, None where they run or are only held."""
+        """The stop or wait that halts the rows; None if they run or are only held."""
         return self._halted
 
     @property
@@ -168,54 +168,52 @@ class RowSession(ABC):
 
     @property
     def ended(self) -> Ended | None:
-        """How it ended; None while it goes on, and while rows are left after ``finish``."""
+        """How the run ended; None while it runs, and while rows are left after ``finish``."""
         return self._ended[0] if self._ended is not None and self._final else None
 
-    # --- what is done to it ----------------------------------------------------------------
+    # --- control ---------------------------------------------------------------------------
 
     def hold(self) -> None:
-        """Halt the rows from the next tick on, wherever they are; the plant goes on.
+        """Halt the rows from the next tick on; the plant moves on.
 
-        The command stands still at once, whatever that asks of the machine. A sender who wants to
-        come to rest within its limits sends rows that do so instead.
+        The commanded position stops at once, without regard to the limits of the machine. To stop
+        within the limits, send rows that decelerate to rest instead.
         """
         if not self._held:
             self._held = True
             self._tell("hold")
 
     def resume(self) -> None:
-        """Let the rows go on, after ``hold``, after a stop, and after a wait that is passed over.
+        """Continue with the rows after ``hold``, after a stop, or instead of a wait.
 
-        Where ``hold`` is in force at a stop, one call ends both.
+        If the rows are held at a stop, one call ends both.
         """
         if self._held or self._halted is not None:
             self._held, self._halted = False, None
             self._tell("resume")
 
     def set_input(self, name: str, value: float) -> None:
-        """Set what a wait of the job may wait for.
+        """Set an input for which the job may wait.
 
         Raises
         ------
         OptionError
-            If it is a limit switch of the machine: the plant decides on that.
+            If the input is a limit switch of the machine: the simulated plant sets it.
         """
         if name in self._machine.inputs:
-            raise OptionError(
-                f"{name} is a limit switch of {self._machine.name}: where the load is decides on it"
-            )
+            raise OptionError(f"{name} is a limit switch of {self._machine.name}: its load sets it")
         self._inputs[name] = float(value)
 
     def finish(self, ended: Ended = Ended.COMPLETED, text: str = "") -> None:
-        """Say that no more rows come.
+        """Declare that no more rows follow.
 
         Parameters
         ----------
         ended
-            ``COMPLETED`` when the rows that wait are all that is left: the recording says so once
-            they are taken up. ``STOPPED`` and ``FAULT`` take effect at once and drop those rows.
+            ``COMPLETED`` to run the rows that still wait, and then end. ``STOPPED`` and ``FAULT``
+            take effect at once and drop those rows.
         text
-            Why, for people.
+            The reason, for people.
         """
         if self._final:
             return
@@ -227,28 +225,29 @@ class RowSession(ABC):
         self._meet_events()
 
     def advance(self, rows: TickBlock | None = None, *, ticks: int | None = None) -> RecordingBlock:
-        """Take up rows and go on; return what happened.
+        """Take rows, simulate, and return the samples and events.
 
         Parameters
         ----------
         rows
-            They follow those that were given before.
+            Rows that follow the previous ones.
         ticks
-            How many ticks to go on. A tick at which no row is there, after the first and before
-            ``finish``, comes late: the recording counts it. None goes on until the rows are used
-            up, or a stop or a wait halts them.
+            Number of ticks to simulate. If a row is missing at a tick, after the first row and
+            before ``finish``, the recording counts the tick as late. None simulates until the rows
+            are used up, or a stop or a wait halts them.
 
         Returns
         -------
         RecordingBlock
-            Its events carry ticks of the machine's clock. It may have no samples.
+            Its events are counted in ticks of the machine. It may have no samples.
 
         Raises
         ------
         OptionError
-            If rows have another number of axes, leave others out, or come after the end.
+            If rows have a wrong number of axes, do not follow the previous ones, or come after
+            the end.
         MachineError
-            If the simulation has no answer.
+            If the simulation has no solution.
         """
         if rows is not None:
             self._take(rows)
@@ -275,7 +274,7 @@ class RowSession(ABC):
             raise OptionError(f"rows after the commands were {self._ended[0].value}")
         if rows.first_tick != self._row + self.queued:
             raise OptionError(
-                f"rows from {rows.first_tick} on, the next is {self._row + self.queued}",
+                f"the rows begin at {rows.first_tick}, expected {self._row + self.queued}",
                 remedy="Send every row, in order.",
             )
         if len(rows):
@@ -291,7 +290,7 @@ class RowSession(ABC):
         )
 
     def _meet_events(self) -> None:
-        """Tell what is due before the next row; halt at a stop, and at a wait that is not met."""
+        """Record the events before the next row; halt at a stop and at an unfulfilled wait."""
         waits = self._halted
         if waits is not None and waits.kind == "wait" and self._met(waits):
             self._halted = None
@@ -312,7 +311,7 @@ class RowSession(ABC):
         return self._inputs.get(wait.name) == wait.value
 
     def _moving(self, end: int | None) -> Part | None:
-        """Return rows up to the next halt, as many as are there in one piece."""
+        """Return the rows up to the next halt or the end of the first piece."""
         if self._halted is not None or self._held or not self._rows:
             return None
         counts, operation = self._rows.popleft()
@@ -333,12 +332,12 @@ class RowSession(ABC):
         return Part(travelled, operation[:n])
 
     def _still(self, end: int | None) -> Part | None:
-        """Return ticks at which the command stands still; None where nobody asked for them."""
+        """Return ticks without rows up to ``end``; None if there is no ``end``."""
         if end is None:
             return None
         n = min(_AT_ONCE, end - self.tick)
         if self._halted is not None and self._halted.name in self._machine.inputs:
-            n = 1  # the plant decides, at any tick
+            n = 1  # the limit switch can change at any tick
         if self._row and self._halted is None and not self._held and self._ended is None:
             self._tell("late", value=float(n))
         still = np.broadcast_to(self._position, (n, len(self._position)))

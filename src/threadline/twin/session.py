@@ -1,6 +1,6 @@
-"""A simulated machine that takes its commands piece by piece, and halts at stops and waits.
+"""A simulated machine that receives its commands in pieces, and halts at stops and waits.
 
-A simulated machine that is driven live is a session; ``simulate`` is a loop over one.
+A live simulation is a session; ``simulate`` runs a session in a loop.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ _REBUILT = frozenset(("channels", "_clock", "_sources", "_readings", "_run"))
 
 
 class Session(RowSession):
-    """One machine under commands that arrive piece by piece.
+    """One simulated machine that receives its commands in pieces.
 
-    The machine has its own clock, the tick, which always goes on; rows are taken up one at each
-    tick unless they are halted. While they are halted the command stands still and the plant goes
-    on: loops, springs and friction do what they do. The same rows in pieces of any length give the
-    same samples, to the bit. A session can be pickled, and goes on in another process with the
-    same bits.
+    The tick of the machine always goes on; one row is taken at each tick unless the rows are
+    halted. While they are halted, the commanded position stands still; control loops, springs and
+    friction are simulated on. The same rows give the same samples, to the bit, however they are
+    divided into pieces. A session can be pickled, and continues in another process with the same
+    bits.
 
     Parameters
     ----------
     machine
-        What is driven; it starts at rest.
+        The simulated machine; it starts at rest.
     start_counts
         (axes,) commanded position before the first row; 0 when None.
     encoder_phase
-        (axes,) where between two counts each encoder stands at the start, or (runs, axes) of each
-        run; 0.5 when None.
+        (axes,) position of each encoder between two counts at the start, in [0, 1), or (runs, axes)
+        for each run; 0.5 when None.
     record_every
-        Ticks from sample to sample.
+        Number of ticks from sample to sample.
     quantised
-        False leaves out the rounding of encoders and DACs: for comparisons.
+        False to omit the rounding of encoders and DACs, for comparisons.
     values
-        Numbers of the runs where several go side by side, all under the same rows; the machine's
-        own when None.
+        Numbers of each of several runs, simulated side by side under the same rows; None for the
+        machine's numbers.
     kinds
         Kinds of the channels to record.
     engine
-        The engine of this machine, values and start, where there is one already; it saves time.
+        An engine that was made before for this machine, values and start; it saves time.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Session(RowSession):
     Raises
     ------
     MachineError
-        If the machine's clocks or parts cannot be simulated.
+        If the clocks or parts of the machine cannot be simulated.
     OptionError
         If an option is out of range.
 
@@ -130,7 +130,7 @@ class Session(RowSession):
 
     @property
     def tick(self) -> int:
-        """Ticks of the machine's clock so far."""
+        """Number of ticks simulated so far."""
         return self._run.tick
 
     def _tripped(self, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""The engines of what was simulated last: a search simulates the same machine at every feed."""
+"""Simulates commands on a machine, and keeps the engines of the machines simulated last."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from threadline.twin.prescribed import Advance, ToldSession, advances_of, told_c
 from threadline.twin.row_session import Rows, RowSession
 from threadline.twin.session import Session
 
-_MOST_VARIANTS = 64  # of an engine that is kept: three times the days of a repeated proof
+_MOST_VARIANTS = 64  # engines with more are not kept; three times the days of a repeated proof
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,19 +58,20 @@ _RECENT: Recent[_Asked, Engine] = Recent(8, _alike)
 
 
 def engine_of(values: Values, start_si: FloatArray, least_rates: tuple[float, ...] = ()) -> Engine:
-    """Return an engine, the one that was made before for the same machine, numbers and start.
+    """Return an engine; the same one again for the same machine, numbers and start.
 
-    Engines hold no state of a run: any number of runs, side by side too, may share one.
+    A search simulates the same machine at every feed. An engine has no state of a run: any number
+    of runs may share it, also at the same time.
 
     Parameters
     ----------
     values, start_si, least_rates
-        As ``Engine`` takes them.
+        See ``Engine``.
 
     Raises
     ------
     MachineError
-        If the machine's clocks or parts cannot be simulated.
+        If the clocks or parts of the machine cannot be simulated.
     """
     asked = _Asked(values, start_si, least_rates)
     return asked.made() if values.count > _MOST_VARIANTS else _RECENT.of(asked, asked.made)
@@ -79,9 +80,10 @@ def engine_of(values: Values, start_si: FloatArray, least_rates: tuple[float, ..
 DEFAULT_SETTLE_S = 0.5
 _MOST_ROWS = 1 << 16
 _MOST_SAMPLES = 1 << 14
-"""In one block: more of them leave the processor's cache and are paged in anew for each block."""
+"""Largest number in one block. Larger blocks exceed the processor's cache."""
 _MOST_OF_RUNS = 1 << 18
-"""Samples times runs of one block: no block of use fits a core's cache, and each costs calls."""
+"""Samples times runs in one block. Smaller blocks do not fit a core's cache either, and each block
+costs calls."""
 _LEAST_ROWS = 256
 
 
@@ -95,42 +97,42 @@ def simulate(
     quantised: bool = True,
     answers: Iterable[float] | None = None,
 ) -> Recording:
-    """Simulate ``machine`` under ``commands``; nothing runs until the recording is read.
+    """Simulate ``machine`` under ``commands``; the simulation runs while the recording is read.
 
-    The machine starts at rest at ``commands.start_counts``. Sample k is taken at the instant of
-    tick ``k * record_every``, before the controllers act on it; the commanded position at that
-    instant is the sum of the rows before it, and the controllers follow it from then on. After
-    the last row the command stands still for ``settle_s``.
+    The machine starts at rest at ``commands.start_counts``. Sample k is taken at tick ``k *
+    record_every``, before the controllers act; the commanded position at that instant is the sum of
+    the previous rows, and the controllers follow it from then on. After the last row the commanded
+    position stands still for ``settle_s``.
 
-    Channels, per axis: ``X.commanded``, ``X.measured``, ``X.load`` and, where it has one,
+    Channels, per axis: ``X.commanded``, ``X.measured``, ``X.load`` and, if the axis has a frame,
     ``X.frame`` in m or rad; ``X.voltage`` at the amplifier's input in V; ``X.current`` in A and
-    ``X.current_peak``, the value of largest magnitude since the sample before. Then ``operation``
-    and one channel for each input, 1 from the instant at which a switch has cut its drive.
+    ``X.current_peak``, the value of largest magnitude since the previous sample. Then ``operation``
+    and one channel for each input, which is 1 once a limit switch has cut its drive.
 
-    A machine whose drives are told positions has other channels: see ``ToldSession``.
+    A machine whose drives take positions has other channels: see ``ToldSession``.
 
     Parameters
     ----------
     encoder_phase
-        (axes,) where between two counts each encoder stands at the start, in [0, 1); 0.5, the
-        middle, when None. Of a stepper where in a full step.
+        (axes,) position of each encoder between two counts at the start, in [0, 1); 0.5 when None.
+        For a stepper: its position within a full step.
     record_every
-        Ticks from sample to sample.
+        Number of ticks from sample to sample.
     settle_s
-        How long to go on after the last row.
+        Time to simulate after the last row.
     quantised
-        False leaves out the rounding of encoders and DACs (not their limits): for comparisons.
+        False to omit the rounding of encoders and DACs (not their limits), for comparisons.
     answers
-        How long the operator, or what is waited for, keeps each stop and wait of the job, in
-        order: s, rounded up to ticks. The commands stand still so long and the plant goes on; the
-        recording tells of every stop, wait and resumption. When they run out the recording ends
-        at the next one, stopped, after ``settle_s``. None answers each at once: the machine rests
-        there as long as the plan has it.
+        Duration of each stop and wait of the job, in order, s; rounded up to ticks. The commanded
+        position stands still for that time and the plant is simulated on; every stop, wait and
+        resumption is an event of the recording. When the durations are used up, the recording ends
+        as stopped at the next stop or wait, after ``settle_s``. None ends each at once: the machine
+        rests there only as long as planned.
 
     Raises
     ------
     MachineError
-        If the machine's clocks or parts cannot be simulated.
+        If the clocks or parts of the machine cannot be simulated.
     OptionError
         If the commands are not for this machine, or an option is out of range.
     """
@@ -156,28 +158,28 @@ def simulate_runs(
     kinds: Collection[ChannelKind] = tuple(ChannelKind),
     least_rates: tuple[float, ...] = (),
 ) -> Recording:
-    """Simulate runs of a machine side by side, each with numbers of its own, as one recording.
+    """Simulate runs of a machine side by side, each with different numbers, as one recording.
 
-    Each does what ``simulate`` does with a machine of those numbers, to the bit; stops and waits
-    are answered at once. Memory grows with the number of runs, not with the length of the commands.
+    Each run gives the same bits as ``simulate`` for a machine with those numbers; stops and waits
+    end at once. Memory grows with the number of runs, not with the length of the commands.
 
     Parameters
     ----------
     values
-        Numbers of the runs. All runs have the same dead times; ``Values.by_delay`` groups others.
+        Numbers of the runs. All runs must have the same dead times; see ``Values.by_delay``.
     encoder_phase
-        (runs, axes) of each run, or (axes,); 0.5 when None.
+        (runs, axes) for each run, or (axes,) for all; 0.5 when None.
     kinds
         Kinds of the channels to record.
     least_rates
-        For each connected piece, 1/s: time steps are at least as fine as for that rate. With those
-        of ``fastest_rates`` over all runs, the result of a run does not depend, to the bit, on
-        which others are simulated beside it.
+        For each connected piece, a rate in 1/s: the time steps are at least as short as for that
+        rate. With the maxima of ``fastest_rates`` over all runs, the result of a run is the same to
+        the bit, whichever other runs are simulated beside it.
 
     Raises
     ------
     MachineError, OptionError
-        As ``simulate``; while it is read, if one of the runs has no answer.
+        As ``simulate``; while the recording is read, if a run has no solution.
     """
     machine = values.machine
     check_commands(commands, machine, 1, settle_s)
@@ -195,7 +197,7 @@ def simulate_runs(
 def fastest_rates(commands: TickTable, values: Values) -> tuple[FloatArray, ...]:
     """Return, for each connected piece of a machine, the (runs,) fastest rate of each run, 1/s.
 
-    The fastest of those that go side by side sets the time steps of all.
+    The fastest of the runs simulated side by side sets the time steps of all.
 
     Raises
     ------
@@ -225,7 +227,7 @@ def _recording(
 
 
 def session_of(machine: Machine, start_counts: IntArray) -> RowSession:
-    """Return a session of a machine with axes, as one run of ``simulate`` makes it."""
+    """Return a session for a machine with axes, with the defaults of ``simulate``."""
     if machine.told_positions:
         return ToldSession(machine, start_counts=start_counts)
     return Session(machine, start_counts=start_counts)
@@ -244,7 +246,7 @@ def _told_recording(commands: TickTable, machine: Machine, options: RunOptions) 
 def check_commands(
     commands: TickTable, machine: Machine, record_every: int, settle_s: float
 ) -> None:
-    """Refuse commands that are not for this machine, and options out of range."""
+    """Raise an error if the commands are not for this machine, or an option is out of range."""
     if commands.axes != machine.axis_names:
         raise OptionError(
             f"the commands are for axes {', '.join(commands.axes)}, "
@@ -266,7 +268,7 @@ def check_commands(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RunOptions:
-    """How the machine is simulated."""
+    """Options of a simulation; see ``simulate``."""
 
     phases: FloatArray
     record_every: int
@@ -277,7 +279,7 @@ class RunOptions:
 
     @property
     def most_rows(self) -> int:
-        """How many rows make one block."""
+        """Largest number of rows in one block."""
         of_runs = max(_MOST_OF_RUNS // len(self.phases), _LEAST_ROWS)
         return min(_MOST_ROWS, min(_MOST_SAMPLES, of_runs) * self.record_every)
 
@@ -285,7 +287,7 @@ class RunOptions:
 def _blocks(
     engine: Engine, values: Values, commands: TickTable, options: RunOptions
 ) -> Iterator[RecordingBlock]:
-    """Run a session over the commands and its settling; every reading starts anew."""
+    """Yield the blocks of a new session; each reading of the recording starts one."""
     machine = engine.machine
     session = Session(
         machine,
@@ -303,7 +305,7 @@ def _blocks(
 def _told_blocks(
     advances: tuple[Advance, ...], machine: Machine, commands: TickTable, options: RunOptions
 ) -> Iterator[RecordingBlock]:
-    """Do the same with a machine whose drives are told positions."""
+    """Yield the blocks of a new session of a machine whose drives take positions."""
     session = ToldSession(
         machine,
         start_counts=commands.start_counts,
@@ -315,10 +317,10 @@ def _told_blocks(
 
 
 def run_over(session: Rows, commands: TickTable, options: RunOptions) -> Iterator[RecordingBlock]:
-    """Yield the blocks of a new session until it has settled, or failed."""
+    """Yield the blocks of a session until it has settled, or failed."""
     tick_s = float(commands.clock.period_s)
     owed: tuple[Event, ...] = ()
-    # One more than the settling ticks: the instant at which the last of them ends.
+    # One tick more than the settling time, for a sample at its end.
     settling = _pause(session, ceil(options.settle_s / tick_s) + 1, options.most_rows)
     for block in chain(_parts(session, commands, options), settling):
         owed += block.events
@@ -330,13 +332,13 @@ def run_over(session: Rows, commands: TickTable, options: RunOptions) -> Iterato
 
 
 def _pause(session: Rows, ticks: int, most: int) -> Iterator[RecordingBlock]:
-    """Let the plant go on for ``ticks`` without new rows; blocks of at most ``most`` ticks."""
+    """Simulate ``ticks`` without new rows, in blocks of at most ``most`` ticks."""
     for at in range(0, ticks, most):
         yield session.advance(ticks=min(most, ticks - at))
 
 
 def _parts(session: Rows, commands: TickTable, options: RunOptions) -> Iterator[RecordingBlock]:
-    """Yield the blocks of a run of the commands, which halts at stops and waits until answered."""
+    """Yield the blocks of the commands, with the pauses at stops and waits."""
     answers = None if options.answers is None else iter(options.answers)
     for block in _pieces(commands, options.most_rows):
         parts = [session.advance(block)]
@@ -361,7 +363,7 @@ def _parts(session: Rows, commands: TickTable, options: RunOptions) -> Iterator[
 
 
 def _pieces(commands: TickTable, most: int) -> Iterator[TickBlock]:
-    """Yield the commands in blocks of ``most`` rows at most."""
+    """Yield the commands in blocks of at most ``most`` rows."""
     for block in commands:
         if len(block) <= most:
             yield block
@@ -381,7 +383,7 @@ def _pieces(commands: TickTable, most: int) -> Iterator[TickBlock]:
 
 
 def _joined(parts: list[RecordingBlock]) -> RecordingBlock:
-    """Return one block of some that follow each other without a pause."""
+    """Return consecutive blocks joined into one."""
     if len(parts) == 1:
         return parts[0]
     return RecordingBlock(

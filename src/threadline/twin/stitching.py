@@ -1,6 +1,6 @@
-"""When the needles are in the cloth: the angle of the shaft over time, turn by turn.
+"""Simulates an embroidery machine: the servos of the frame, and when the needle is in the cloth.
 
-Servos follow the steps with their lag; the frame hangs on them by a linear network
+The servos follow the steps with a lag, and move the frame through a linear network
 (:mod:`threadline.twin.stitching_run`).
 """
 
@@ -33,10 +33,10 @@ from threadline.twin.stitching_run import Driven, Library, Played, driven_of, pl
 
 
 class Needles:
-    """The needles of a machine that plays ``commands``.
+    """Position of the needle while a machine plays ``commands``.
 
-    The shaft has a constant speed in the window of the move. Over the rest of the turn the speed
-    changes evenly to that of the next window.
+    The shaft has a constant speed in the window of the move. Over the rest of the turn its speed
+    changes linearly to the speed in the next window.
     """
 
     def __init__(self, machine: Machine, commands: StepPlay) -> None:
@@ -47,7 +47,7 @@ class Needles:
         self._leaves = machine.shaft.needle_leaves.si / (2.0 * pi)
 
     def down(self, block: StitchBlock, after: StitchBlock | None, ticks: IntArray) -> FloatArray:
-        """Return (n,) 1 where the needle is in the cloth, at (n,) rising ticks within ``block``."""
+        """Return (n,) 1 if the needle is in the cloth, for (n,) rising ticks within ``block``."""
         following = self._end if after is None else int(after.begin[0])
         speed = self._window / block.window
         last = speed[-1] if after is None else self._window / float(after.window[0])
@@ -64,25 +64,25 @@ class Needles:
     def _after(
         self, angle: float, speed: FloatArray, later: FloatArray, block: StitchBlock, ends: IntArray
     ) -> FloatArray:
-        """Return (turns,) ticks from the beginning of each turn to an angle behind its window."""
+        """Return (turns,) ticks from the beginning of each turn to an angle after its window."""
         rest = ends - block.begin - block.window
         rate = (later - speed) / rest
         left = angle - self._window
-        # The stable root of left = speed t + rate t^2 / 2.
+        # The numerically stable root of left = speed t + rate t^2 / 2.
         root = np.sqrt(np.maximum(speed * speed + 2.0 * rate * left, 0.0))
         return np.asarray(block.window + 2.0 * left / (speed + root))
 
 
 _REST_S = Fraction(2)
 _AT_ONCE = 1 << 16
-"""Samples of a block of a recording at most: the drives' clock may be a thousand times a turn's."""
+"""Largest number of samples in a block: a turn may last a thousand periods of the drives' clock."""
 
 
 def simulate_stitching(commands: StepPlay, machine: Machine) -> Recording:
-    """Return what happens when ``machine`` plays ``commands`` once; it runs as it is read.
+    """Simulate ``machine`` playing ``commands`` once; the simulation runs while it is read.
 
-    Channels, on the clock of the drives: per axis ``X.commanded`` (the steps that were given),
-    ``X.load`` and ``X.torque_share`` (force asked of the drive over what it has); ``needle``, 1
+    Channels, on the clock of the drives: per axis ``X.commanded`` (the steps so far), ``X.load``
+    and ``X.torque_share`` (needed force divided by the force of the drive); ``needle``, which is 1
     while it is in the cloth; ``operation``. Two seconds of rest follow the last turn.
 
     Raises
@@ -123,12 +123,12 @@ def stitching_channels(machine: Machine) -> Iterator[Channel]:
 
 
 def ticks_of_sample(commands: StepPlay, machine: Machine) -> int:
-    """Return how many periods of the timer a sample is.
+    """Return the period of the samples as a number of timer periods.
 
     Raises
     ------
     MachineError
-        If it is no whole number.
+        If the ratio is not a whole number.
     """
     ratio = machine.tick_clock.period_s / commands.clock.period_s
     if ratio.denominator != 1:
@@ -142,14 +142,14 @@ def ticks_of_sample(commands: StepPlay, machine: Machine) -> int:
 
 
 def _read(commands: StepPlay, machine: Machine, driven: Driven) -> Iterator[RecordingBlock]:
-    """Yield the blocks of one run: the samples of some turns each, and at last those of rest."""
+    """Yield the blocks of one run; the last one includes the rest at the end."""
     every = ticks_of_sample(commands, machine)
     library = Library.of(commands)
     played = Played.at_rest(driven.step.shape[0], len(commands.axes))
     needles = Needles(machine, commands)
     first, operation = 0, 0
     for block, after in _with_next(commands):
-        # What is due at the beginning of the next block belongs to it.
+        # A sample at the beginning of the next block belongs to that block.
         end = commands.duration_ticks if after is None else int(after.begin[0])
         rest = ceil(_REST_S / machine.tick_clock.period_s) if after is None else 0
         until = -(-end // every) + rest
@@ -178,9 +178,9 @@ def _read(commands: StepPlay, machine: Machine, driven: Driven) -> Iterator[Reco
 def frame_samples(
     commands: StepPlay, driven: Driven, states: FloatArray, steps: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the samples of the axes from (n, m) states and (n, A) steps given.
+    """Return the samples of the axes from (n, m) states and (n, A) steps so far.
 
-    Sums run in the order of the states, so that they do not depend on the number of samples.
+    Sums are made in the order of the states, so they do not depend on the number of samples.
     """
     start = commands.start_steps / commands.steps_per_unit
     forces, loads = in_order(states, driven.forces), in_order(states, driven.loads)
@@ -204,7 +204,7 @@ def _with_next(commands: StepPlay) -> Iterator[tuple[StitchBlock, StitchBlock | 
 
 
 def _at_samples(block: StitchBlock, commands: StepPlay, every: int) -> Iterator[Event]:
-    """Yield the events of some turns, at samples of the recording."""
+    """Yield the events of a block, with their ticks counted in samples of the recording."""
     for event in block.events:
         turn = event.tick - block.first_stitch
         tick = commands.duration_ticks if turn >= len(block) else int(block.begin[turn])
@@ -212,28 +212,28 @@ def _at_samples(block: StitchBlock, commands: StepPlay, every: int) -> Iterator[
 
 
 COLUMNS = ("begin", "window", "table", "sign", "start", "needle", "operation")
-"""Columns of turns, in the order of ``StitchBlock``."""
+"""Names of the arrays in a ``StitchBlock``, in their order."""
 
 
 class StitchingSession:
-    """One embroidery frame under turns that arrive piece by piece.
+    """One simulated embroidery frame that receives its turns in pieces.
 
-    The same turns in pieces of any length give the same samples as ``simulate_stitching``, to the
-    bit, as long as each comes before it begins, together with the beginning of the one behind it.
+    The samples are the same as from ``simulate_stitching``, to the bit, however the turns are
+    divided into pieces, if each turn arrives before it begins, with the beginning of the next.
 
     Parameters
     ----------
     machine
-        What is driven; it starts at rest.
+        The simulated machine; it starts at rest.
     head
-        Clock, tables and start of the commands; its blocks are not read.
+        Commands that give clock, step tables and start; their blocks are not read.
 
     Attributes
     ----------
     channels
         The channels of the blocks that are returned.
     tick
-        Samples so far.
+        Number of samples so far.
     taken
         Number of turns taken so far.
 
@@ -255,7 +255,7 @@ class StitchingSession:
             name: np.zeros((0, axes) if name in ("table", "sign") else 0, dtype=np.int64)
             for name in COLUMNS
         }
-        self._following = (1, 1)  # begin and window of the turn behind the last one taken
+        self._following = (1, 1)  # begin and window of the turn after the last one taken
         self.tick = self.taken = 0
         self._under_way = 0
         self._events: list[Event] = []
@@ -263,37 +263,38 @@ class StitchingSession:
 
     @property
     def steps(self) -> FloatArray:
-        """(A,) steps given since the beginning."""
+        """(A,) steps since the beginning."""
         return self._played.steps
 
     @property
     def rests_at(self) -> int:
-        """Sample from which on nothing is commanded, unless more turns come."""
+        """Sample at which the commanded motion ends, unless more turns are taken."""
         if not len(self._turns["begin"]):
             return 0
         return -(-int(self._turns["begin"][-1] + self._turns["window"][-1]) // self._every)
 
     def take(self, turns: StitchBlock, following: tuple[int, int] | None) -> None:
-        """Take up the next turns.
+        """Take the next turns.
 
         Parameters
         ----------
         turns
-            Their events carry samples.
+            The turns; the ticks of their events are counted in samples.
         following
-            Begin and window of the turn behind them, by which the shaft changes its speed; None
-            where the shaft keeps it.
+            Begin and window of the turn after them, to which the shaft changes its speed; None if
+            the shaft keeps its speed.
 
         Raises
         ------
         OptionError
-            If the first of them has begun already, or lies in the window of the one before.
+            If the first turn should have begun already, or begins in the window of the previous
+            one.
         """
         begins = self._turns["begin"]
         free = int(begins[-1] + self._turns["window"][-1]) if len(begins) else 0
         if len(turns) and int(turns.begin[0]) < max(free, self.tick * self._every):
             raise OptionError(f"a turn that begins at {int(turns.begin[0])} comes too late")
-        # Turns whose steps have all been given, and behind which another has begun, are past.
+        # A turn is past when all its steps have been played and another turn has begun.
         now = self.tick * self._every
         past = max(int(np.searchsorted(begins, now, side="right")) - 1, 0)
         past = min(past, int(self._played.turn.min()))
@@ -315,7 +316,7 @@ class StitchingSession:
         return window * self._head.steps_per_turn // self._head.window_angle
 
     def drop_from(self, tick: int) -> None:
-        """Forget the turns that begin at a sample, or later."""
+        """Drop the turns that begin at sample ``tick`` or later."""
         kept = int(np.searchsorted(self._turns["begin"], tick * self._every))
         gone = len(self._turns["begin"]) - kept
         if gone:
@@ -327,13 +328,13 @@ class StitchingSession:
         self._events = [event for event in self._events if event.tick < tick]
 
     def finish(self, ended: Ended, text: str) -> None:
-        """Tell how the run ended."""
+        """Record how the run ended."""
         self._told.append(
             Event(tick=self.tick, kind=ended.value, operation=self._under_way, name=text)
         )
 
     def advance(self, samples: int) -> RecordingBlock:
-        """Simulate the next ``samples`` samples, and return what happened."""
+        """Simulate the next ``samples`` samples, and return them with the events."""
         first, head = self.tick, self._head
         block = StitchBlock(first_stitch=0, **self._turns)
         states, steps = play(

@@ -1,8 +1,8 @@
-"""A machine whose drives follow steps as one linear system: its matrices from sample to sample.
+"""The linear system of a machine whose drives follow steps, and its simulation.
 
-Between two samples the state goes on by one matrix exponential; a step that comes tau before the
-sample adds ``integral_0^tau exp(A s) ds B``, whose power series in tau needs no more than sums of
-powers.
+One matrix exponential advances the state from sample to sample. A step at the time tau before a
+sample adds ``integral_0^tau exp(A s) ds B``. The power series of this integral in tau needs only
+sums of powers of tau.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from threadline.machine import Machine
 from threadline.machine.sources import PulseServo
 
 _TERMS = 20
-_NORM = 1.0  # of the rates over an interval: the series then ends below 1e-18
+_NORM = 1.0  # of the rates over an interval; the remainder of the series is below 1e-18
 _MOST_PARTS = 1024
 
 
@@ -32,26 +32,26 @@ _MOST_PARTS = 1024
 class Driven:
     """A machine whose drives follow steps, as one linear system that is advanced by intervals.
 
-    The m states are those of each connected piece, followed by position and speed of its servos;
-    A is the number of axes.
+    The m states are, for each connected piece, its states and then positions and speeds of its
+    servos. A is the number of axes.
 
     Parameters
     ----------
     step
         (m, m) transition matrix of the state over an interval.
     held
-        (m, A) what each step that was given before an interval adds to the state over it.
+        (m, A) effect over an interval of one step before the interval.
     series
-        (terms, m, A) what a step within an interval adds to the state at its end: coefficients of
-        the powers of the part of the interval that is left when the step comes.
+        (terms, m, A) effect at the end of an interval of one step within it: coefficients of the
+        powers of the fraction of the interval that follows the step.
     loads
-        (A, m) position of each axis, in its own units.
+        (A, m) position of each axis, m or rad, from the state.
     forces
-        (A, m) force of each drive, N or N m, that follows from the state.
+        (A, m) force of each drive, N or N m, from the state.
     told
         (A,) force of each drive per commanded m or rad.
     limit
-        (A,) force that each drive has, N or N m.
+        (A,) force limit of each drive, N or N m.
     scale
         (A,) m or rad of each drive per step.
     parts
@@ -70,7 +70,7 @@ class Driven:
 
 
 def driven_of(machine: Machine) -> Driven:
-    """Return the linear system of ``machine``, by which step tables are played.
+    """Return the linear system of ``machine`` for the simulation of step tables.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def driven_of(machine: Machine) -> Driven:
             rates[place, speed] = 1.0
             rates[speed, place], rates[speed, speed] = -w * w, -2.0 * w
             entry[speed, at] = w * w
-            # It gives what its own mass and the network ask for.
+            # The drive moves its own mass and the network.
             forces[at, columns] = -piece.pulls[k]
             forces[at] += piece.inertia[k] * rates[speed]
             told[at] = piece.inertia[k] * w * w
@@ -130,15 +130,15 @@ def driven_of(machine: Machine) -> Driven:
 
 
 def _parts(rates: FloatArray, sample_s: float, machine: Machine) -> int:
-    """Return how many intervals to cut a sample into, so that the series is exact."""
+    """Return the number of intervals per sample for which the series is exact."""
     fastest = float(np.abs(np.linalg.eigvals(rates)).max())
     parts = ceil(fastest * sample_s / _NORM)
     if parts > _MOST_PARTS:
         raise MachineError(
-            f"{machine.name} rings at {fastest / (2.0 * np.pi):.4g} Hz, too fast for samples of "
+            f"{machine.name} vibrates at {fastest / (2.0 * np.pi):.4g} Hz, too fast for samples of "
             f"{sample_s * 1e3:g} ms",
             place=machine.place,
-            remedy="Give its drives a shorter clock, or leave out what rings so fast.",
+            remedy="Give its drives a shorter clock, or leave out the part that vibrates so fast.",
         )
     return max(1, parts)
 
@@ -146,7 +146,7 @@ def _parts(rates: FloatArray, sample_s: float, machine: Machine) -> int:
 def _powers(
     rates: FloatArray, entry: FloatArray, interval_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the state's step over an interval, and (terms, m, A) ``A^k B T^(k+1) / (k+1)!``."""
+    """Return the transition matrix over an interval, and ``A^k B T^(k+1) / (k+1)!`` for all k."""
     terms, power = [], entry * interval_s
     for k in range(1, _TERMS + 1):
         terms.append(power)
@@ -156,14 +156,15 @@ def _powers(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Library:
-    """All step tables of a program, one behind the other.
+    """All step tables of a program in one array.
 
     Parameters
     ----------
     times
-        Timer counts from the start of the window to each step, table behind table.
+        Timer counts from the start of the window to each step, for all tables in order.
     begins
-        (k + 1,) index at which each of the k tables begins in ``times``, and the length of that.
+        (k + 1,) index in ``times`` at which each of the k tables begins, and the length of
+        ``times``.
     """
 
     times: IntArray
@@ -177,7 +178,7 @@ class Library:
 
 @lru_cache(maxsize=1)
 def _joined(tables: tuple[StepTable, ...]) -> Library:
-    """Return the tables one behind the other; a proof plays the same ones in all of its runs."""
+    """Return the joined tables; cached, because a proof plays the same ones in all its runs."""
     intervals, begins = one_behind_the_other(tables)
     times = np.cumsum(intervals)
     before = np.concatenate(([0], times[begins[1:] - 1]))
@@ -189,16 +190,16 @@ def _joined(tables: tuple[StepTable, ...]) -> Library:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Played:
-    """Where a run is; ``play`` changes all of it in place.
+    """State of a run; ``play`` changes it in place.
 
     Parameters
     ----------
     state
-        (m,) state of the frame.
+        (m,) state of the linear system.
     steps
-        (A,) steps given so far.
+        (A,) steps so far.
     turn, at
-        (A,) turn of the block whose table each axis plays, and number of its next step.
+        (A,) index of the turn whose table each axis plays, and of the next step in the table.
     """
 
     state: FloatArray
@@ -221,13 +222,13 @@ def play(
     commands: StepPlay,
     samples: tuple[int, int, int],
 ) -> tuple[FloatArray, FloatArray]:
-    """Return (n, m) states and (n, A) steps given, at n samples; advance ``played``.
+    """Return (n, m) states and (n, A) steps so far, at n samples; advance ``played``.
 
     Parameters
     ----------
     samples
-        Index of the first sample, number of samples, and ticks from one to the next. A sample is
-        taken before the steps that are due at its instant.
+        Index of the first sample, number of samples, and ticks from sample to sample. A sample is
+        taken before the steps at the same instant.
     """
     first, count, every = samples
     scale = np.ones(len(block))
@@ -235,7 +236,7 @@ def play(
         scale = block.window / float(commands.window_angle)
     states = np.empty((count, len(played.state)))
     steps = np.empty((count, len(played.steps)))
-    # Transposed: what is summed runs along the memory, and the order of the sums stays.
+    # Transposed, so that the sums run along the memory without a change of their order.
     _run(
         np.ascontiguousarray(driven.step.T),
         np.ascontiguousarray((driven.held * driven.scale).T),
@@ -255,7 +256,7 @@ def _forward(
     from_tick: float, every: float, state: FloatArray, given: FloatArray,
     turn: IntArray, at: IntArray, states: FloatArray, steps: FloatArray,
 ) -> None:  # fmt: skip
-    """Go through the samples; each axis is at step ``at`` of the table of its ``turn``."""
+    """Fill ``states`` and ``steps``; each axis is at step ``at`` in the table of its ``turn``."""
     terms, axes, size = series.shape
     sums = np.zeros((axes, terms))
     fresh = np.zeros(size)

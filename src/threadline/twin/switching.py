@@ -1,4 +1,4 @@
-"""Simulates a switch schedule: what the PLC switches, and how the cylinders move."""
+"""Simulates a switch schedule: the outputs of the PLC, and the motion of the cylinders."""
 
 from __future__ import annotations
 
@@ -44,25 +44,25 @@ from threadline.twin.switching_run import (
 SAMPLE_S = Fraction(1, 1000)
 _MAX_STALL_S = 60.0
 _SAMPLES = 1 << 13
-"""Samples in a block of a recording; more only where a single scan has more."""
+"""Samples in a block of a recording; more only if a single scan has more."""
 _AT_ONCE = 128
-"""Variants whose tables are in memory together."""
+"""Number of variants whose tables are in memory at the same time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SwitchOptions:
-    """How a schedule is run.
+    """Options of a simulation.
 
     Parameters
     ----------
     after_s
-        How long the simulation goes on behind the end of the schedule.
+        Time to simulate after the end of the schedule.
     break_s
-        When a beam of the light grid is broken: the next scan switches everything off. None for
-        never.
+        Instant at which a beam of the light grid is broken: the next scan switches everything off.
+        None for never.
     inputs
-        What contacts read that no cylinder closes, by name. A contact without an entry is true,
-        and takes the value that a wait expects when it is waited for.
+        Values of the contacts that no cylinder closes, by name. A contact without a value is true,
+        and a wait sets it to the expected value.
     """
 
     after_s: float = 1.0
@@ -73,19 +73,19 @@ class SwitchOptions:
 def simulate_switching(
     commands: SwitchSchedule, machine: Machine, options: SwitchOptions | None = None
 ) -> Recording:
-    """Return what happens when ``machine`` plays ``commands`` once; it runs as it is read.
+    """Simulate ``machine`` playing ``commands`` once; the simulation runs while it is read.
 
-    Channels, every millisecond: per cylinder the stroke (``X.load``), what the valves ask for
-    (``X.commanded``), the level (``X.level``) and the frame (``X.frame``); every output and
-    contact; the operation. Events tell when each wait was over.
+    Channels, every millisecond: per cylinder the stroke (``X.load``), the stroke commanded by the
+    valves (``X.commanded``), the flow level (``X.level``) and the frame (``X.frame``); every output
+    and contact; the operation. The events give the end of each wait.
 
     Raises
     ------
     MachineError
-        If a cylinder has no equations, or an instant no exact count.
+        If a cylinder has no equations, or a time is not a whole number of ticks.
     RecordingError
-        If the schedule is not for this machine; while it is read, if an input does not come
-        within a minute.
+        If the schedule is not for this machine; while the recording is read, if an input does not
+        come within a minute.
     """
     (recording,) = simulate_switchings(commands, machine, None, options)
     return recording
@@ -97,21 +97,21 @@ def simulate_switchings(
     variants: Mapping[str, FloatArray] | None,
     options: SwitchOptions | None = None,
 ) -> Iterator[Recording]:
-    """Yield what each variant of ``machine`` makes of ``commands``, in their order.
+    """Yield the recording of each variant of ``machine`` under ``commands``, in order.
 
-    The tables of many variants are made together; each recording runs as it is read, and waits
-    for its own inputs. A variant does what a machine with its numbers does.
+    The tables of many variants are made together. Each recording is simulated while it is read. It
+    is the same as the recording of a machine with the numbers of the variant.
 
     Parameters
     ----------
     variants
-        Path of a number of the machine file, such as ``"cylinders.X.delay"``, to its (V,) SI
-        values.
+        (V,) SI values for each replaced number of the machine file, by its path, such as
+        ``"cylinders.X.delay"``.
 
     Raises
     ------
     OptionError
-        If a path does not exist, or lengths differ.
+        If a path does not exist, or the numbers of values differ.
     MachineError, RecordingError
         As ``simulate_switching``.
     """
@@ -157,7 +157,7 @@ def switching_channels(outputs: Sequence[str], machine: Machine) -> Iterator[Cha
 
 
 def times_of(machine: Machine, period_s: Fraction, values: Values) -> Units:
-    """Return the periods and times of one variant in whole units; they are none of the rows."""
+    """Return the periods and times of one variant in whole units."""
     late = {
         path: float(values.replaced[path][0]) for path in values.replaced if path.endswith(TIMES)
     }
@@ -171,9 +171,9 @@ def orders_of(
     values: Values,
     units: Units | None = None,
 ) -> Orders:
-    """Return what the PLC does, and the numbers of one variant, as arrays for the compiled code.
+    """Return schedule, contacts and times of one variant as arrays for the compiled code.
 
-    ``units`` are those of ``times_of``, where they are known already.
+    ``units`` is the result of ``times_of``, if it is known already.
     """
 
     def number(path: str, own: float) -> float:
@@ -268,19 +268,19 @@ def told_block(
     told: tuple[Sequence[str], IntArray, IntArray, Sequence[Event]],
     first: int,
 ) -> RecordingBlock:
-    """Return what ``run`` has written as a block.
+    """Return a block with the results of ``run``.
 
     Parameters
     ----------
     ran
-        Its ``out``, ``rows`` and ``over``, as far as they are written.
+        The filled parts of its ``out``, ``rows`` and ``over``.
     told
         Outputs, their (R, outputs) levels, (R,) operations, and the waits.
     first
-        Number of the first sample.
+        Index of the first sample.
     """
     (out, rows, over), (outputs, levels, operations, waits) = ran, told
-    # Before the first row everything is off, and the operation is the first one.
+    # Before the first row all outputs are off, and the operation is 0.
     states = np.vstack((np.zeros((1, len(outputs))), levels))
     operation = np.concatenate(([0], operations)).astype(np.float64)
     measured = dict(zip((c.name for c in channels), out.T.copy(), strict=False))
@@ -306,7 +306,7 @@ def told_block(
 
 
 def stall_of(wait: Event) -> str:
-    """Return why a schedule was broken off at a wait."""
+    """Return the reason why a schedule ended at a wait."""
     return (
         f"the input {wait.name!r} did not become {'on' if wait.value else 'off'} within "
         f"{_MAX_STALL_S:g} s"
@@ -325,14 +325,14 @@ def _refuse_stall(commands: SwitchSchedule, plc: IntArray) -> None:
 def ringing_m(
     recording: Recording, axis: str, from_s: float, pole: complex, periods: float = 2.0
 ) -> float:
-    """Return the amplitude with which the frame of ``axis`` rings at ``from_s``, m.
+    """Return the amplitude of the vibration of the frame of ``axis`` at ``from_s``, m.
 
-    A decaying sine of the given pole and a constant are fitted to ``periods`` of its periods.
+    A decaying sine with the given pole, and a constant, are fitted over ``periods`` periods.
 
     Parameters
     ----------
     pole
-        1/s, of the mode that rings, imaginary part positive.
+        Pole of the vibrating mode with positive imaginary part, 1/s.
     """
     times, values = recording.samples(f"{axis}.frame")
     end = from_s + periods * 2.0 * np.pi / pole.imag

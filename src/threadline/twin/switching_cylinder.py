@@ -1,12 +1,11 @@
-"""Tables of the cylinders of an on/off machine: what their equations are in each state of motion.
+"""The cylinders of an on/off machine: their equations in each state of motion, and their steps.
 
 A piston slides, sticks, or stands at an end stop. In each state the equations are linear with
-constant input, so that a step is one product with a matrix exponential.
+constant input, so a step is one product with a matrix exponential.
 
-A step is one product with a matrix of ``switching_tables``. The instant at which a piston stops is
-found by halving the step, and one that stands breaks away at the beginning of a step. A step that
-an arriving command cuts goes in halves of a step, down to 2^-12 of it, and what is left by a Taylor
-series.
+The instant at which a piston stops is found by halving the step. A standing piston breaks away only
+at the beginning of a step. A step that is cut by an arriving command is composed of halved steps,
+down to 2^-12 of a step, and a Taylor series for the remainder.
 """
 
 from __future__ import annotations
@@ -34,21 +33,23 @@ LENGTH, RAMP, CUSHION, FRICTION, BREAK, SHARE, SPEED, NUMBERS = 0, 1, 2, 3, 4, 5
 
 
 class Bank(NamedTuple):
-    """The cylinders of one variant as the compiled code reads them; C cylinders, N states at most.
+    """The cylinders of one variant for the compiled code: C cylinders with at most N states.
 
-    The last two states of each are the level and a constant 1.
+    The last two states of each are the flow level and a constant 1.
 
     Parameters
     ----------
     step
-        (C, K, HALVINGS + 1, N, N) transition matrices of a step, halved 0 to HALVINGS times, for
-        each of the K states of motion that ``switching_cylinder`` numbers.
+        (C, K, HALVINGS + 1, N, N) transition matrices of a step that is halved 0 to HALVINGS times,
+        for each of the K states of motion; see ``key_of``.
     rate
-        (C, K, N, N) the generators of these, 1/s.
+        (C, K, N, N) generators of the transition matrices, 1/s.
     rows
-        (C, ROWS, N) stroke, its rate, the frame, and the forces that hold a standing piston.
+        (C, ROWS, N) stroke, its rate, the frame, and the forces that hold a standing piston, from
+        the state.
     numbers
-        (C, NUMBERS) lengths, forces and speeds of each; columns as in ``LENGTH`` and the next.
+        (C, NUMBERS) lengths, forces and speeds of each; ``LENGTH`` and the following constants are
+        the columns.
     masses
         (C, 4) indices of the velocities of piston and housing, of the flow and of the air.
     """
@@ -61,7 +62,7 @@ class Bank(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """State of the cylinders; all that changes while they move.
+    """State of the cylinders during a simulation.
 
     Parameters
     ----------
@@ -70,10 +71,10 @@ class Motion(NamedTuple):
     mode
         (C,) SLIDES, STICKS, AT_START or AT_END.
     sense, start
-        (C,) sense of motion, 1 or -1, that friction opposes; and stroke at which each last stood,
-        m.
+        (C,) direction of motion, 1 or -1, against which friction acts; and the stroke at which the
+        piston last stood, m.
     ahead
-        (C, N) room for the state at the end of a step.
+        (C, N) buffer for the state at the end of a step.
     """
 
     state: FloatArray
@@ -87,7 +88,7 @@ class Motion(NamedTuple):
 class Cylinders:
     """The cylinders of a machine in every variant.
 
-    The arrays are those of ``Bank``, all but ``masses`` with the variants as their first axis.
+    The arrays are as in ``Bank``, but all except ``masses`` have the variants as first dimension.
     """
 
     step: FloatArray
@@ -116,12 +117,12 @@ class Cylinders:
 def cylinders_of(
     machine: Machine, names: Sequence[str], values: Values, step_s: float
 ) -> Cylinders:
-    """Return the tables of some cylinders of ``machine`` for every variant.
+    """Return the tables of the cylinders ``names`` of ``machine`` for every variant.
 
     Raises
     ------
     MachineError
-        If a cylinder has no equations, or its motion grows beyond all numbers within a sample.
+        If a cylinder has no equations, or its motion overflows within a sample.
     """
     made = [_tables(machine, name, values) for name in names]
     size = max(rate.shape[-1] for rate, *_ in made)
@@ -133,11 +134,11 @@ def cylinders_of(
     numbers = np.zeros((count, len(made), NUMBERS))
     masses = np.zeros((len(made), 4), dtype=np.int64)
     for c, (rate, rows, own, pair) in enumerate(made):
-        # The states stand in front, the level and the 1 at the very end.
+        # The states come first; the level and the constant 1 come last.
         n = rate.shape[-1] - 2
         place = np.concatenate((np.arange(n), [size - 2, size - 1]))
         k = rate.shape[1]
-        # The shortest part by series, the longer ones each the square of the one before.
+        # The series gives the shortest step; each longer one is the square of the previous.
         part = exponential_of_short_step(rate * (step_s * 0.5**HALVINGS))
         for halvings in range(HALVINGS, -1, -1):
             if not np.isfinite(part).all():
@@ -145,7 +146,7 @@ def cylinders_of(
                     f"cylinders.{names[c]}: its motion grows beyond all numbers within "
                     f"{step_s * 0.5**halvings:.3g} s",
                     place=machine.place,
-                    remedy="Correct its masses, its stiffness and how its air is strained.",
+                    remedy="Correct its masses, its stiffness and the strain of its air.",
                 )
             block = step[:, c, :k, halvings]
             block[:, :, place[:, None], place] = part
@@ -187,7 +188,7 @@ def _tables(
     rows = np.zeros((count, ROWS, n + 2))
     rows[:, STROKE, :n], rows[:, RATE, :n] = plant.stroke, plant.stroke_rate
     rows[:, FRAME, :n] = plant.frame
-    # At an end stop only the force of the air counts: what the beam rings with, at 1.6 kHz, would
+    # At an end stop only the force of the air counts: the vibration of the beam, at 1.6 kHz, would
     # lift the piston by less than a micrometre, a thousand times a second.
     rows[:, STOP, :n] = -plant.air_force()
     rows[:, STICK, :n] = plant.holding() - plant.air_force(1.0 / RAMP_STEPS)
@@ -203,7 +204,7 @@ def _tables(
 
 
 def _full(matrix: FloatArray, level: FloatArray, push: FloatArray) -> FloatArray:
-    """Return (V, n + 2, n + 2) rates with the level and a constant as two more states."""
+    """Return (V, n + 2, n + 2) rates with the level and a constant as two additional states."""
     count, n = level.shape
     full = np.zeros((count, n + 2, n + 2))
     full[:, :n, :n], full[:, :n, -2], full[:, :n, -1] = matrix, level, push
@@ -213,20 +214,21 @@ def _full(matrix: FloatArray, level: FloatArray, push: FloatArray) -> FloatArray
 PARTS = 1 << HALVINGS
 _STANDSTILL_M_S = 1e-3
 _ADHESION_N = 1.0
-"""N. A piston leaves its stop only when a larger force pulls at it; at a smaller one it would
-leave and meet the stop again at every step."""
+"""N. A piston leaves its stop only under a larger force; under a smaller one it would leave the
+stop and return to it at every step."""
 _TAYLOR = 8
 _EMPTY = 1.0 / (4.0 * 1.4)
-"""Of the stroke: so far the air is strained when the exhaust of a pressed piston is empty.
+"""Strain of the air when the exhaust of a piston pressed against its stop is empty, as a fraction
+of the stroke.
 
-The stiffness of the air is 1.4 p A (1/l1 + 1/l2), in the middle of the stroke 5.6 p A / stroke; the
-force of an empty exhaust against a full chamber is p A.
+The stiffness of the air is 1.4 p A (1/l1 + 1/l2), in the middle of the stroke 5.6 p A / stroke. The
+force of a full chamber against an empty exhaust is p A.
 """
 
 
 def _dot(rows: FloatArray, c: int, row: int, x: FloatArray) -> float:
-    """Return a row of a cylinder times its column of ``x`` (C, N)."""
-    # Indexed through: a view of a part of an array costs more than these few products.
+    """Return the product of a row of cylinder ``c`` and its state in ``x`` (C, N)."""
+    # Direct indices: a view of the array would cost more than these few products.
     total = 0.0
     for j in range(x.shape[1]):
         total += rows[c, row, j] * x[c, j]
@@ -236,7 +238,7 @@ def _dot(rows: FloatArray, c: int, row: int, x: FloatArray) -> float:
 def _times(
     tables: FloatArray, c: int, key: int, halved: int, x: FloatArray, ahead: FloatArray
 ) -> None:
-    """Write one of a cylinder's ``tables`` (C, K, H, N, N) times its ``x`` to its ``ahead``."""
+    """Write to ``ahead`` the product of a matrix in ``tables`` (C, K, H, N, N) and ``x``."""
     count = x.shape[1]
     for i in range(count):
         total = 0.0
@@ -259,7 +261,7 @@ def _frame_of(c: int, bank: Bank, motion: Motion) -> float:
 
 
 def _key(c: int, bank: Bank, motion: Motion) -> int:
-    """Return which of the K tables holds now, and note where the piston last stood."""
+    """Return the index of the current table, and update where the piston last stood."""
     numbers = bank.numbers
     rate = dot(bank.rows, c, RATE, motion.state)
     place = dot(bank.rows, c, STROKE, motion.state)
@@ -283,7 +285,7 @@ def _key(c: int, bank: Bank, motion: Motion) -> int:
 
 
 def _ended(c: int, bank: Bank, motion: Motion) -> bool:
-    """Say whether a sliding piston has come to a stop, or turned, where it is ahead."""
+    """Return whether a sliding piston stops or reverses by the state ``motion.ahead``."""
     rate = dot(bank.rows, c, RATE, motion.ahead)
     place = dot(bank.rows, c, STROKE, motion.ahead)
     stroke, sense = bank.numbers[c, LENGTH], motion.sense[c]
@@ -292,7 +294,7 @@ def _ended(c: int, bank: Bank, motion: Motion) -> bool:
 
 
 def _released(c: int, bank: Bank, motion: Motion) -> float:
-    """Return the sense in which a standing piston breaks away, 0 if it stands."""
+    """Return the direction in which a standing piston breaks away; 0 if it does not."""
     mode, least = motion.mode[c], bank.numbers[c, BREAK]
     row = STICK
     if mode in (AT_START, AT_END):
@@ -312,7 +314,7 @@ def _change(c: int, bank: Bank, motion: Motion) -> None:
         motion.mode[c] = SLIDES
         return
     piston, housing = bank.masses[c, 0], bank.masses[c, 1]
-    # Standing: both go on with their common momentum.
+    # The piston stops in its housing: both continue with their common momentum.
     share = numbers[c, SHARE]
     together = share * x[c, piston] + (1.0 - share) * x[c, housing]
     x[c, piston] = x[c, housing] = together
@@ -326,7 +328,7 @@ def _change(c: int, bank: Bank, motion: Motion) -> None:
 
 
 def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
-    """Advance a cylinder by a step that was halved ``halved`` times."""
+    """Advance a cylinder by a step that is halved ``halved`` times."""
     if motion.mode[c] != SLIDES and released(c, bank, motion) != 0.0:
         # A standing piston breaks away at the beginning of a step, to within one step.
         change(c, bank, motion)
@@ -336,7 +338,7 @@ def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
     if motion.mode[c] != SLIDES or not ended(c, bank, motion):
         put(x, c, ahead)
         return
-    # Halves, quarters ... of the step that end before the event, and one last part more.
+    # Halves, quarters ... of the step that end before the event, and one shortest step more.
     left = 1 << (HALVINGS - halved)
     for halvings in range(halved + 1, HALVINGS + 1):
         times(bank.step, c, key, halvings, x, ahead)
@@ -347,7 +349,7 @@ def _advance(c: int, halved: int, bank: Bank, motion: Motion) -> None:
     put(x, c, ahead)
     left -= 1
     change(c, bank, motion)
-    # It stands for the rest of the step.
+    # The piston stands for the rest of the step.
     key = key_of(c, bank, motion)
     for halvings in range(halved + 1, HALVINGS + 1):
         if left & (1 << (HALVINGS - halvings)):
@@ -363,7 +365,7 @@ def _advance_share(c: int, share: float, step_s: float, bank: Bank, motion: Moti
             advance(c, halvings, bank, motion)
     rest_s = (share - parts / PARTS) * step_s
     if rest_s > 0.0:
-        # Too short for an event to matter: 0.24 us of a step of 1 ms.
+        # Events are ignored in this remainder, which is at most 0.24 us of a step of 1 ms.
         key, count = key_of(c, bank, motion), motion.state.shape[1]
         term, then = np.empty(count), np.empty(count)
         for i in range(count):
@@ -380,9 +382,10 @@ def _advance_share(c: int, share: float, step_s: float, bank: Bank, motion: Moti
 
 
 def _exhaust(c: int, bank: Bank, motion: Motion) -> None:
-    """Let the exhaust of a piston that is pressed against its stop run empty, and no further.
+    """Limit the strain of the air of a piston that is pressed against its stop.
 
-    On the way back the other chamber is the exhaust, under full pressure from the first.
+    The strain ends where the exhaust is empty. On the way back the other chamber is the exhaust,
+    with full pressure from the first instant.
     """
     mode = motion.mode[c]
     if mode not in (AT_START, AT_END):

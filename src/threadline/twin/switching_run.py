@@ -1,8 +1,7 @@
-"""Periods, dead times and valve times of an on/off machine as whole numbers of one unit.
+"""Simulates the PLC of an on/off machine scan by scan, and the commands on their way to cylinders.
 
-Time is counted in integers: for the machine in a unit of which scan and sample are whole
-multiples, for each cylinder in a finer one of which its dead time and the times of its valves are
-whole multiples, too.
+Time is counted in integers. Scan and sample are whole multiples of the unit of the machine. Each
+cylinder has a finer unit: its dead time and the times of its valves are whole multiples, too.
 """
 
 from __future__ import annotations
@@ -49,12 +48,12 @@ class Units:
 def units_of(
     machine: Machine, scan_s: Fraction, sample_s: Fraction, times_s: Mapping[str, float]
 ) -> Units:
-    """Return scan, sample, dead times and those of valves in units in which they are whole.
+    """Return scan, sample, dead times and valve times as whole numbers of their units.
 
     Parameters
     ----------
     times_s
-        Times in which a variant differs from the machine, by their path in its file.
+        Times of a variant that differ from the machine's, by their path in its file.
 
     Raises
     ------
@@ -100,7 +99,7 @@ def units_of(
 
 
 def flows_of(cylinder: Cylinder) -> list[tuple[str, str, float]]:
-    """Return valve, flow control and sense of every flow of a cylinder, in their order."""
+    """Return valve, flow control and direction of every flow of a cylinder, in order."""
     return [
         (way.valve, flow, sign)
         for way, sign in ((cylinder.forward, 1.0), (cylinder.back, -1.0))
@@ -115,38 +114,38 @@ PER_CYLINDER = 4
 UNBOUNDED = 1 << 62
 """A scan that no run reaches."""
 _SHUT = 1e-12
-"""A level below it is what rounding leaves of flows that add up to nothing."""
+"""A smaller flow level is a rounding error, and counts as 0."""
 NEVER = 1e300
 
 
 class Orders(NamedTuple):
-    """What the PLC does, in one variant; R rows, C cylinders, W waits, M contacts.
+    """Schedule, contacts and times of one variant: R rows, C cylinders, W waits, M contacts.
 
     Parameters
     ----------
     ticks, level
-        (R,) scan from which each row holds; (R + 1, C) level of each cylinder, first with all
+        (R,) scan at which each row begins; (R + 1, C) flow level of each cylinder, first with all
         outputs off, then in each row.
     flowing
-        (R + 1, C, F): what each flow control adds to the level, with the sign of its sense; 0
-        while it is shut, or the valve before it.
+        (R + 1, C, F) contribution of each flow control to the level, with the sign of its
+        direction; 0 while it is closed, or its valve is.
     wait_tick, wait_contact, wait_value, wait_given
-        (W,) scan, contact and expected value of each wait, and whether the caller has set that
-        contact.
+        (W,) scan, contact and expected value of each wait, and whether the caller has set the value
+        of that contact.
     contact_cylinder, contact_at, contact_above
-        (M,) which cylinder closes each contact, the stroke at which it does, m, and whether above
-        or below that. Cylinder -1: a contact that no cylinder closes; -2: the light grid.
+        (M,) cylinder that closes each contact, the stroke at which it does, m, and whether it is
+        closed above that stroke or below. Cylinder -1: no cylinder closes it; -2: the light grid.
     duration, most_stalled, after
-        In scans: length of the schedule, longest wait, and how long to go on behind the end.
+        Length of the schedule, longest wait, and simulated time after the end, in scans.
     break_s, period_s, step_s
-        Instant at which the light grid is broken, period of a scan, and of a sample, s.
+        Instant at which the light grid is broken, period of a scan, and period of a sample, s.
     scan, sample
-        Their periods in units of the machine.
+        Periods of scan and sample in units of the machine.
     opened, shut
-        (C, F) in units of each cylinder: from a command to the flow that follows it, when a flow
-        control or its valve opens, and when it closes; the cylinder's dead time included.
+        (C, F) time from a command to the change of the flow when a flow control or its valve opens,
+        and when it closes, with the dead time of the cylinder; in units of the cylinder.
     share
-        (C,) how many units of each cylinder the machine's unit has.
+        (C,) number of cylinder units in a unit of the machine.
     """
 
     ticks: IntArray
@@ -178,18 +177,18 @@ class Progress(NamedTuple):
     Parameters
     ----------
     plc
-        (PLC_STATE,) integers: ``TICK``, ``SCAN`` and the next say which is what.
+        (PLC_STATE,) integers; ``TICK``, ``SCAN`` and the following constants are the indices.
     free
         (M,) values of the contacts that no cylinder closes.
     asked
-        (C,) stroke of each cylinder if it followed its valves at once, m.
+        (C,) stroke of each cylinder if it followed its valves without delay, m.
     arrival, coming
-        (C, F (R + 3)) instants and changes of the level that are under way to each cylinder, in
-        the order of their instants.
+        (C, F (R + 3)) instants and sizes of the level changes on their way to each cylinder, in the
+        order of their instants.
     queue
-        (C, 2) how many changes have been sent, and how many have arrived.
+        (C, 2) number of changes that were sent, and number that have arrived.
     told, last
-        (C, F) what each flow control was told to add to the level, and when that arrives.
+        (C, F) last commanded contribution of each flow control to the level, and its arrival.
     """
 
     plc: IntArray
@@ -229,7 +228,7 @@ def _contact(
 
 
 def _closed(m: int, place: float, time_s: float, orders: Orders, free: IntArray) -> bool:
-    """Say whether a contact is closed while its cylinder has the stroke ``place``."""
+    """Return whether a contact is closed if its cylinder has the stroke ``place``."""
     cylinder = orders.contact_cylinder[m]
     if cylinder == -2:
         return bool(time_s < orders.break_s)
@@ -241,7 +240,7 @@ def _closed(m: int, place: float, time_s: float, orders: Orders, free: IntArray)
 
 
 def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> int:
-    """Do what the PLC does at the beginning of a scan; return the wait that has ended, or -1."""
+    """Run the PLC at the beginning of a scan; return the index of a wait that ended, or -1."""
     plc = progress.plc
     if plc[PHASE] == CALMING:
         plc[ROW] = -1
@@ -261,7 +260,7 @@ def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> i
     if held:
         m = orders.wait_contact[w]
         if not orders.wait_given[w]:
-            # What no cylinder closes comes, or goes, when it is waited for.
+            # A contact that no cylinder closes takes the expected value when it is waited for.
             progress.free[m] = orders.wait_value[w]
         if contact(m, now_s, orders, progress, bank, motion) == (orders.wait_value[w] != 0):
             over = w
@@ -280,7 +279,7 @@ def _switch(orders: Orders, progress: Progress, bank: Bank, motion: Motion) -> i
 def _move(
     c: int, begin: int, end: int, orders: Orders, progress: Progress, bank: Bank, motion: Motion
 ) -> None:
-    """Advance a cylinder from one instant to another, both in its own units."""
+    """Advance cylinder ``c`` from instant ``begin`` to ``end``, both in its units."""
     whole = orders.sample * orders.share[c]
     now = begin
     queue = progress.queue[c]
@@ -297,9 +296,9 @@ def _move(
 
 
 def _send(c: int, start: int, orders: Orders, progress: Progress) -> None:
-    """Send what the row that is on changes of a cylinder's flows, each in its own time.
+    """Send the changes of a cylinder's flows in the current row, each with its delay.
 
-    A flow control that is told to close before it has opened does neither.
+    A flow control that is commanded to close before it has opened does not open.
     """
     row = progress.plc[ROW] + 1
     for f in range(orders.opened.shape[1]):
@@ -332,7 +331,7 @@ def _sample(
         place = out[at, PER_CYLINDER * max(orders.contact_cylinder[m], 0)]
         shut = closed(m, place, time_s, orders, progress.free)
         out[at, PER_CYLINDER * count + m] = 1.0 if shut else 0.0
-    # With everything off the operation stays that of the last row.
+    # While everything is off, the operation stays that of the last row.
     rows[at, 0], rows[at, 1] = progress.plc[ROW], progress.plc[LATER] - 1
 
 
@@ -340,19 +339,21 @@ def _run(
     orders: Orders, progress: Progress, bank: Bank, motion: Motion, out: FloatArray,
     rows: IntArray, over: IntArray, until: int,
 ) -> tuple[int, int]:  # fmt: skip
-    """Go on scan by scan until ``out`` may be full, or the end; return samples and ended waits.
+    """Simulate scan by scan until ``out`` may be full or the run ends; return two counts.
+
+    The counts are the number of samples, and the number of waits that ended.
 
     Parameters
     ----------
     out
-        (samples, columns), with room for the samples of one scan at least.
+        (samples, columns), with room for the samples of at least one scan.
     rows
-        (samples, 2) row of the schedule whose outputs are on, -1 for all off; and the latest row
-        that was reached, -1 before the first.
+        (samples, 2) current row of the schedule, -1 for all outputs off; and the latest row that
+        was reached, -1 before the first.
     over
         (waits, 2) index of each wait that ended, and the sample at which it did.
     until
-        Scan before which it returns in any case.
+        Scan before which the function returns in any case.
     """
     plc = progress.plc
     most = orders.scan // orders.sample + 2

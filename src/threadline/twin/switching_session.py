@@ -1,8 +1,8 @@
-"""A simulated machine with cylinders, which takes its schedule piece by piece.
+"""A simulated machine with cylinders that receives its schedule in pieces.
 
-The controller of such a machine plays a schedule by its own scan: it switches, and waits for its
-contacts. What it has been sent of the schedule ends at a place beyond which it does not go, and at
-a scan from which on it switches everything off, unless it is told more before.
+The controller plays the schedule in its own scans: it switches outputs, and waits for contacts. It
+holds the schedule at the end of the part that it has received. At a given scan it switches
+everything off, unless it receives more before.
 """
 
 from __future__ import annotations
@@ -46,40 +46,39 @@ from threadline.twin.switching_run import (
 )
 
 _ENDLESS = 1 << 60
-"""A number of scans that never pass."""
+"""A number of scans that no run reaches."""
 
 
 class SwitchingSession:
-    """One machine with cylinders under a schedule that arrives piece by piece.
+    """One simulated machine with cylinders that receives its schedule in pieces.
 
-    The same rows in pieces of any length give the same samples as ``simulate_switching``, to the
-    bit, as long as each piece comes before the place that the one before it allows is reached.
+    The samples are the same as from ``simulate_switching``, to the bit, however the rows are
+    divided into pieces, if each piece arrives before the schedule reaches the end of the previous.
 
     Parameters
     ----------
     machine
-        What is switched; its cylinders stand at the start of their strokes, and all outputs are
-        off.
+        The simulated machine; at the start its cylinders are at stroke 0, and all outputs are off.
     break_s
-        Instant in s at which a beam of the light grid is broken; None for never.
+        Instant at which a beam of the light grid is broken, s; None for never.
 
     Attributes
     ----------
     channels
         The channels of the blocks that are returned.
     tick
-        Scans so far.
+        Number of scans so far.
     taken
         Number of rows taken so far.
     failure
-        Why the schedule was broken off by the machine itself; empty while it was not.
+        The reason why the machine itself ended the schedule; empty if it did not.
     ran_dry
-        Whether it has switched everything off at the scan that it was told to.
+        Whether the machine switched everything off because it received no more of the schedule.
 
     Raises
     ------
     MachineError
-        If a cylinder has no equations, or an instant no exact count.
+        If a cylinder has no equations, or a time is not a whole number of ticks.
     """
 
     def __init__(self, machine: Machine, *, break_s: float | None = None) -> None:
@@ -100,14 +99,14 @@ class SwitchingSession:
         self.failure, self.ran_dry = "", False
         self._told: list[Event] = []
         self._under_way = 0  # operation of the last sample
-        self._stands = False  # at the place that is not passed
+        self._stands = False  # at the end of the known schedule
         self._orders = self._made()
         self._progress = begin(self._orders)
-        self._progress.free[-1] = 0  # the gate at the place that is not passed
+        self._progress.free[-1] = 0  # the gate at the end of the known schedule
 
     @property
     def place(self) -> int:
-        """Scans of the schedule that have been played; waits do not count."""
+        """Number of scans of the schedule played so far, without waits."""
         return int(self._progress.plc[TICK])
 
     @property
@@ -117,7 +116,7 @@ class SwitchingSession:
 
     @property
     def switched_off_at(self) -> int | None:
-        """Scan from which on everything is off; None while the schedule goes on."""
+        """Scan at which everything was switched off; None while the schedule runs."""
         plc = self._progress.plc
         if plc[PHASE] == RUNNING:
             return None
@@ -133,7 +132,7 @@ class SwitchingSession:
         reach: int,
         duration: int | None,
     ) -> None:
-        """Take up the next rows.
+        """Take the next rows.
 
         Parameters
         ----------
@@ -142,21 +141,21 @@ class SwitchingSession:
         waits
             Waits up to ``reach``.
         reach
-            Place at which the schedule stands until it is told a later one.
+            Scan of the schedule at which it is held until more is taken.
         duration
-            Length of the whole schedule once all of it is known, else None.
+            Length of the whole schedule, if all of it is known; otherwise None.
 
         Raises
         ------
         OptionError
-            If the rows do not follow those before, or are none of this machine.
+            If the rows do not follow the previous ones, or are not for this machine.
         """
         last = int(self._ticks[-1]) if len(self._ticks) else -1
         follow = np.diff(ticks, prepend=last)
         if levels.shape != (len(ticks), len(self._outputs)) or (follow <= 0).any():
             raise OptionError(f"rows of shape {levels.shape} do not follow scan {last}")
         plc = self._progress.plc
-        gone = max(int(plc[ROW]), 0)  # rows before the one that is on
+        gone = max(int(plc[ROW]), 0)  # rows before the current one
         self._ticks = np.concatenate((self._ticks[gone:], ticks))
         self._levels = np.concatenate((self._levels[gone:], levels))
         self._operation = np.concatenate((self._operation[gone:], operation))
@@ -171,19 +170,19 @@ class SwitchingSession:
         self._progress = _carried(self._progress, self._orders)
 
     def switch_off_at(self, tick: int) -> None:
-        """Switch everything off at a scan, unless it is told a later one before."""
+        """Switch everything off at scan ``tick``, unless a later call changes the scan before."""
         self._off_at = tick
 
     def finish(self, ended: Ended, text: str) -> None:
-        """Tell how the run ended."""
+        """Record how the run ended."""
         self._told.append(
             Event(tick=self.sample, kind=ended.value, operation=self._under_way, name=text)
         )
 
     def advance(self, scans: int) -> RecordingBlock:
-        """Go on for a number of scans, and return what happened.
+        """Simulate ``scans`` scans, and return the samples and events.
 
-        There are no samples any more from a second after everything was switched off.
+        The samples end one second after everything was switched off.
         """
         until, first = self.tick + scans, self.sample
         parts = []
@@ -193,7 +192,7 @@ class SwitchingSession:
                 plc[PHASE], self.ran_dry = CALMING, True
             bound = min(until, self._off_at) if plc[PHASE] == RUNNING else until
             if plc[WAIT] == len(self._waits):
-                plc[STALL] = 0  # a hold lasts as long as it likes
+                plc[STALL] = 0  # a hold has no time limit
             parts.append(self._run(bound))
             self._tell_holds(int(plc[SCAN]) - self.tick)
             self.tick = int(plc[SCAN])
@@ -217,7 +216,7 @@ class SwitchingSession:
         )
 
     def _tell_holds(self, scans: int) -> None:
-        """Tell where, in the last so many scans, the schedule began to be held, and went on."""
+        """Record where a hold of the schedule began and ended within the last ``scans`` scans."""
         plc = self._progress.plc
         held = plc[PHASE] == RUNNING and plc[WAIT] == len(self._waits)
         stood = int(plc[STALL]) if held else 0
@@ -249,7 +248,7 @@ class SwitchingSession:
         )
 
     def _made(self) -> Orders:
-        """Return what the controller knows, with a gate at the place that is not passed."""
+        """Return the known schedule with a gate, a wait that holds it, at its end."""
         clock = self._machine.command_clock
         known = SwitchSchedule(
             clock=clock,
@@ -275,7 +274,7 @@ class SwitchingSession:
 
 
 def _carried(before: Progress, orders: Orders) -> Progress:
-    """Return the progress of a run whose schedule has been told further."""
+    """Return the progress of a run after more of the schedule was taken."""
     fresh = begin(orders)
     pending = before.queue[:, 0] - before.queue[:, 1]
     room = fresh.arrival.shape[1] + int(pending.max(initial=0))

@@ -1,8 +1,8 @@
-"""Puts the clocks and dead times of a machine on one exact grid of integers.
+"""Places the clocks and dead times of a machine on one exact grid of integers.
 
-Everything that repeats does so within the hyperperiod, the least common multiple of all periods.
-Its instants are exact fractions; dead times that are no multiple of a tick split a step exactly
-where the command arrives.
+All clocks repeat after the hyperperiod, the least common multiple of their periods. Its instants
+are exact fractions. A dead time that is not a multiple of a tick splits a step exactly at the
+arrival of the command.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from threadline.files import common_period_s
 from threadline.machine import Machine
 
 TICK, CONTROL, ARRIVE = 0, 1, 2
-"""What an action does: TICK takes the next row and a sample, CONTROL lets a controller act,
-ARRIVE makes its delayed command take effect."""
+"""Kinds of actions: TICK takes the next row and a sample, CONTROL runs a controller, ARRIVE applies
+its delayed command."""
 
 _MAX_ACTIONS = 200_000
 _MAX_LENGTHS = 256
@@ -35,19 +35,20 @@ class Schedule(Locked):
     Parameters
     ----------
     grid_s
-        Exact period of which every advance is a whole multiple.
+        Period of the grid: every advance is a whole multiple of it.
     first_action
-        (steps + 1,) int: step i has the actions ``first_action[i]`` up to ``first_action[i+1]``.
+        (steps + 1,) int: step i has the actions from ``first_action[i]`` to
+        ``first_action[i+1] - 1``.
     actions
         (actions, 2) int: TICK, CONTROL or ARRIVE; and the index of the controller in the group.
     length
         (steps,) int: index into ``lengths`` of the advance after the actions.
     lengths
-        (k,) int: distinct advances in grid periods.
+        (k,) int: the different advances, in grid periods.
     in_flight
-        (controllers,) int: how many commands of each are under way at once, dead time by period.
+        (controllers,) int: number of commands of each that wait for their dead time to end.
     delayed
-        Whether any command takes effect later than the instant at which it is given.
+        Whether any command has a dead time.
     """
 
     grid_s: Fraction
@@ -93,9 +94,9 @@ def make_schedule(machine: Machine, group: Group) -> Schedule:
 def _schedule(
     tick: Fraction, periods: tuple[Fraction, ...], delays: tuple[Fraction, ...]
 ) -> Schedule:
-    """Return the schedule of these periods and dead times, s.
+    """Return the schedule for these periods and dead times, s.
 
-    It is kept: a search makes the same machine, or one of the same clocks, thousands of times.
+    It is cached: a search simulates machines with the same clocks thousands of times.
     """
     hyper = _least_common([tick, *periods])
     count = sum(int(hyper / p) for p in (tick, *periods, *periods))
@@ -105,7 +106,7 @@ def _schedule(
             f"limit {_MAX_ACTIONS}",
             remedy="Choose clock periods with a common multiple.",
         )
-    # In whole numbers of the finest period that all of them are multiples of.
+    # Instants are counted in the largest common divisor of all periods and dead times.
     finest = common_period_s([tick, *periods, *(delay_s for delay_s in delays if delay_s)])
     end = int(hyper / finest)
     happenings = [(at, TICK, 0) for at in range(0, end, int(tick / finest))]

@@ -1,4 +1,4 @@
-"""Progress error: how far ahead of its command the tool is along the path, or behind it."""
+"""Progress error: how far the tool runs ahead of its command along the path, or lags behind."""
 
 from __future__ import annotations
 
@@ -13,31 +13,32 @@ from threadline.verdict.blocks import judged_blocks
 from threadline.verdict.boxes import NO_BOXES
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import chord_ways, lengths_squared
+from threadline.verdict.nearest import chord_vectors, lengths_squared
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, Setting
 from threadline.verdict.window import PathWindow
 
 COMMAND_BY_TIME = "command from the plan by time"
-"""Note of a result for which the command was taken from the plan."""
+"""Note of a result that was measured against the plan, for lack of a recorded command."""
 
 
 class _Progress(SweptMeasure):
-    """Largest distance along the path between the tool and where its command was.
+    """Largest distance along the path between the tool and the place of its command.
 
-    Every sample is held against the way of the command within the lag before it, and the places
-    there may only go forward from sample to sample: the least error that allows it, which is the
-    Frechet distance of the two ways within the lag, less what the tool is off the path there (that
-    is ``contour_error``). Trailing by less than the lag costs nothing; running ahead costs its
-    length; a step back costs half of it at least, for it lies between two places.
+    Each sample is compared with the command's path within the lag before it. The matched places may
+    only go forward from sample to sample; the measure is the least error with such a matching. That
+    is the Frechet distance of the two paths within the lag, less the tool's distance from the path,
+    which is ``contour_error``. Trailing by less than the lag costs nothing; running ahead costs its
+    length; a step back costs at least half its length, for it lies between two places.
 
-    A recording without the command of every axis is held against the plan at the same instant.
+    Without a recorded command for every axis, the plan at the same instant takes its place.
 
-    Lengths at the tool, over all axes, rotary ones times their radius. Between two samples the
-    tool can be ahead or behind by half its way in a sample interval more.
+    Lengths are at the tool, over all axes, rotary ones times their radius. Tool and command are
+    taken as straight between samples, so that on a straight piece of the path the result does not
+    depend on the sampling rate.
 
-    Of many runs, places far behind them all are given up while the recording is read. If in the
-    end one of them could have been the better one, the recording is read again with every place.
+    With many runs, places far behind all of them are dropped while the recording is read. If one of
+    them might have been the better match, the recording is read again with every place kept.
     """
 
     def __init__(self, setting: Setting, *, every_place: bool = False) -> None:
@@ -62,11 +63,11 @@ class _Progress(SweptMeasure):
         self._planned: TrajectoryReader | None = None
 
     def part(self, block: Block) -> ProgressPart:
-        """Return what the sweep needs, with the command of the block."""
+        """Return the arrays for the sweep, with the command of the block."""
         fresh, steady = (one * self._radius_m for one in self._commanded(block))
         first = len(self._command)
         command = np.concatenate([self._command, fresh])
-        way, length = chord_ways(command)
+        way, length = chord_vectors(command)
         stood = steady[:1] if self._stood is None else self._stood
         self._stood = steady[-1:]
         departs = np.diff(steady, axis=0, prepend=stood)
@@ -78,6 +79,7 @@ class _Progress(SweptMeasure):
             command=command,
             way=way,
             inverse=1.0 / length,
+            length=np.sqrt(lengths_squared(way)),
             heading=heading,
             first=first,
             number=self._number,
@@ -92,7 +94,7 @@ class _Progress(SweptMeasure):
         )
 
     def feed(self, block: Block) -> None:
-        """Take what the sweep found."""
+        """Take the sweep's results."""
         keep = max(int(self._places[0]) - 1, 0)
         self._places -= keep
         self._command, self._heading = self._command[keep:], self._heading[keep:]
@@ -110,7 +112,7 @@ class _Progress(SweptMeasure):
         self._number += len(block)
 
     def finish(self) -> Sequence[Found]:
-        """Return the least error with which the tool can have come to any place by the end."""
+        """Return the least error with which the tool can have reached any place by the end."""
         if (self._dropped <= self._squared).any():
             return self._again()
         found = self._worst.found()
@@ -119,7 +121,7 @@ class _Progress(SweptMeasure):
         return [found.each(_by_time)]
 
     def _again(self) -> Sequence[Found]:
-        """Read the recording once more, and give up no place."""
+        """Read the recording once more, and keep every place."""
         setting = self._setting
         path = PathWindow(setting.plan.motion.programmed)
         every = _Progress(setting, every_place=True)
@@ -130,9 +132,9 @@ class _Progress(SweptMeasure):
         return every.finish()
 
     def _commanded(self, block: Block) -> tuple[FloatArray, FloatArray]:
-        """Return (n, axes) the command of a block, and the same as what looks for rests reads it.
+        """Return (n, axes) the command of a block, and a copy rounded for finding rests.
 
-        From the plan where an axis has none.
+        Taken from the plan if an axis has no recorded command.
         """
         if block.commanded is not None and np.isfinite(block.commanded).all():
             assert block.rests is not None
@@ -149,11 +151,10 @@ def _by_time(finding: Finding) -> Finding:
 
 
 def _headings(heading: FloatArray, way: FloatArray) -> FloatArray:
-    """Return (n, axes) the displacement of the command to each new place, by its ``way`` there.
+    """Return (n, axes) the displacement of the command to each place, from its ``way``.
 
-    The way is that of a command which rests within its resolution.
-
-    While the command stands it is the last displacement that was not 0; before the first motion 0.
+    ``way`` is zero where the command rests within its resolution. While the command rests, the
+    heading is its last displacement; before the first motion it is 0.
     """
     moved = way[:, 0] != 0.0
     for axis in range(1, way.shape[1]):

@@ -1,4 +1,4 @@
-"""The contour error along the job, for a figure: the largest in each of many stretches of time."""
+"""The contour error over time, for a figure: the largest value in each of many time intervals."""
 
 from __future__ import annotations
 
@@ -18,19 +18,18 @@ def contour_along(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return times, s, and distances of the tool from the programmed path, m, both (n,).
 
-    Distances are those of the measure ``contour_error`` from samples to chords, within the same
-    lag; a programmed point that is passed at a distance is not in them. The recording is read
-    once, in bounded memory.
+    Distances are measured from samples to chords, as in ``contour_error`` and with the same lag;
+    missed programmed points are not included. The recording is read once, in bounded memory.
 
     Parameters
     ----------
     stretches
-        The job is cut into so many; each gives its largest distance, at its own time.
+        Number of time intervals; each gives its largest distance, at the time of that distance.
 
     Returns
     -------
     tuple or None
-        None where the recording lacks a channel that the measure needs.
+        None if the recording lacks a channel that the measure needs.
     """
     recording = as_intended(recording, plan)
     axes = plan.axes
@@ -48,7 +47,7 @@ def contour_along(
     for block in judged_blocks(recording, axes, lag, window, resolution):
         squared = block.nearest_on_surface[0][:, 0]
         stretch = np.minimum((block.due_s / width_s).astype(np.int64), stretches)
-        # The largest of each stretch comes last, and what is assigned last stays.
+        # The largest distance of each interval is assigned last, and so it stays.
         order = np.argsort(squared, kind="stable")
         order = order[squared[order] > worst[stretch[order]]]
         worst[stretch[order]], time_s[stretch[order]] = squared[order], block.time_s[order]

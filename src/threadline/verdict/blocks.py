@@ -1,4 +1,4 @@
-"""Recording -> blocks in which every channel has the same instants and knows its neighbourhood."""
+"""Turn a recording into blocks: all channels at the same instants, with the path around them."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _COLUMNS: Mapping[str, tuple[ChannelKind, ...]] = {
     "torque_share": (ChannelKind.TORQUE_SHARE,),
 }
 _LARGEST = ("voltage", "current", "current_peak", "torque_share")
-# The value of largest magnitude since the sample before: a second channel of the same kind.
+# The value of largest magnitude since the previous sample: a second channel of the same kind.
 _PEAK_NAME = "{axis}.current_peak"
-_MOST = 1e15  # SI: a sample beyond it is no measurement
+_MOST = 1e15  # SI: no measurement is larger
 _CHORDS = ("low", "high", "safe")
-_FEW = 1024  # samples: fewer wait for more, as every block costs each measure its calls,
-_OF_RUNS = 1 << 18  # unless there are so many of all runs, as in a block of the twin
+_FEW = 1024  # samples: a smaller block waits for more, since each block costs every measure a call,
+_OF_RUNS = 1 << 18  # unless the samples of all runs are this many, as in a block of the twin
 _COPIED = 60_000  # values of a column
 
 
@@ -55,13 +55,13 @@ def find_first(recording: Recording, kinds: Sequence[ChannelKind], axis: str) ->
 
 
 def peak_channels(recording: Recording, axes: Sequence[str]) -> list[Channel]:
-    """Return the channels of the largest current between samples that there are."""
+    """Return the existing channels of the largest current between samples."""
     names = {_PEAK_NAME.format(axis=axis) for axis in axes}
     return [channel for channel in recording.channels if channel.name in names]
 
 
 def master_channel(recording: Recording, axes: Sequence[str]) -> Channel:
-    """Return the channel whose instants all others are judged at: the actual position, if any.
+    """Return the channel that sets the instants of all others: the actual position, if recorded.
 
     Raises
     ------
@@ -80,19 +80,19 @@ def master_channel(recording: Recording, axes: Sequence[str]) -> Channel:
 
 
 def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
-    """Return what a measure knows before the first sample of ``recording``.
+    """Return the facts about a recording and its plan that a measure needs before the first sample.
 
     Parameters
     ----------
     lag_s
-        How far the machine may trail its command.
+        Free following error in time: how far the machine may trail its command.
 
     Raises
     ------
     RecordingError
         If the recording holds no position of any axis of the plan.
     BudgetError
-        If the lag has more samples than can be held.
+        If the lag has too many samples to hold in memory.
     """
     axes = plan.motion.programmed.axes
     interval_s = sample_interval_s(master_channel(recording, axes))
@@ -108,23 +108,23 @@ def setting_of(plan: Plan, recording: Recording, lag_s: float = 0.0) -> Setting:
 
 @dataclass(slots=True)
 class _Held:
-    """Samples in hand: instants, columns of all axes, whole numbers, and the plan's time."""
+    """Buffered samples: instants, columns of all axes, integer columns, and the plan's time."""
 
     time_s: FloatArray
     columns: dict[str, FloatArray]
     whole: dict[str, IntArray]
-    plan_s: FloatArray | None = None  # where it is not that of the clock
+    plan_s: FloatArray | None = None  # if it differs from the clock
     slow: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def short_with(self, after: _Held) -> bool:
-        """Say whether copying both into one costs less than measuring one block more."""
+        """Return whether copying both into one costs less than measuring one block more."""
         return sum(max(v.size for v in one.columns.values()) for one in (self, after)) <= _COPIED
 
     def joined(self, after: _Held) -> _Held:
-        """Return these samples and those ``after`` them as one."""
+        """Return these samples and those ``after`` them, joined."""
         held = self.slow is not None or after.slow is not None
         return _Held(
             np.concatenate([self.time_s, after.time_s]),
@@ -141,18 +141,18 @@ class _Held:
 
     @property
     def slowed(self) -> NDArray[np.bool_]:
-        """(n,) whether less of the plan was due than time went by since the sample before."""
+        """(n,) whether the plan's time advanced less than the clock since the previous sample."""
         return np.zeros(len(self), dtype=np.bool_) if self.slow is None else self.slow
 
 
 def _behind(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return both in a row; the runs of one axis at one instant stay side by side."""
+    """Return both arrays joined; the runs of one axis at one instant stay side by side."""
     sides = [np.swapaxes(part, 1, -1) for part in (first, second)]
     return np.swapaxes(np.concatenate(sides), 1, -1)
 
 
 def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
-    """Yield the blocks of the recording with one column per axis, on the master's instants."""
+    """Yield the blocks of the recording with one column per axis, at the master's instants."""
     master = master_channel(recording, axes)
     found = {
         name: [find_first(recording, kinds, axis) for axis in axes]
@@ -175,7 +175,7 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
     waiting, plan_clock = _Waiting(recording, followers), PlanClock(master.clock)
     reached = np.iinfo(np.int64).min
     for block in chain(recording, (None,)):
-        if block is None:  # nothing more comes
+        if block is None:  # the recording has ended
             parts = waiting.taken(0)
         else:
             _refuse_absurd(block)
@@ -186,13 +186,13 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
             parts = waiting.taken(waiting.unknown())
         for part in parts:
             numbers = part.columns.pop("operation", None)
-            if "commanded" in part.columns:  # the same of all runs
+            if "commanded" in part.columns:  # the same for all runs
                 part.columns["commanded"] = part.columns["commanded"][:, 0]
             if numbers is not None:
-                # Where samples are missing it is unknown, as before the first.
+                # Where samples are missing the operation is unknown, as before the first sample.
                 told = np.where(np.isnan(numbers[:, 0, 0]), -1.0, numbers[:, 0, 0])
                 operation = np.rint(told).astype(np.int64)
-                # After its end a controller may say -1: the machine is still at its last operation.
+                # After its end a controller may send -1: the last operation still holds.
                 operation = np.maximum.accumulate(np.maximum(operation, reached))
                 reached = int(operation[-1])
                 part.whole["operation"] = operation
@@ -202,17 +202,17 @@ def _samples(recording: Recording, axes: Sequence[str]) -> Iterator[_Held]:
 
 
 class _Waiting:
-    """Samples that wait until every channel has come as far: a recorder need not keep them in step.
+    """Samples that wait until every channel has reached their instant.
 
-    Channels of one clock and stride come together. Of others one may be behind: samples of the
-    master wait for it, ``MOST_WAITING`` of them at most.
+    Channels with the same clock and stride arrive together. Others may lag: up to
+    ``MOST_WAITING`` samples of the master wait for them.
 
     Parameters
     ----------
     recording
-        Of which the samples are.
+        The recording that the samples come from.
     followers
-        Per column and axis, None where there is no channel.
+        Interpolators per column and axis; None if there is no channel.
     """
 
     def __init__(
@@ -223,7 +223,7 @@ class _Waiting:
         self._held: list[tuple[FloatArray, dict[Follower, FloatArray]]] = []  # the oldest first
 
     def take(self, block: RecordingBlock, time_s: FloatArray) -> None:
-        """Take a block, in which the master has samples at ``time_s``."""
+        """Take a block in which the master has samples at ``time_s``."""
         for follower in self._others:
             follower.take(block)
         if len(time_s):
@@ -231,7 +231,7 @@ class _Waiting:
             self._held.append((time_s, {f: f.values(block, len(time_s)) for f in every}))
 
     def unknown(self) -> int:
-        """Return how many of the last samples not every channel has come to yet."""
+        """Return how many of the last samples still lack a channel."""
         if not self._others:
             return 0
         count = 0
@@ -240,7 +240,7 @@ class _Waiting:
         return min(count, MOST_WAITING)
 
     def taken(self, left: int) -> Iterator[_Held]:
-        """Yield the samples but for the last ``left``, block by block."""
+        """Yield all samples except the last ``left``, block by block."""
         count = sum(len(time_s) for time_s, _ in self._held) - left
         while count > 0:
             time_s, own = self._held.pop(0)
@@ -260,7 +260,7 @@ class _Waiting:
 
 
 def _columns(channels: Sequence[FloatArray | None], recording: Recording) -> FloatArray:
-    """Return (n, runs, axes) of a channel of each axis, NaN where it has none.
+    """Return (n, runs, axes) from one channel per axis, NaN for an axis without a channel.
 
     The runs of one axis at one instant lie side by side.
     """
@@ -279,9 +279,9 @@ def _columns(channels: Sequence[FloatArray | None], recording: Recording) -> Flo
 
 
 def _refuse_absurd(block: RecordingBlock) -> None:
-    """Refuse samples whose squares could overflow; what is not a number is not measured.
+    """Refuse samples whose squares could overflow; NaN counts as not measured.
 
-    Runs side by side come from the simulation itself, which looks at what it gives.
+    Parallel runs come from the simulation, which checks its own output.
     """
     for name, samples in block.samples.items():
         if samples.ndim > 1 or not len(samples):
@@ -310,21 +310,21 @@ def judged_blocks(
 ) -> Iterator[Block]:
     """Yield every sample once, in order, with the chords within the lag before and after it.
 
-    Memory holds two blocks of the recording, twice the lag, and the programmed path about them.
-    Blocks of few samples are joined.
+    Memory holds two blocks of the recording, twice the lag, and the programmed path around them.
+    Small blocks are joined.
 
     Parameters
     ----------
     recording
         Read once.
     axes
-        Order of the columns.
+        The axes in the order of the columns.
     lag_samples
         The lag, in samples.
     path
-        Moved along with the blocks; None leaves it out.
+        Window on the path, moved along with the blocks; None leaves the path out.
     resolution
-        (axes,) of the commanded positions: see ``Steady``. None takes every change for a motion.
+        (axes,) resolution of the commanded positions: see ``Steady``. None: every change is motion.
     """
     held = None if resolution is None else Steady(resolution)
     waiting: list[_Held] = []  # samples that were not yielded yet, the oldest first
@@ -347,7 +347,7 @@ def judged_blocks(
             continue
         chords = _joined([past, *(one.whole for one in waiting)])
         at = len(past.get("low", ()))
-        # A block that is cut in two would cost each measure its calls twice.
+        # A block cut in two would cost each measure its calls twice.
         while waiting and ready >= len(waiting[0]):
             part = waiting.pop(0)
             yield _block(part, chords, at, first, lag_samples, path)
@@ -361,7 +361,7 @@ def judged_blocks(
 
 
 def _joined(parts: Sequence[Mapping[str, IntArray]]) -> dict[str, IntArray]:
-    """Return the chords of consecutive samples as one; nothing where they are not known."""
+    """Return the chords of consecutive samples joined; empty if they are unknown."""
     known = [part for part in parts if "low" in part]
     return {
         name: np.concatenate([part[name] for part in known]) for name in (_CHORDS if known else ())
@@ -383,7 +383,7 @@ def _block(
         rows = np.arange(at, at + len(part))
         chord_begin = np.minimum(low[np.maximum(rows - lag_samples, 0)], low[rows])
         chord_end = np.maximum(high[np.minimum(rows + lag_samples, len(high) - 1)], high[rows])
-        # One sample back: the way from the last sample to this one still counts there.
+        # One sample earlier: the segment from the last sample to this one still counts there.
         path.drop(int(chords["safe"][max(at - 1 - lag_samples, 0)]))
     return Block(
         first=first,
@@ -409,7 +409,7 @@ def _block(
 def _chords(
     fresh: _Held, path: PathWindow, at_tool: FloatArray | None, before: FloatArray | None
 ) -> dict[str, IntArray]:
-    """Return the chords that the samples are on, and the first that any later one can be on."""
+    """Return the chords that the samples are on, and the first chord of any later sample."""
     operation = fresh.whole["operation"]
     path.reach(int(operation[-1]))
     own = path.chords(operation)

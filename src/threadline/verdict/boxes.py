@@ -1,8 +1,8 @@
-"""What holds for many runs at once, told from the box that holds them all at an instant.
+"""Bounds for many runs at once, from the box that encloses them at an instant.
 
-Runs of one machine are near each other beside the way that they go: which chord is the nearest one
-of them all, and which vertex they come nearer to, is mostly told by the corners of their box. What
-the box does not tell is worked out of each run; what is found is the same to the bit.
+Runs of one machine are close together across the path. The corners of their box usually decide
+which chord is nearest to all of them, and which vertex they approach. Where the box cannot decide,
+each run is computed; the results are equal bit for bit.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from threadline.base.compiled import njit
 from threadline.verdict.nearest import nearest_of_all
 
 COMPANY = 8
-"""Runs from which on a box saves more than it costs."""
-MORE = 1.0 + 1e-9  # of a bound, for the rounding of what it is held against
+"""Number of runs above which a box saves more than it costs."""
+MORE = 1.0 + 1e-9  # factor on a bound, for rounding in the value that it is compared with
 
 
 class Boxes(NamedTuple):
-    """The (n + 1, axes) ``least`` and ``most`` of all runs; row 0 is of the sample before.
+    """(n + 1, axes) lower corner ``least`` and upper corner ``most`` of all runs.
 
-    ``known`` says whether there are any: of few runs there are none. ``lows`` and ``highs``,
-    (runs,), are room to work in.
+    Row 0 belongs to the previous sample. ``known`` is False for few runs, which have no boxes.
+    ``lows`` and ``highs``, (runs,), are work arrays.
     """
 
     known: bool
@@ -42,8 +42,8 @@ def _ends_of(
 ) -> tuple[float, float]:
     """Return the least and the largest of the numbers ``values[i, k]``, at least four of them.
 
-    A loop over all of them would wait at each for the one before; folded in four, over and over, it
-    becomes vector instructions. ``lows`` and ``highs`` are room for a quarter of them.
+    A plain loop would wait for the previous comparison at each number; folding the row in four,
+    repeatedly, gives vector instructions. ``lows`` and ``highs`` are work arrays for a quarter row.
     """
     count = values.shape[2]
     part = count // 4
@@ -76,8 +76,8 @@ ends_of = njit(nogil=True)(_ends_of)
 
 
 def _enclose(points: FloatArray, boxes: Boxes) -> None:
-    """Fill in the boxes of (n + 1, axes, runs) samples; row 0 is of the sample before."""
-    _, lower, upper, lows, highs = boxes  # each look into a tuple would count references
+    """Fill in the boxes of (n + 1, axes, runs) samples; row 0 is the previous sample."""
+    _, lower, upper, lows, highs = boxes  # each tuple access would count references
     for i in range(len(points)):
         for a in range(points.shape[1]):
             lower[i, a], upper[i, a] = ends_of(points, i, a, lows, highs)
@@ -128,7 +128,7 @@ def _nearest_chords(
 ) -> None:
     """Fill in the squared distance of each sample to the chords ``begin[i]`` to ``end[i]``.
 
-    ``only`` is the nearest chord of all runs, or -1 where ``chord`` has one of each.
+    ``only`` is the nearest chord of all runs, or -1 if ``chord`` has one for each run.
     """
     for i in range(len(points)):
         first, last = begin[i], end[i]
@@ -156,7 +156,7 @@ def _approach(
     best: FloatArray,
     best_time_s: FloatArray,
 ) -> None:
-    """Lower ``best``, (runs,) squared, where the way from ``start`` to ``point`` is nearer."""
+    """Lower ``best``, (runs,) squared, where the segment ``start`` to ``point`` is nearer."""
     for r in range(len(best)):
         along = 0.0
         size = 0.0
@@ -204,12 +204,12 @@ def _vertices_to_path(
     """Lower ``best``, (vertices, runs) squared, where a segment of a run's path is nearer.
 
     Segment i leads to point i, the first one from ``before``; it counts for the vertices of the
-    chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have an entry more than
-    the points, for the point before. ``share`` is (vertices, axes); it is empty where the axes
-    count alike.
+    chords ``begin[i]`` to ``end[i + 1]``. ``begin``, ``end`` and ``time_s`` have one more entry
+    than the points, for the point before. ``share``, (vertices, axes), weighs the axes; empty
+    means equal weights.
 
-    A vertex that is as near as ``worst``, (runs,) squared, in every run is left as it is. So is one
-    that another segment comes nearer to in every run.
+    A vertex is skipped if every run already passes it as closely as ``worst``, (runs,) squared, or
+    if another segment comes nearer to it in every run.
     """
     samples = len(points)
     low, high = vertices.shape[0], -1

@@ -1,4 +1,4 @@
-"""The operation under way, from the plan's commands where a controller didn't record it."""
+"""The operation at each instant, from the plan's commands if a controller did not record it."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from threadline.verdict.types import Result
 OPERATION_BY_TIME = "operations from the plan by time"
 """Note of a result for which the operations were taken from the plan."""
 
-_ROUNDING = 1e-9  # of a tick: an instant that is a tick but for a rounding is that tick
+_ROUNDING = 1e-9  # of a tick: an instant this close to a tick is that tick
 
 
-class Told:
-    """The blocks of a live recording, and whether their operations tell anything.
+class WatchedOperations:
+    """The blocks of a live recording, and whether their operations are usable.
 
-    A column of -1 throughout says that none was recorded: known once the recording was read, or
-    at the first operation that is one.
+    A column of -1 throughout means that no operation was recorded. This is known at the first real
+    operation, or at the end of the recording.
 
     Parameters
     ----------
@@ -47,13 +47,13 @@ class Told:
 
     Attributes
     ----------
-    anything
-        Whether an operation was told so far.
+    usable
+        Whether a real operation was seen so far.
     """
 
     def __init__(self, blocks: Iterable[RecordingBlock], channel: Channel, job: Job) -> None:
         self._blocks, self._channel, self._job = blocks, channel, job
-        self.anything = False
+        self.usable = False
 
     def __iter__(self) -> Iterator[RecordingBlock]:
         """Yield the blocks.
@@ -66,7 +66,7 @@ class Told:
         channel, count = self._channel, 0
         for block in self._blocks:
             samples = block.samples[channel.name]
-            self.anything = self.anything or not (samples < 0).all()
+            self.usable = self.usable or not (samples < 0).all()
             if len(samples) and samples.max() >= count:
                 count = count or _count(self._job)
                 at = int(np.argmax(samples >= count))
@@ -82,19 +82,19 @@ class Told:
 
 
 def _count(job: Job) -> int:
-    """Return how many operations the job has."""
+    """Return the number of operations of the job."""
     return sum(
         times * (len(item) if isinstance(item, MoveRun) else 1) for item, times, _ in job.folded()
     )
 
 
 def with_operation(recording: Recording, plan: Plan, axes: Sequence[str]) -> Recording:
-    """Return ``recording`` with the operation that the commands were at, at the same instant.
+    """Return ``recording`` with the operation of the commands at the same instant.
 
-    A trace of another controller knows nothing of operations. Its time counts from the start of
-    the commands (docs/files.md), so each instant has its row in them, and the row its operation;
-    before the first row and after the last, theirs. Where a recording tells that it was held, the
-    rows are those of the plan's time.
+    A trace of another controller has no operations. Its time counts from the start of the commands
+    (docs/files.md), so each instant has a row of the commands, and the row has an operation; an
+    instant outside takes the first or the last row. If the recording includes holds, rows are
+    found by the plan's time.
 
     Raises
     ------
@@ -139,7 +139,7 @@ class _Rows:
         self._operation: IntArray = np.empty(0, dtype=np.int64)
 
     def operations(self, rows: IntArray) -> IntArray:
-        """Return (n,) operations of (n,) rows, which never go back; beyond the end the last."""
+        """Return (n,) operations of (n,) ascending rows; beyond the end the last operation."""
         found = np.empty(len(rows), dtype=np.int64)
         done = 0
         while done < len(rows):
@@ -157,10 +157,10 @@ class _Rows:
 
 
 def with_passes(results: Sequence[Result], job: Job) -> Iterator[Result]:
-    """Yield ``results`` with the passes that their line was in; reads the job no further than that.
+    """Yield ``results`` with the passes of their line; read the job only as far as needed.
 
-    A place may be on the chord of the operation before or after the one that is under way; the
-    line tells which.
+    A place may be on a chord of the operation before or after the current one; the line tells
+    which.
     """
     wanted = {
         operation + step
@@ -181,7 +181,7 @@ def with_passes(results: Sequence[Result], job: Job) -> Iterator[Result]:
 
 
 def _sources(job: Job, wanted: set[int]) -> dict[int, tuple[int, tuple[int, ...]]]:
-    """Return line and passes of the operations wanted."""
+    """Return line and passes of the wanted operations."""
     found: dict[int, tuple[int, tuple[int, ...]]] = {}
     due = sorted(number for number in wanted if number >= 0)
     at = 0

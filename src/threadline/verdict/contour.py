@@ -1,4 +1,4 @@
-"""Contour error: how far the tool leaves the programmed path, wherever along it."""
+"""Contour error: distance of the tool from the programmed path, regardless of lag along it."""
 
 from __future__ import annotations
 
@@ -17,18 +17,17 @@ from threadline.verdict.window import PathWindow
 _UNREACHED = "the recording ends before this point"
 _EMPTY = "the recording is empty"
 _NOTHING_M = 1e-9
-"""A move that is no longer than this has no sample of its own, and no piece of a planned path."""
+"""A move no longer than this has no sample of its own, and no piece of a planned path."""
 
 
 class ContourPart(NamedTuple):
-    """What a sweep over a block takes from the measure and brings back.
+    """Arrays that a sweep over a block reads and updates for the contour error.
 
-    ``point``, (axes, runs), and ``chord``, (runs,), are of the sample before the block, after the
-    sweep of its last one; ``fresh`` says that there is none before. ``begin``, ``end`` and
-    ``time_s`` have an entry more than the block, for that sample. ``worst``, (runs,) squared, is
-    raised to the largest distance of the ways that lead to the samples; where it is: ``at`` the
-    sample, ``part`` of the way to it, and ``nearest`` the chord. ``best`` and ``best_time_s`` are
-    (vertices, runs).
+    ``point``, (axes, runs), and ``chord``, (runs,), belong to the sample before the block, after
+    the previous sweep; ``fresh`` says that there is none. ``begin``, ``end`` and ``time_s`` have
+    one more entry than the block, for that sample. ``worst``, (runs,) squared, is raised to the
+    largest distance on the segments that lead to the samples; its place is sample ``at``, ``part``
+    of the segment, and the chord ``nearest``. ``best`` and ``best_time_s`` are (vertices, runs).
     """
 
     begin: IntArray
@@ -55,17 +54,17 @@ def _raise(
     part: FloatArray,
     nearest: IntArray,
 ) -> None:
-    """Raise the worst to the (n, runs) squared distances of samples, the first of which is ``low``.
+    """Raise the worst to the (n, runs) squared distances of samples, the first of them ``low``.
 
-    Of equals the first stays. ``only`` is the nearest chord of all runs of a sample, or -1 where
-    ``chord`` has one of each.
+    Of equal values the first stays. ``only`` is the nearest chord of all runs of a sample, or -1
+    if ``chord`` has one for each run.
     """
     samples, runs = squared.shape
     for i in range(samples):
         larger = 0
         for r in range(runs):
             larger += squared[i, r] > worst[r]
-        if larger:  # seldom, once the first few are behind
+        if larger:  # seldom, after the first few samples
             for r in range(runs):
                 if squared[i, r] > worst[r]:
                     worst[r], at[r], part[r] = squared[i, r], low + i, 1.0
@@ -76,7 +75,7 @@ raise_to_samples = njit(nogil=True)(_raise)
 
 
 class _Left(NamedTuple):
-    """Vertices that no later sample comes nearer to, and how near the path of each run came."""
+    """Vertices behind all later samples, and each run's closest approach to them."""
 
     best: FloatArray
     best_time_s: FloatArray
@@ -88,14 +87,14 @@ class _Left(NamedTuple):
 class Contour(SweptMeasure):
     """Both directions at once: path to chords, and programmed vertices to path.
 
-    Lengths are at the tool, Euclidean over all axes, rotary ones times their radius: of a mandrel
-    with a profile that which it has where the tool, or a programmed vertex, is. The chords
-    and vertices of a sample are those that the command was or will be on within the lag before
-    and after it: a path may cross or retrace itself without hiding an error, and trailing along
-    the path by less than the lag costs nothing. A machine that trails by more is charged for it.
+    Lengths are at the tool, Euclidean over all axes, rotary ones times their radius (on a profiled
+    mandrel the radius at the tool or vertex). A sample is compared with the chords and vertices
+    that the command visits within the lag before and after it. So a path may cross or retrace
+    itself without hiding an error, and trailing along the path by less than the lag costs nothing.
+    A machine that trails by more is charged for it.
 
-    The actual path is taken as straight between samples, and measured there too: an axis that
-    accelerates by a bows out of it by at most a T^2 / 8 in a sample interval T.
+    The actual path is taken as straight between samples, and measured there too: an axis with
+    acceleration a deviates from it by at most a T^2 / 8 in a sample interval T.
     """
 
     def __init__(self, radius_m: FloatArray, runs: int = 1) -> None:
@@ -103,7 +102,7 @@ class Contour(SweptMeasure):
         self._worst = Worst(runs, len(radius_m), note=_EMPTY)
         self._squared: FloatArray = np.full(runs, -np.inf)  # m^2, from samples to chords
         self._path: PathWindow | None = None
-        # Vertices whose nearest approach is still open, as the last block's window had them.
+        # Vertices whose nearest approach is still open, as in the last block's window.
         self._first = 0
         self._vertices: FloatArray = np.empty((0, len(radius_m)))
         self._operation: IntArray = np.empty(0, dtype=np.int64)
@@ -119,7 +118,7 @@ class Contour(SweptMeasure):
         self._left: _Left | None = None
 
     def part(self, block: Block) -> ContourPart:
-        """Return what the sweep needs; vertices that are behind the window are put aside."""
+        """Return the arrays for the sweep; vertices behind the window are put aside."""
         path, begin, end = block.window()
         fresh = self._window is None
         if self._window is None:
@@ -149,7 +148,7 @@ class Contour(SweptMeasure):
         return self._part
 
     def feed(self, block: Block) -> None:
-        """Take what the sweep found: what is no larger than before is of no interest."""
+        """Take the sweep's results; only larger values than before matter."""
         found, path = self._part, block.path
         assert found is not None and path is not None and self._left is not None
         distance_m = np.sqrt(self._squared)
@@ -167,11 +166,11 @@ class Contour(SweptMeasure):
         self._chord += path.first
 
     def finish(self) -> Sequence[Found]:
-        """Return the worst of what was fed, and of the programmed points that it came to."""
+        """Return the worst sample and the worst programmed point that the run came to."""
         seen = self._worst.copy()
         if self._path is not None:
             point, time_s = self._point, self._time_s
-            # Which vertices a window held is the same for all runs.
+            # The vertices in a window are the same for all runs.
             open_ = np.isinf(self._best).any(axis=1)
             reached = int(open_.argmax()) if open_.any() else len(self._best)
             rest = self._vertices[reached:, :, None] - point
@@ -231,10 +230,10 @@ class Contour(SweptMeasure):
 
 
 def _from_rest(chord: int, path: PathWindow) -> int:
-    """Return the first of the chords without length before ``chord``.
+    """Return the first of the zero-length chords before ``chord``.
 
-    A job may begin with a move to where the machine is, but for a rounding of a drawing: it takes
-    no time and has no sample.
+    A job may begin with a move to where the machine already is, up to a rounding of a drawing: it
+    takes no time and has no sample.
     """
     while (
         chord > 1

@@ -1,4 +1,4 @@
-"""Which instants of each channel a recording holds, and how its run ended."""
+"""Instants of each channel that a recording covers, and how its run ended."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Event, Outcome, Recording, RecordingBlock, Stream
 from threadline.files.recording import said_once
 from threadline.machine import Machine
-from threadline.verdict.types import Change, Happening, Result, Status
+from threadline.verdict.types import Change, Disturbance, Result, Status
 
 _ROUNDING = 1e-9  # of a sample
 
 
 @dataclass(slots=True)
 class _Seen:
-    """Ticks of a channel: of its first sample, after its last one, and about its first gap."""
+    """Ticks of a channel: the first sample, the end, and the first gap."""
 
     first: int
     end: int
@@ -29,8 +29,7 @@ class _Seen:
 class Lack:
     """What is missing of a channel.
 
-    ``why`` says it for people. ``early`` is whether only the end is missing: what came before it
-    was seen without a gap.
+    ``why`` says it in words. ``early``: only the end is missing, without a gap before it.
     """
 
     why: str
@@ -38,12 +37,12 @@ class Lack:
 
 
 class Coverage:
-    """Watches the blocks of a recording as they are read; nothing of them is kept.
+    """Watches the blocks of a recording as they are read, without keeping them.
 
     Parameters
     ----------
     recording
-        The recording; what is to be judged is ``watched``.
+        The recording; judge ``watched`` in its place.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -84,12 +83,11 @@ class Coverage:
         seen.end = end
 
     def lack(self, channels: Iterable[Channel], begin_s: float, end_s: float) -> Lack | None:
-        """Return what is missing of the channels between two instants; None where nothing is.
+        """Return what is missing of the channels between two instants; None if nothing is.
 
-        A gap anywhere counts. So does a whole sample missing at the beginning or at the end, even
-        if only because another of the channels goes on longer. If several channels lack samples,
-        the lack that leaves least of the run to be judged is returned. Call it after the recording
-        has been read to its end.
+        A gap anywhere counts. So does a whole sample missing at the start or end, even if only
+        compared with a longer channel. If several channels lack samples, the lack that leaves least
+        of the run to judge is returned. Call it after the recording has been read to its end.
         """
         channels = list(channels)
         asked = tuple(channel.name for channel in channels), begin_s, end_s
@@ -112,7 +110,7 @@ class Coverage:
             if seen is None:
                 if any(channel is c for c in self._recording.channels):
                     found.append(Lack(f"{channel.name} has no samples", early=False))
-                continue  # it was not recorded but worked out, for every instant
+                continue  # computed for every instant, not recorded
             period_s = float(channel.clock.period_s)
             slack_s = (1.0 + _ROUNDING) * period_s * channel.stride
             if seen.gap is not None:
@@ -137,30 +135,30 @@ def _s(channel: Channel, tick: int) -> str:
     return f"{channel.clock.time_s(tick):.6g} s"
 
 
-MOST_TOLD = 50
-"""Happenings of one kind that a verdict names; further ones are only counted."""
+MOST_NAMED = 50
+"""Number of events of one kind that a verdict names; further ones are only counted."""
 _ENDS = {"stopped": Change.STOPPED, "fault": Change.FAULT}
 
 
-class Heard:
-    """The blocks of a recording; what their events say is known once they have been read.
+class EventReader:
+    """Reads the blocks of a recording and collects its events.
 
     Attributes
     ----------
-    happenings
-        What changed the motion until then, by limit switches and events.
+    disturbances
+        Limit switches and events that changed the motion so far.
     stopped_s
-        When the stop began that ended the run, s; None of a run that nobody stopped.
+        Start of the stop that ended the run, s; None if nobody stopped it.
     """
 
     def __init__(self, recording: Recording, machine: Machine) -> None:
         self._recording, self._machine = recording, machine
         self._outcome: Outcome | None = None
-        self.happenings: list[Happening] = []
+        self.disturbances: list[Disturbance] = []
         self.stopped_s: float | None = None
 
     def __iter__(self) -> Iterator[RecordingBlock]:
-        known, self.happenings = Outcome(), []
+        known, self.disturbances = Outcome(), []
         switches = [
             _Cut(channel, self._recording, self._machine)
             for channel in self._recording.channels
@@ -176,10 +174,10 @@ class Heard:
             yield block
         self._outcome = known
         cuts = [switch.found for switch in switches if switch.found is not None]
-        self.happenings, self.stopped_s = [*cuts, *events.found()], events.stopped_s
+        self.disturbances, self.stopped_s = [*cuts, *events.found()], events.stopped_s
 
     def outcome(self) -> Outcome:
-        """Return how the run ended; reads the recording only if nothing else has read all of it."""
+        """Return how the run ended; read the recording if that has not been done."""
         if self._outcome is None:
             for _ in self:
                 pass
@@ -188,16 +186,16 @@ class Heard:
 
 
 class _Cut:
-    """Watches a limit switch until it cuts the supply of its drive, in whichever run first."""
+    """Watches a limit switch until it cuts the supply of its drive, in the first run that hits."""
 
     def __init__(self, channel: Channel, recording: Recording, machine: Machine) -> None:
         self._channel, self._runs = channel, recording.runs
         self._operation = recording.find(ChannelKind.OPERATION)
         self._switch = machine.inputs[channel.name]
-        self.found: Happening | None = None
+        self.found: Disturbance | None = None
 
     def take(self, block: RecordingBlock) -> None:
-        """Look at the samples of a block."""
+        """Examine the samples of a block."""
         if self.found is not None:
             return
         channel = self._channel
@@ -213,7 +211,7 @@ class _Cut:
             at = (tick - block.first_tick[channel.clock.name]) // self._operation.stride
             operation = int(told[min(at, len(told) - 1)]) if len(told) else None
         runs = np.flatnonzero(values[first])
-        self.found = Happening(
+        self.found = Disturbance(
             change=Change.LIMIT_SWITCH,
             text=f"the limit switch {channel.name} of {self._switch.axis} cut the supply of "
             f"drives.{self._switch.cuts}",
@@ -229,12 +227,12 @@ class _Events:
 
     def __init__(self, recording: Recording) -> None:
         self._clock = recording.channels[0].clock if recording.channels else None
-        self._found: list[Happening] = []
+        self._found: list[Disturbance] = []
         self._held: Event | None = None
         self._holds = 0
         self._late: Event | None = None
         self._late_ticks = 0
-        self._brakes = (0, -1)  # ticks at which the latest hold began and ended
+        self._brakes = (0, -1)  # first and last tick of the latest hold
         self.stopped_s: float | None = None
 
     def take(self, event: Event) -> None:
@@ -255,17 +253,17 @@ class _Events:
                 self.stopped_s = float(self._clock.time_s(began))
             last = self._found[-1] if self._found else None
             if self._brakes[1] >= event.tick and last and last.change is Change.HOLD:
-                self._found.pop()  # it braked to its end
+                self._found.pop()  # braking went on to the end of the run
             why = said_once(event.kind, event.name)
             self._add(_ENDS[event.kind], f"the run ended early, {why},", event)
 
-    def found(self) -> list[Happening]:
-        """Return what was collected, once all events were taken."""
+    def found(self) -> list[Disturbance]:
+        """Return the collected events, once all were taken."""
         if self._held is not None:
             self._end_hold(None)
-        if self._holds > MOST_TOLD:
+        if self._holds > MOST_NAMED:
             self._found.append(
-                Happening(
+                Disturbance(
                     change=Change.HOLD,
                     text=f"it was held {self._holds} times in all",
                     time_s=None,
@@ -281,7 +279,7 @@ class _Events:
         self._holds += 1
         if until is not None:
             self._brakes = self._held.tick, until.tick
-        if self._holds <= MOST_TOLD:
+        if self._holds <= MOST_NAMED:
             why = f", {self._held.name}," if self._held.name else ""
             lasted = ""
             if until is not None and self._clock is not None:
@@ -292,7 +290,7 @@ class _Events:
 
     def _add(self, change: Change, text: str, event: Event) -> None:
         self._found.append(
-            Happening(
+            Disturbance(
                 change=change,
                 text=text,
                 time_s=None if self._clock is None else float(self._clock.time_s(event.tick)),
@@ -316,11 +314,11 @@ _CHANGES = {
         "the most",
     ),
 }  # fmt: skip
-"""By measure: what changes the motion where more than so much of it is measured."""
+"""By measure: the effect on the motion, and the measured value above which it is listed."""
 
 
-def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
-    """Return what changed the motion of the runs by the measured results of a verdict."""
+def effects_in(results: Sequence[Result], machine: Machine) -> list[Disturbance]:
+    """Return the effects on the motion that follow from the measured results of a verdict."""
     found = []
     for result in results:
         if result.name not in _CHANGES or result.measured is None:
@@ -332,7 +330,7 @@ def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
         if result.measured > limit:
             share = f"{100.0 * result.measured:.4g} %"
             found.append(
-                Happening(
+                Disturbance(
                     change=change,
                     text=text.format(axis=result.axis, share=share),
                     time_s=result.time_s,
@@ -345,21 +343,23 @@ def seen_in(results: Sequence[Result], machine: Machine) -> list[Happening]:
     return found
 
 
-def heard(recordings: Sequence[Recording], machine: Machine) -> list[tuple[Recording, Heard]]:
-    """Return each recording, its blocks read through a ``Heard``, and that ``Heard``."""
+def with_event_readers(
+    recordings: Sequence[Recording], machine: Machine
+) -> list[tuple[Recording, EventReader]]:
+    """Return each recording, its blocks read through an ``EventReader``, and that reader."""
     found = []
     for recording in recordings:
-        listener = Heard(recording, machine)
+        listener = EventReader(recording, machine)
         found.append((replace(recording, blocks=listener), listener))
     return found
 
 
-def told_end(outcome: Outcome) -> str:
-    """Say how a run ended before its last row; empty if it came to its end."""
+def end_words(outcome: Outcome) -> str:
+    """Say how a run ended before its last row; empty if it was complete."""
     if not outcome.incomplete:
         return ""
     assert outcome.ended is not None
-    # A controller that tells of no operation leaves -1.
+    # A controller that reports no operation leaves -1.
     told = outcome.operation is not None and outcome.operation >= 0
     where = f" in operation {outcome.operation}" if told else ""
     return f"the run ended{where}, {said_once(outcome.ended.value, outcome.text)}"
@@ -368,16 +368,16 @@ def told_end(outcome: Outcome) -> str:
 def not_beyond(
     result: Result, why: str, stopped_s: float | None = None, *, of_worst: bool = True
 ) -> Result:
-    """Return ``result`` when a run ended early: only a failure seen until then is certain.
+    """Return ``result`` of a run that ended early: only a failure seen before the end is certain.
 
     Parameters
     ----------
     why
-        How the run ended; empty where it came to its end.
+        How the run ended; empty if it was complete.
     stopped_s
-        When somebody began to stop it: what the stop itself does to the work fails nothing.
+        Start of a requested stop: the effect of the stop itself on the work fails nothing.
     of_worst
-        Whether the measure is the worst of all samples. Others say nothing of a part of a run.
+        Whether the measure is the worst of all samples. Other measures need the whole run.
     """
     late = result.time_s is None or (stopped_s is not None and result.time_s >= stopped_s)
     by_stop = stopped_s is not None and (late or not of_worst)
@@ -386,16 +386,18 @@ def not_beyond(
     if result.status is Status.FAILED and not by_stop:
         return result
     so_far = (
-        "" if result.measured is None else f" ({_told(result.measured, result.unit)} until then)"
+        ""
+        if result.measured is None
+        else f" ({_with_unit(result.measured, result.unit)} until then)"
     )
     note = "; ".join(filter(None, (result.note, f"{why}{so_far}")))
     return replace(result, status=Status.NOT_MEASURED, measured=None, note=note)
 
 
-def _told(value: float, unit: str) -> str:
-    """Return a value with its unit; what has none is a share.
+def _with_unit(value: float, unit: str) -> str:
+    """Return a value with its unit; without a unit it is a share.
 
-    >>> _told(0.25e-3, "m"), _told(0.05, "")
+    >>> _with_unit(0.25e-3, "m"), _with_unit(0.05, "")
     ('0.00025 m', '5 %')
     """
     return f"{value:.4g} {unit}" if unit else f"{100.0 * value:.4g} %"

@@ -1,7 +1,7 @@
-"""The criteria that every verdict lists, whatever the specification says, and the machine's limits.
+"""Criteria that every verdict lists, whatever the specification, and the machine's own limits.
 
-They depend on what moves: a servo axis, an axis driven by pulses or one of which limits alone are
-known, a cylinder, or an axis that plays step tables.
+They depend on the kind of axis: a servo axis, an axis driven by pulses or known only by its limits,
+a cylinder, or an axis that plays step tables.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ from threadline.verdict.types import Criterion, Spec
 
 PLAN_DEMANDS = ("travel", "velocity", "acceleration", "jerk")
 BRAKING, PATH_USE = "deceleration", "path_use"
-"""Measures of plans on machines with limits of braking, and of the way of the tool."""
+"""Measures of plans on machines with braking limits, and with limits along the tool's path."""
 _SWITCHING_LIMITS = ("switching_order", "switching_dwell", "valve_conflict", "over_level")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Always:
-    """The criteria of all machines of one kind of axis.
+    """The criteria of all machines with one kind of axis.
 
     Parameters
     ----------
     listed
         Measures that every verdict lists.
     limited
-        Those among them whose limit is the machine's own.
+        Measures among them whose limit is the machine's own.
     limit
-        Returns the machine's limit, SI, of a measure for an axis; None where it has none.
+        Returns the machine's limit, SI, of a measure for an axis; None if it has none.
     keys
         Further keys that a criterion of such a machine may have in a specification.
     """
@@ -138,9 +138,10 @@ def always_of(machine: Machine) -> Always:
 
 
 def measure_path_use(plan: Plan) -> dict[str, list[Finding]]:
-    """Return the largest share of the limits along the path, and of which, at close instants.
+    """Return the largest used share of the limits along the path, sampled densely.
 
-    Where the speed steps between two pieces of a historical plan, the step is not counted.
+    The finding names the limit. A step of the speed between two pieces of a historical plan is not
+    counted.
     """
     along = along_of(plan.machine, plan.motion.path.radius_m)
     if along is None:
@@ -162,10 +163,10 @@ NAME = "needle_use"
 
 
 def with_needle(spec: Spec, job: Job) -> Spec:
-    """Return the specification with a limit for the needle of a seam that sets one.
+    """Return the specification with the needle limit of a seam that sets one.
 
-    The limit is that of the seam file, as limits of axes are those of the machine: no
-    specification widens it.
+    The limit comes from the seam file, as axis limits come from the machine: no specification
+    widens it.
     """
     if not np.isfinite(job.along_m_s2):
         return spec
@@ -176,15 +177,15 @@ def with_needle(spec: Spec, job: Job) -> Spec:
 
 
 def measure_needle_use(plan: Plan) -> dict[str, list[Finding]]:
-    """Return the largest change of the needle's speed from turn to turn, over what its drive can.
+    """Return the largest change of the needle's speed between turns, as a share of its limit.
 
     The speed of a turn is one over its time. It changes from the middle of a turn to the middle of
-    the next; beside a rest of the head it changes from, or to, nothing at that end of the turn.
+    the next. Beside a rest of the head it changes to or from zero at that end of the turn.
     """
     if not has_stitches(plan.job):
         return {NAME: [Finding(value=None, note="the job has no stitches")]}
     worst = Finding(value=None, note="no seam sets the acceleration of a needle that follows")
-    before = (0.0, 0.0)  # speed, and how long half of that turn lasts
+    before = (0.0, 0.0)  # speed of the last turn, and half its duration
     for run in planned_stitches(plan):
         share, before = _shares(run, before)
         known = np.flatnonzero(np.isfinite(share))
@@ -213,7 +214,7 @@ def _shares(run: Stitches, before: tuple[float, float]) -> tuple[FloatArray, tup
 
 
 class _StepLoss:
-    """Per axis: the largest share of its drive's torque that is asked; above 1 it loses steps."""
+    """Per axis: the largest used share of its drive's torque; above 1 it loses steps."""
 
     def __init__(self, setting: Setting) -> None:
         count = len(setting.axes)
@@ -238,14 +239,14 @@ class _StepLoss:
 
 
 def start_step_loss(setting: Setting, options: Mapping[str, float]) -> Measure:  # noqa: ARG001
-    """Begin measuring the share of the drives' torque that is asked."""
+    """Begin measuring the used share of the drives' torque."""
     return _StepLoss(setting)
 
 
 def measure_braking(plan: Plan) -> dict[str, list[Finding]]:
-    """Return the exact largest acceleration against the motion of each axis.
+    """Return the exact largest deceleration of each axis.
 
-    A step of the velocity is none: it is counted as an acceleration.
+    A step of the velocity is not braking: it is counted as an acceleration.
     """
     axes = plan.motion.trajectory.axes
     worst = [Finding(value=0.0, axis=axis) for axis in axes]
@@ -274,24 +275,23 @@ SLACK = 1.001  # limits hold between samples too, to a thousandth
 _ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
 _PUSH = _ORDERS["acceleration"]
 _BELOW = (0, 1, 2)
-"""Orders of what may step below a demand."""
+"""Derivative orders below a demand that may step."""
 _ROUNDED = 1e-12
-"""Part by which a bound is taken to be further: it is rounded otherwise than what it bounds."""
+"""Relative margin on a bound, which is rounded otherwise than the value that it bounds."""
 VELOCITY_STEPS = "the velocity steps"
-"""Begins the note of an acceleration that is infinite but for the length of a tick."""
+"""Start of the note of an acceleration that is finite only because it is spread over a tick."""
 _DEMANDS_STEPPED = ("the position steps", VELOCITY_STEPS, "the acceleration steps")
 
 
 def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
     """Return the exact extremes of the trajectory: per name, one finding per axis.
 
-    ``travel`` is how far the trajectory goes beyond the travel of the axis, or all of its way
-    beyond the stroke, negative where room is left; endless axes have none. ``velocity``,
-    ``acceleration`` and ``jerk`` are absolute values, in the axis' units. Where a derivative steps
-    between two pieces those above it are infinite in theory; the controller sees the step spread
-    over one tick of its clock, and so it is counted: a step of velocity is an acceleration for one
-    tick, and that in turn a jerk. The acceleration of an axis that brakes otherwise than it speeds
-    up is that of speeding up.
+    ``travel`` is the distance beyond the travel of the axis, or the whole range beyond the stroke,
+    negative while room is left; endless axes have none. ``velocity``, ``acceleration`` and ``jerk``
+    are absolute values, in the axis' units. If a derivative steps between two pieces, the ones
+    above it are infinite in theory. The controller sees the step spread over one tick of its clock,
+    and so it is counted: a velocity step is an acceleration for one tick, which in turn steps and
+    is a jerk. For an axis with a braking limit, ``acceleration`` counts speeding up only.
     """
     axes = plan.motion.trajectory.axes
     tick_s = float(plan.machine.tick_clock.period_s)
@@ -317,7 +317,7 @@ def measure_demands(plan: Plan) -> dict[str, list[Finding]]:
                     row[column].take_towards(block, polys[1], polys[2])
                 else:
                     row[column].take(block, polys[order])
-                # A step of position is a velocity without bound: above that it says no more.
+                # A position step is an unbounded velocity; higher derivatives add nothing.
                 for below in range(min(1, order - 1), order):
                     size, piece, _ = steps[below]
                     row[column].step(below, size, block, piece, 0.0)
@@ -344,12 +344,12 @@ def _place(
 
 
 def _step(poly: FloatArray, before: float | None) -> tuple[float, int, float]:
-    """Return the largest step into a piece of (order, n) polynomials, which, and the last end.
+    """Return the largest step into a piece of (order, n) polynomials, its index, and the last end.
 
     Parameters
     ----------
     before
-        The end before the first piece; None where nothing was before it.
+        The end before the first piece; None if there is none.
     """
     starts, ends = poly[0], poly.sum(axis=0)
     steps = np.abs(starts[1:] - ends[:-1])
@@ -376,7 +376,7 @@ class _Demand:
             self._set(found[0], _place(block, found[1], found[2]), "")
 
     def take_towards(self, block: TrajectoryBlock, velocity: FloatArray, push: FloatArray) -> None:
-        """Compare the (order, n) accelerations of a block where they make the axis faster."""
+        """Compare the (order, n) accelerations of a block where they speed the axis up."""
         toward, piece, begin, width = in_direction(velocity, push)
         found = highest(toward, self._value)
         if found is not None:
@@ -387,7 +387,7 @@ class _Demand:
     def step(
         self, below: int, size: float, block: TrajectoryBlock, piece: int, where: float
     ) -> None:
-        """Compare a step of a derivative below, at a place in a piece."""
+        """Compare a step of a lower derivative, at a place in a piece."""
         value = size / self._tick_s ** (self._order - below)
         if value > self._value:
             note = f"{_DEMANDS_STEPPED[below]}; taken over one tick"
@@ -406,7 +406,7 @@ class _Demand:
 
 
 class _Reach:
-    """How far one axis goes beyond its travel, on either side, or beyond its stroke in all."""
+    """Range of one axis beyond its travel, on either side, or beyond its stroke in all."""
 
     def __init__(self, axis: str, limits: FloatArray, stroke: Quantity | None) -> None:
         self._axis = axis
@@ -417,7 +417,7 @@ class _Reach:
         self.worst = Finding(value=None, axis=axis, note="the trajectory is empty")
 
     def take(self, block: TrajectoryBlock, poly: FloatArray) -> None:
-        """Widen the reach by a block, of whose positions ``poly`` are the polynomials."""
+        """Widen the range by a block with the position polynomials ``poly``."""
         hull = hull_of(poly)
         for sign, limit, most in (
             (1.0, self._high, float(hull.max())),
@@ -438,14 +438,14 @@ class _Reach:
                 self._take(block, found, "")
 
     def _take(self, block: TrajectoryBlock, found: tuple[float, int, float], of: str) -> None:
-        """Keep how far a limit is exceeded, and where, if it is more than was found before.
+        """Keep the distance beyond a limit, and its place, if it is the largest so far.
 
         Parameters
         ----------
         found
             Distance beyond the limit, negative within it; index of the piece; place in the piece.
         of
-            Words that the note of the finding ends with.
+            End of the finding's note.
         """
         value, piece, where = found
         if value <= self._value:

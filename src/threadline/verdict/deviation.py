@@ -16,18 +16,18 @@ from threadline.verdict.samples import Block
 from threadline.verdict.sweep import feed
 from threadline.verdict.window import PathWindow
 
-PER_PIECE = 16  # points on a curved piece: between them it bows out by 1/256 of its own bow at most
-_SMOOTHED = 4  # chords on either side that a smoothing in time may reach to
+PER_PIECE = 16  # points on a curved piece: the chord error is at most 1/256 of the piece's bow
+_SMOOTHED = 4  # neighbouring chords on either side that smoothing in time may reach
 
 
 def measure_path_deviation(plan: Plan) -> list[Finding]:
     """Return the largest distance, at the tool, between planned and programmed path.
 
-    Both ways, as for the contour error: from the planned path to the chords of its operation and
-    the two beside them, and from each programmed vertex to the planned path there.
+    Measured both ways, as the contour error: from the planned path to the chord of its operation
+    and its two neighbours, and from each programmed vertex to the planned path there.
 
-    This is the judge's own measure, made of its contour error: the planner measures its paths
-    with another (``threadline.motion.path.deviation``), and does not mark its own work.
+    This is the judge's own measure, built on its contour error. The planner measures its paths with
+    separate code (``threadline.motion.path.deviation``), so that it does not mark its own work.
     """
     contour = Contour(plan.motion.programmed.radius_m)
     pieces = (_points(b.coefficients, b.operation, PER_PIECE) for b in plan.motion.path if len(b))
@@ -37,7 +37,7 @@ def measure_path_deviation(plan: Plan) -> list[Finding]:
 
 
 def measure_shaping_deviation(plan: Plan) -> list[Finding]:
-    """Return how far the shaper takes the motion from the planned path, at the tool."""
+    """Return the deviation of the shaped motion from the planned path, at the tool."""
     if plan.motion.of_loads is not None:
         return measure_motion_deviation(plan, curved=1)
     planned, text = plan.motion.timed, plan.options.get("shaper")
@@ -56,9 +56,9 @@ def measure_shaping_deviation(plan: Plan) -> list[Finding]:
 
 
 def measure_motion_deviation(plan: Plan, curved: int = PER_PIECE) -> list[Finding]:
-    """Return how far the intended motion leaves the programmed path, smoothing in time included.
+    """Return the deviation of the intended motion from the programmed path, smoothing included.
 
-    Where loads follow, it is the motion of the loads. ``curved`` points are taken on a piece.
+    If the loads follow, the intended motion is theirs. ``curved`` points are taken on a piece.
     """
     contour = Contour(plan.motion.programmed.radius_m)
     pieces = (
@@ -72,7 +72,7 @@ def measure_motion_deviation(plan: Plan, curved: int = PER_PIECE) -> list[Findin
 def _blocks(
     pieces: Iterator[tuple[FloatArray, IntArray]], path: PathWindow, beside: int
 ) -> Iterator[Block]:
-    """Yield points with the chords of their operation, and ``beside`` more on either side."""
+    """Yield points with the chord of their operation, and ``beside`` more on either side."""
     previous: int | None = None
     for points, operation in pieces:
         path.reach(int(operation[-1]) + beside)

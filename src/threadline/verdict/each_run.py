@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +22,18 @@ _EXCUSED = ("acceleration", BRAKING, "jerk", PATH_USE)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CriterionRow:
-    """A criterion, of one axis and step, in every run.
+    """A criterion, for one axis and step, in every run.
 
     Parameters
     ----------
     name, axis, step, limit, unit, required, hard
         As in a ``Result``.
     values
-        (runs,) measured; NaN where nothing could be.
+        (runs,) measured; NaN if nothing could be measured.
     failed
         (runs,) whether the limit is exceeded.
     of_plan
-        Whether it is measured on the plan alone, and so the same in every run.
+        Whether it is measured on the plan alone, and so equal in every run.
     """
 
     name: str
@@ -48,12 +49,12 @@ class CriterionRow:
 
     @property
     def missed(self) -> NDArray[np.bool_]:
-        """(runs,) whether it is required, and could not be measured."""
+        """(runs,) whether it is required but could not be measured."""
         return np.isnan(self.values) & self.required
 
     @property
     def text(self) -> str:
-        """What it is called, for people."""
+        """Its name, for people."""
         return " ".join(filter(None, (self.name, self.axis, self.step)))
 
 
@@ -66,9 +67,9 @@ class EachRun:
     rows
         In the order of the specification.
     runs
-        How many.
+        Number of runs.
     incomplete
-        How a run ended before its last row; empty where every run came to its end.
+        How a run ended before its last row; empty if every run was complete.
     """
 
     rows: tuple[CriterionRow, ...]
@@ -77,7 +78,7 @@ class EachRun:
 
     @property
     def passed(self) -> NDArray[np.bool_]:
-        """(runs,) whether nothing failed and everything required was measured."""
+        """(runs,) whether nothing failed and every required criterion was measured."""
         found = np.full(self.runs, not self.incomplete)
         for row in self.rows:
             found &= ~(row.failed | row.missed)
@@ -98,7 +99,7 @@ class EachRun:
 
     @classmethod
     def joined(cls, parts: Sequence[EachRun]) -> EachRun:
-        """Return consecutive runs of the same plan as one."""
+        """Return consecutive runs of the same plan, joined."""
         if len(parts) == 1:
             return parts[0]
         rows = []
@@ -113,7 +114,7 @@ class EachRun:
         )
 
     def without_answer(self) -> EachRun:
-        """Return the result of one run that cannot be simulated, with the same rows.
+        """Return the result of a run that cannot be simulated, with the same rows.
 
         Criteria of the plan alone keep their value; all others are infinite, and fail their limit.
         """
@@ -127,7 +128,7 @@ class EachRun:
         return EachRun(rows=tuple(rows), runs=1)
 
     def taken(self, index: IntArray) -> EachRun:
-        """Return some runs, in the order of (n,) ``index``."""
+        """Return the runs at (n,) ``index``, in that order."""
         rows = tuple(
             replace(row, values=row.values[index], failed=row.failed[index]) for row in self.rows
         )
@@ -135,11 +136,11 @@ class EachRun:
 
 
 def limit_of(criterion: Criterion, plan: Plan) -> float | None:
-    """Return the limit of a criterion; None for limits that a historical plan need not keep.
+    """Return the limit of a criterion; None for limits that a historical plan may exceed.
 
-    A simulation tells what becomes of a historical plan. Where the machine file has no dynamics
-    there is none, and the limits are all that can be judged: such a plan has to keep them, unless
-    it is the firmware's own, which comes to no harm at corners where the velocity steps.
+    For a historical plan, simulation shows the effect of excess demands. Without dynamics in the
+    machine file there is no simulation, so its limits apply, except to the firmware's own plan,
+    whose velocity steps at corners are normal.
     """
     if not criterion.hard or criterion.name not in _EXCUSED or not plan.intent.historical:
         return criterion.limit
@@ -149,7 +150,7 @@ def limit_of(criterion: Criterion, plan: Plan) -> float | None:
 
 
 def unit_of(kind: MeasureKind, axis: str, plan: Plan) -> str:
-    """Return the SI unit in which ``axis`` is measured, of the tool where there is none."""
+    """Return the SI unit of a measure for ``axis``; for the tool if it is empty."""
     moved = plan.machine.axes.get(axis)
     return kind.unit("linear" if moved is None else moved.kind)
 
@@ -157,7 +158,7 @@ def unit_of(kind: MeasureKind, axis: str, plan: Plan) -> str:
 def criterion_row(
     criterion: Criterion, kind: MeasureKind, plan: Plan, found: Found, runs: int
 ) -> CriterionRow:
-    """Return what was found in ``runs`` runs; a value of the plan alone is repeated for each."""
+    """Return the results of ``runs`` runs; a value of the plan alone is repeated for each."""
     unit, limit = unit_of(kind, found.axis, plan), limit_of(criterion, plan)
     values = found.value if unit == "s" else np.where(np.isfinite(found.value), found.value, np.nan)
     if len(values) != runs:
@@ -177,32 +178,39 @@ def criterion_row(
 
 
 def exceeded(kind: MeasureKind, limit: float | None, values: FloatArray) -> NDArray[np.bool_]:
-    """Return (n,) whether each of (n,) values is beyond a limit; one that is NaN is not."""
+    """Return (n,) whether each of (n,) values exceeds a limit; NaN does not."""
     if limit is None:
         return np.zeros(len(values), dtype=np.bool_)
     return np.asarray(values > kind.slack * limit + kind.allowance)
 
 
-def worst_of(verdict: Verdict, ends: Sequence[tuple[str, Verdict]]) -> Verdict:
-    """Return ``verdict`` with every result as bad as it is on the worst machine.
+def worst_of(
+    verdict: Verdict,
+    others: Sequence[tuple[str, Verdict]],
+    over: Literal["ends", "band"] = "ends",
+) -> Verdict:
+    """Return ``verdict`` with every result replaced by the worst of all machines.
 
     Parameters
     ----------
     verdict
-        Of the machine as its file says.
-    ends
-        What sets each other machine apart, and its verdict by the same specification. What one of
-        them did not measure, as repeatability in one run, is left to ``verdict``.
+        The verdict on the nominal machine.
+    others
+        For each other machine, how it differs, and its verdict by the same specification. A
+        criterion that is not measured there (repeatability in one run) keeps its result.
+    over
+        Which machines they are: the attribute of a verdict that counts them.
     """
     results = list(verdict.results)
-    for told, other in ends:
+    for told, other in others:
         found = {(r.name, r.axis, r.step): r for r in other.results}
         for k, result in enumerate(results):
             one = found.get((result.name, result.axis, result.step))
             if one is not None and _worse(one, result):
                 note = ", ".join(filter(None, (one.note, told)))
                 results[k] = replace(one, note=note, run=None)
-    return replace(verdict, results=tuple(results), ends=len(ends))
+    worst, count = replace(verdict, results=tuple(results)), len(others)
+    return replace(worst, ends=count) if over == "ends" else replace(worst, band=count)
 
 
 def _worse(one: Result, than: Result) -> bool:
@@ -213,7 +221,7 @@ CONFIDENCE = 0.95
 
 
 def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Return the exact two-sided interval of a proportion: ``passed`` of ``tried`` were counted.
+    """Return the exact two-sided confidence interval of a proportion, ``passed`` of ``tried``.
 
     Clopper and Pearson (1934), "The use of confidence or fiducial limits illustrated in the case
     of the binomial".
@@ -222,7 +230,7 @@ def clopper_pearson(passed: int, tried: int, confidence: float = CONFIDENCE) -> 
     >>> f"{low:.5f} {high}"
     '0.99963 1.0'
     """
-    from scipy.special import betaincinv  # slow to import, and asked for by few commands
+    from scipy.special import betaincinv  # slow to import, and few commands need it
 
     tail = 0.5 * (1.0 - confidence)
     low = 0.0 if not passed else float(betaincinv(passed, tried - passed + 1, tail))

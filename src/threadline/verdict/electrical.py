@@ -17,11 +17,11 @@ from threadline.verdict.samples import Block, Setting, lanes
 
 
 class PeakPart(NamedTuple):
-    """What a sweep over a block takes from the peak current and brings back.
+    """Arrays that a sweep over a block reads and updates for the peak current.
 
-    ``current`` and ``between``, (n, axes, runs), are held against ``zero``, (n, axes); ``between``
-    may be empty. ``size`` and ``at``, (2, axes, runs), are raised to the largest of each and to the
-    first sample that has it, -1 of none.
+    ``current`` and ``between``, (n, axes, runs), are compared with ``zero``, (n, axes); ``between``
+    may be empty. ``size`` and ``at``, (2, axes, runs), are raised to the largest of each and its
+    first sample, -1 for none.
     """
 
     current: FloatArray
@@ -32,17 +32,17 @@ class PeakPart(NamedTuple):
 
 
 class RmsPart(NamedTuple):
-    """What a sweep takes from the mean current: to ``total``, (axes, runs), squares are added."""
+    """Arrays of a sweep for the mean current: squares are added to ``total``, (axes, runs)."""
 
     current: FloatArray
     total: FloatArray
 
 
 class DacPart(NamedTuple):
-    """What a sweep takes from the clamped samples and brings back.
+    """Arrays that a sweep reads and updates for the clamped samples.
 
-    ``beyond``, (axes, runs), grows by the (n, axes, runs) values of at least (axes,) ``limit``;
-    ``first`` is set to the number of the first of all, the first of the block being ``begin``.
+    ``beyond``, (axes, runs), counts the (n, axes, runs) values of at least (axes,) ``limit``;
+    ``first`` becomes the number of the first one, where the block begins with number ``begin``.
     """
 
     voltage: FloatArray
@@ -55,8 +55,8 @@ class DacPart(NamedTuple):
 class _CurrentPeak(SweptMeasure):
     """Per axis: the largest absolute current of its motor, in A.
 
-    Between samples too where the recording has a channel ``AXIS.current_peak``. The note says which
-    share of its drive's limit that is, and which axis uses the largest and so binds.
+    Includes the time between samples if the recording has a channel ``AXIS.current_peak``. The note
+    gives the share of the drive's limit, and marks the axis with the largest share.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -68,10 +68,10 @@ class _CurrentPeak(SweptMeasure):
         self._part: PeakPart | None = None
 
     def part(self, block: Block) -> PeakPart:
-        """Return what the sweep needs: samples, and the largest between them where it is known."""
+        """Return the arrays for the sweep: samples, and the peaks between them if recorded."""
         assert block.current is not None
         current = lanes(block.current)
-        # Of some axes it may be recorded, of others not.
+        # It may be recorded for some axes only.
         between = current[:0] if block.current_peak is None else lanes(block.current_peak)
         shape = 2, *current.shape[1:]
         self._part = PeakPart(
@@ -84,7 +84,7 @@ class _CurrentPeak(SweptMeasure):
         return self._part
 
     def feed(self, block: Block) -> None:
-        """Take what the sweep found; of equals the sooner one."""
+        """Take the sweep's results; of equal values the earlier one."""
         assert self._part is not None
         (sizes, between), (at, at_peak) = self._part.size, self._part.at
         self._part = None
@@ -101,17 +101,17 @@ class _CurrentPeak(SweptMeasure):
             )
 
     def finish(self) -> Sequence[Found]:
-        """Return what was found of every axis."""
+        """Return the findings of every axis."""
         found = [worst.found() for worst in self._worst]
         limits = [np.nan if limit is None else limit.si for limit in self._limits]
         shares = np.array([f.value / limit for f, limit in zip(found, limits, strict=True)])
         return [
-            replace(f, of=partial(self._told, f, column, shares))
+            replace(f, of=partial(self._finding, f, column, shares))
             for column, f in enumerate(found)
             if not np.isnan(f.value).all()
         ]
 
-    def _told(self, found: Found, column: int, shares: FloatArray, run: int) -> Finding:
+    def _finding(self, found: Found, column: int, shares: FloatArray, run: int) -> Finding:
         """Return the finding of a run with the share of its limit, and the axis that binds."""
         finding, limit, own = found.of(run), self._limits[column], shares[:, run]
         binds = None if np.isnan(own).all() else int(np.nanargmax(own))
@@ -135,7 +135,7 @@ class _CurrentRms(SweptMeasure):
         self._count = 0
 
     def part(self, block: Block) -> RmsPart:
-        """Return what the sweep needs."""
+        """Return the arrays for the sweep."""
         assert block.current is not None
         return RmsPart(lanes(block.current), self._sum)
 
@@ -144,7 +144,7 @@ class _CurrentRms(SweptMeasure):
         self._count += len(block)
 
     def finish(self) -> Sequence[Found]:
-        """Return what was found of every axis."""
+        """Return the findings of every axis."""
         mean = self._sum / max(self._count, 1)
         return [
             _plain(axis, np.sqrt(row))
@@ -163,8 +163,8 @@ def _plain(axis: str, values: FloatArray) -> Found:
 class _DacSaturation(SweptMeasure):
     """Per axis: the fraction of samples at which the controller's output is at its clamp.
 
-    At the clamp the loop is open. The clamp is ``range`` minus one level on the positive side
-    and at most ``range`` on the negative one; both ends count from half a level before.
+    At the clamp the loop is open. The clamp is ``range`` minus one level on the positive side and
+    at most ``range`` on the negative one; values within half a level of either count.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -177,17 +177,17 @@ class _DacSaturation(SweptMeasure):
         shape = len(setting.axes), setting.runs
         self._clamped: IntArray = np.zeros(shape, dtype=np.int64)
         self._first: IntArray = np.full(shape, -1, dtype=np.int64)
-        # Where the first sample at the clamp was: the only one that is offered.
+        # Place of the first sample at the clamp, the only one that is offered.
         self._where = [Worst(setting.runs, shape[0], axis) for axis in setting.axes]
         self._count = 0
 
     def part(self, block: Block) -> DacPart:
-        """Return what the sweep needs."""
+        """Return the arrays for the sweep."""
         assert block.voltage is not None
         return DacPart(lanes(block.voltage), self._clamp, self._clamped, self._first, self._count)
 
     def feed(self, block: Block) -> None:
-        """Note where the first samples at the clamp were."""
+        """Note the places of the first samples at the clamp."""
         for column, where in enumerate(self._where):
             at = self._first[column] - self._count
             fresh = at >= 0
@@ -202,19 +202,19 @@ class _DacSaturation(SweptMeasure):
         self._count += len(block)
 
     def finish(self) -> Sequence[Found]:
-        """Return what was found of every axis."""
+        """Return the findings of every axis."""
         if not self._count:
             return []
         return [
             Found(
                 axis=axis,
                 value=self._clamped[column] / self._count,
-                of=partial(self._told, column),
+                of=partial(self._finding, column),
             )
             for column, axis in enumerate(self._axes)
         ]
 
-    def _told(self, column: int, run: int) -> Finding:
+    def _finding(self, column: int, run: int) -> Finding:
         clamped = int(self._clamped[column, run])
         first = self._where[column].of(run)
         note = f"{clamped} of {self._count} samples at the clamp" if clamped else ""

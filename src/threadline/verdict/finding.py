@@ -1,4 +1,4 @@
-"""What measures find: in one run a finding, in many at once arrays with a finding behind each."""
+"""Results of measures: a finding for one run, arrays with a finding behind each for many."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from threadline.verdict.samples import lanes
 from threadline.verdict.types import Status, is_measured
 
 Statuses = Callable[[float | None, float | None], Status]
-"""What comes of a measured value under a limit, each None where there is none."""
+"""Returns the status of a measured value under a limit; each may be None."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """The worst value of one measure in one run, of one axis or (``""``) of the tool.
+    """The worst value of one measure in one run, for one axis or (``""``) the tool.
 
-    ``value`` is None where nothing could be measured; ``note`` then says why. ``step`` is the step
-    of a move list. ``seen`` is the worst of what the recording came to, where the value also counts
-    what it did not come to. ``unseen`` says what was not seen, where the value is only the worst of
-    the rest: it can fail a limit, and not pass one.
+    ``value`` is None if nothing could be measured; ``note`` then says why. ``step`` is the step of
+    a move list. ``seen`` is the worst value of places that the recording reached, if ``value`` also
+    counts places that it did not. ``unseen`` says which part was not seen, if ``value`` is only the
+    worst of the rest: then it can fail a limit, but not pass one.
     """
 
     value: float | None
@@ -42,10 +42,10 @@ class Finding:
     unseen: str = ""
 
     def worse(self, other: Finding) -> Finding:
-        """Return the worse of the same finding of two recordings.
+        """Return the worse of the same finding in two recordings.
 
-        Where only one of them was measured, its value can fail a limit, and not pass it: the
-        other goes into ``unseen``.
+        If only one of them was measured, its value can fail a limit but not pass it: the other's
+        note goes into ``unseen``.
         """
         if self.value is None or other.value is None:
             if self.value is None and other.value is None:
@@ -65,16 +65,16 @@ class Finding:
         return Finding(value=None, axis=self.axis, step=self.step, note=self.unseen)
 
     def in_unit(self, unit: str) -> Finding:
-        """Return the finding for a verdict: a value that is no number counts as not measured."""
+        """Return the finding for a verdict: NaN counts as not measured."""
         if self.value is None or is_measured(self.value, unit):
             return self
         note = "; ".join(filter(None, (self.note, "no number came of these samples")))
         return replace(self, value=None, note=note)
 
     def somewhere(self) -> Finding:
-        """Return the finding without its place if it is zero: no place is worse than another.
+        """Return the finding without its place if its value is zero: no place is worst then.
 
-        A finding of one step keeps its place, which says of which step it is.
+        A finding of one step keeps its place, which identifies the step.
         """
         if self.value != 0.0 or self.step:
             return self
@@ -85,16 +85,16 @@ class Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """What a measure found in each of several runs, of one axis or (``""``) of the tool.
+    """Results of a measure in each of several runs, for one axis or (``""``) the tool.
 
     Parameters
     ----------
     value
-        (runs,) NaN where nothing could be measured.
+        (runs,) NaN if nothing could be measured.
     of
         Returns the finding of a run, by its number.
     parts
-        The findings that were joined into this one, each with what was not seen of it; or empty.
+        The findings that were joined into this one, each with its unseen part; or empty.
     """
 
     axis: str = ""
@@ -105,12 +105,12 @@ class Found:
 
     @classmethod
     def made(cls, findings: Sequence[Finding]) -> Found:
-        """Return the findings of consecutive runs, all of the same axis and step, as one."""
+        """Return the findings of consecutive runs, all of the same axis and step, joined."""
         return _in_a_row([Found.alike(finding, 1) for finding in findings])
 
     @classmethod
     def alike(cls, finding: Finding, runs: int) -> Found:
-        """Return one finding that all runs have."""
+        """Return one finding that all runs share."""
         value = np.nan if finding.value is None else finding.value
         return cls(
             axis=finding.axis,
@@ -123,11 +123,11 @@ class Found:
         return len(self.value)
 
     def each(self, function: Callable[[Finding], Finding]) -> Found:
-        """Return what a function makes of the finding of every run."""
+        """Return the result of applying a function to the finding of every run."""
         return Found.made([function(self.of(run)) for run in range(len(self))])
 
     def worst(self) -> Finding:
-        """Return the worst finding of all runs, the first of equals."""
+        """Return the worst finding of all runs, the first of equal ones."""
         if len(self.value) == 1:
             return self.of(0)
         if self.parts:
@@ -140,7 +140,7 @@ class Found:
 
 
 def joined(known: Sequence[Found], fresh: Sequence[Found]) -> list[Found]:
-    """Return, per axis and step, what was found in the runs of both."""
+    """Return, per axis and step, the findings of both sets of runs, joined."""
     rows: dict[tuple[str, str], list[Found]] = {}
     for found in (*known, *fresh):
         rows.setdefault((found.axis, found.step), []).append(found)
@@ -172,23 +172,23 @@ def _same(finding: Finding, run: int) -> Finding:  # noqa: ARG001
 
 
 class Worst:
-    """The worst value of every run so far, and where it was.
+    """The worst value of every run so far, and its place.
 
     Parameters
     ----------
     runs
-        How many.
+        Number of runs.
     axes
-        Columns of a position.
+        Number of columns of a position.
     axis
-        Whose values they are, ``""`` for those of the tool.
+        Axis of the values, ``""`` for the tool.
     note
         Why nothing was measured; replaced by the first value.
 
     Attributes
     ----------
     value
-        (runs,) minus infinity before the first.
+        (runs,) minus infinity before the first value.
     """
 
     def __init__(self, runs: int, axes: int, axis: str = "", note: str = "") -> None:
@@ -215,10 +215,10 @@ class Worst:
         Parameters
         ----------
         value
-            (runs,) values; NaN is passed over.
+            (runs,) values; NaN is skipped.
         time_s, operation, line, position, note
-            Where the value is from: one for all runs, or (runs,) one each; the position is (axes,)
-            or (runs, axes). None is an unknown place.
+            Place of the value: one for all runs, or (runs,) one each; the position is (axes,) or
+            (runs, axes). None is an unknown place.
         """
         at = np.flatnonzero(value > self.value)
         if not len(at):
@@ -234,15 +234,15 @@ class Worst:
         self._note[at] = _of(note, at)
 
     def is_beaten(self, value: FloatArray) -> bool:
-        """Say whether any of (runs,) values is worse than the one that is kept."""
+        """Return whether any of (runs,) values is worse than the one that is kept."""
         return bool((value > self.value).any())
 
     def say(self, note: str) -> None:
-        """Say of every run without a value why it has none."""
+        """Give every run without a value the reason for that."""
         self._note[np.isneginf(self.value)] = note
 
     def copy(self) -> Worst:
-        """Return what is known by now."""
+        """Return a copy of the present state."""
         made = object.__new__(Worst)
         made.axis = self.axis
         made.value, made._time_s = self.value.copy(), self._time_s.copy()
@@ -251,7 +251,7 @@ class Worst:
         return made
 
     def found(self, seen: Worst | None = None) -> Found:
-        """Return what was found; ``seen`` is the state before unreached places were counted."""
+        """Return the findings; ``seen`` is the state before unreached places were counted."""
         return Found(
             axis=self.axis,
             value=np.where(np.isneginf(self.value), np.nan, self.value),
@@ -259,7 +259,7 @@ class Worst:
         )
 
     def of(self, run: int) -> Finding:
-        """Return the worst of one run."""
+        """Return the worst finding of one run."""
         note, value = str(self._note[run]), float(self.value[run])
         if value == -math.inf:
             return Finding(value=None, axis=self.axis, note=note)
@@ -288,9 +288,9 @@ def _finding_of(worst: Worst, seen: Worst | None, run: int) -> Finding:
 def _largest(
     values: FloatArray, reference: FloatArray, best: FloatArray, at: IntArray, begin: int
 ) -> None:
-    """Raise ``best`` to the largest |values - reference|, ``at`` to the first sample that has it.
+    """Raise ``best`` to the largest |values - reference|, ``at`` to its first sample.
 
-    The first of the samples has the number ``begin``; NaN is passed over.
+    The first of the samples has the number ``begin``; NaN is skipped.
     """
     samples, axes, runs = values.shape
     for i in range(samples):
@@ -298,7 +298,7 @@ def _largest(
             larger = 0
             for r in range(runs):
                 larger += abs(values[i, a, r] - reference[i, a]) > best[a, r]
-            if larger:  # seldom, once the first few are behind
+            if larger:  # seldom, after the first few samples
                 for r in range(runs):
                     size = abs(values[i, a, r] - reference[i, a])
                     larger = size > best[a, r]
@@ -307,7 +307,7 @@ def _largest(
 
 
 def _add_squares(values: FloatArray, total: FloatArray) -> None:
-    """Add the squares of all samples to ``total``, one after the other."""
+    """Add the squares of all samples to ``total``, in their order."""
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):
@@ -318,7 +318,7 @@ def _add_squares(values: FloatArray, total: FloatArray) -> None:
 def _count_beyond(
     values: FloatArray, limit: FloatArray, count: IntArray, first: IntArray, begin: int
 ) -> None:
-    """Count samples of at least ``limit``; ``first`` becomes the first one's number."""
+    """Count samples of at least ``limit``; ``first`` becomes the number of the first one."""
     samples, axes, runs = values.shape
     for i in range(samples):
         for a in range(axes):
@@ -344,8 +344,8 @@ def largest(values: FloatArray, reference: FloatArray | None = None) -> tuple[Fl
     Parameters
     ----------
     reference
-        (n, axes) that the values are held against; None is 0. Samples that are no number on either
-        side are left out; of nothing else the size is minus infinity and the sample -1.
+        (n, axes) that is subtracted from the values; None is 0. A sample that is NaN on either side
+        is skipped; if none is left the size is minus infinity and the sample -1.
     """
     rows = lanes(values)
     samples, axes, runs = rows.shape

@@ -1,4 +1,4 @@
-"""How a recording is opened beside a plan for the measures, by the type of the plan's intent."""
+"""The judge: opens a recording beside its plan, by the type of the plan's intent, and measures."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from threadline.commands.plan import Motion, Plan, Scheduled, Stitched
 from threadline.errors import RecordingError, SpecError
 from threadline.files import ChannelKind, Recording
 from threadline.verdict.by_time import OPERATION_BY_TIME, with_passes
-from threadline.verdict.coverage import Heard, heard, not_beyond, seen_in, told_end
+from threadline.verdict.coverage import (
+    EventReader,
+    effects_in,
+    end_words,
+    not_beyond,
+    with_event_readers,
+)
 from threadline.verdict.demands import with_needle
 from threadline.verdict.each_run import EachRun, criterion_row, limit_of, unit_of
 from threadline.verdict.finding import Finding, Found, joined
@@ -24,7 +30,7 @@ from threadline.verdict.one_pass import Findings, Key, Pass, read_all
 from threadline.verdict.registry import MEASURES
 from threadline.verdict.stitch_run import StitchRun
 from threadline.verdict.switch_run import SwitchRun
-from threadline.verdict.types import Criterion, Happening, Result, Spec, Verdict
+from threadline.verdict.types import Criterion, Disturbance, Result, Spec, Verdict
 
 
 def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
@@ -33,7 +39,7 @@ def _switch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa:
 
 
 def _stitch_run(recording: Recording, plan: Plan, lag_s: float) -> Run:  # noqa: ARG001
-    """Return a run beside its stitches; it has no lag, because the needle tells their times."""
+    """Return a run beside its stitches; it has no lag, because the needle sets their times."""
     return StitchRun(recording, plan)
 
 
@@ -42,16 +48,16 @@ RUNS: Mapping[type, Callable[[Recording, Plan, float], Run]] = {
     Scheduled: _switch_run,
     Stitched: _stitch_run,
 }
-"""By intent: opens a recording beside its plan with the lag, s, that the specification allows."""
+"""By intent: opens a recording beside its plan, with the lag, s, that the specification allows."""
 
 
 def open_run(recording: Recording, plan: Plan, lag_s: float) -> Run:
-    """Return ``recording`` beside ``plan``, as its measures read it.
+    """Return ``recording`` beside ``plan``, in the form that its measures read.
 
     Raises
     ------
     RecordingError
-        If channels are absent without which nothing at all can be judged.
+        If channels are missing without which nothing can be judged.
     """
     return RUNS[type(plan.intent)](recording, plan, lag_s)
 
@@ -67,14 +73,14 @@ def judge(recordings: Sequence[Recording], plan: Plan, spec: Spec) -> Verdict:
 class Judge:
     """Judges any number of runs of one plan by one specification.
 
-    What does not depend on a run is worked out once.
+    Results that do not depend on a run are computed once.
 
     Parameters
     ----------
     plan
-        What was intended.
+        The intended work.
     spec
-        What is asked.
+        The specification.
 
     Raises
     ------
@@ -97,42 +103,41 @@ class Judge:
         *,
         recorded: bool = False,
     ) -> Verdict:
-        """Measure every criterion and say what came of it.
+        """Measure every criterion and return the verdict.
 
-        Each recording is read once, in bounded memory, all runs that it holds at once; of several,
-        the worst counts. One without operations has those of the commands at the same instant.
-        Where a run ended before its last row nothing passes: what had not failed until then was not
-        measured.
+        Each recording is read once, in bounded memory, with all runs that it holds; the worst run
+        counts. A recording without operations gets those of the commands at the same instant. If a
+        run ended before its last row nothing passes: a criterion that had not failed before counts
+        as not measured.
 
         Parameters
         ----------
         recordings
-            Of one and the same job; at least one.
+            Recordings of the same job; at least one.
         others
             Recordings of other machines within the tolerances. Their worst counts too, except in
             measures of many runs together (repeatability), which compare runs of one machine.
         recorded
-            Whether recordings are judged, and not runs that were simulated for this verdict. Of a
-            machine, limits of travel and velocity are then measured on them as well: what was
-            simulated played the very commands of the plan.
+            Whether these are recordings, and not runs simulated for this verdict. Limits of travel
+            and velocity are then measured on them as well, whatever origin a recording names; a run
+            simulated for its verdict plays exactly the commands of the plan.
 
         Raises
         ------
         RecordingError
-            If there is no recording, one is of another job, one has angles of a linear axis or
-            lengths of a rotary one, or a trace is damaged.
+            If there is no recording, one is of another job, one has angles for a linear axis or
+            lengths for a rotary one, or a trace is damaged.
         """
         plan, spec = self.plan, self.spec
-        live = recorded and not all(recording.simulated for recording in recordings)
-        findings, runs, listened = self._measured(recordings, recorded=live)
+        findings, runs, listened = self._measured(recordings, recorded=recorded)
         for other in others:
-            measured, _, ended = self._measured([other], together=False, recorded=live)
+            measured, _, ended = self._measured([other], together=False, recorded=recorded)
             listened = [*listened, *ended]
             for key, found in measured.items():
                 if key not in self._of_plan:
                     findings[key] = joined(findings.get(key, []), found)
         outcomes = [listener.outcome() for listener in listened]
-        why = next(filter(None, map(told_end, outcomes)), "")
+        why = next(filter(None, map(end_words, outcomes)), "")
         stops = [
             listener.stopped_s
             for listener, outcome in zip(listened, outcomes, strict=True)
@@ -141,10 +146,10 @@ class Judge:
         stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
         told = [
-            with_recording(result, findings, plan, spec, complete=not why, recorded=live)
+            with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
-                _told(_run_told(result, found, count), runs),
+                _with_operation_note(_with_run_number(result, found, count), runs),
                 why,
                 stopped_s,
                 of_worst=kind.of_worst,
@@ -155,7 +160,7 @@ class Judge:
         ]
         simulated = all(recording.simulated for recording in (*recordings, *others))
         results = tuple(with_passes(tuple(_with_lines(told, plan)), plan.job))
-        happened = [*(one for listener in listened for one in listener.happenings)]
+        happened = [*(one for listener in listened for one in listener.disturbances)]
         return Verdict(
             results=results,
             simulated=simulated,
@@ -165,14 +170,16 @@ class Judge:
             incomplete=why,
             late_ticks=sum(outcome.late_ticks for outcome in outcomes),
             recorded=recorded,
-            happenings=tuple(_in_order([*_lined(happened, plan), *seen_in(results, plan.machine)])),
+            disturbances=tuple(
+                _in_order([*_lined(happened, plan), *effects_in(results, plan.machine)])
+            ),
         )
 
     def each(self, recording: Recording) -> EachRun:
         """Measure every criterion in every run that ``recording`` holds, each of another machine.
 
-        It measures as ``verdict`` does, run by run; measures of many runs together
-        (repeatability) are left out.
+        As ``verdict``, but run by run; measures of many runs together (repeatability) are left
+        out.
 
         Raises
         ------
@@ -181,7 +188,7 @@ class Judge:
         """
         plan = self.plan
         findings, runs, listened = self._measured([recording], together=False, each=True)
-        why = next(filter(None, (told_end(one.outcome()) for one in listened)), "")
+        why = next(filter(None, (end_words(one.outcome()) for one in listened)), "")
         rows = [
             criterion_row(criterion, kind, plan, found, recording.runs)
             for criterion in self.spec.criteria
@@ -197,18 +204,18 @@ class Judge:
         together: bool = True,
         recorded: bool = False,
         each: bool = False,
-    ) -> tuple[Findings, list[Run], list[Heard]]:
+    ) -> tuple[Findings, list[Run], list[EventReader]]:
         plan = self.plan
         if not recordings:
             raise RecordingError("there is no recording to judge", remedy="Give at least one.")
         for recording in recordings:
             _check_same_job(recording, plan)
             _check_units(recording, plan)
-        listened = heard(recordings, plan.machine)
+        listened = with_event_readers(recordings, plan.machine)
         opened = [open_run(recording, plan, self.spec.lag_s) for recording, _ in listened]
         kinds = {key: MEASURES[criterion.name] for key, criterion in self._keys.items()}
         of_recording = {} if each else kinds_of(self.spec, recorded=recorded)
-        # Runs side by side in one recording are measured together as they come.
+        # Parallel runs in one recording are measured together while it is read.
         several = together and len(opened) == 1 and recordings[0].runs > 1
         passes = [Pass(run, kinds | of_recording, together=several) for run in opened]
         in_step = {
@@ -239,7 +246,7 @@ def _check_same_job(recording: Recording, plan: Plan) -> None:
 
 
 def _check_units(recording: Recording, plan: Plan) -> None:
-    """Refuse angles of a linear axis and lengths of a rotary one: both are plain numbers."""
+    """Refuse angles for a linear axis and lengths for a rotary one: both are plain numbers."""
     for channel in recording.channels:
         if channel.axis not in plan.machine.moving or channel.unit not in _KIND_OF_UNIT:
             continue
@@ -252,8 +259,8 @@ def _check_units(recording: Recording, plan: Plan) -> None:
             )
 
 
-def _told(result: Result, runs: Sequence[Run]) -> Result:
-    """Note in a result of a measure that needs operations that they were not recorded."""
+def _with_operation_note(result: Result, runs: Sequence[Run]) -> Result:
+    """Add a note to a result that needs operations if they were not recorded."""
     reading = MEASURES[result.name].of_run(runs[0])
     if result.measured is None or reading is None or not any(run.by_time for run in runs):
         return result
@@ -262,8 +269,8 @@ def _told(result: Result, runs: Sequence[Run]) -> Result:
     return replace(result, note="; ".join(filter(None, (result.note, OPERATION_BY_TIME))))
 
 
-def _run_told(result: Result, found: Found, runs: int) -> Result:
-    """Note in a result in which of several runs it was found, unless its value is 0."""
+def _with_run_number(result: Result, found: Found, runs: int) -> Result:
+    """Add to a result the number of the worst run, unless its value is 0."""
     if runs == 1 or len(found) != runs or not result.measured:
         return result
     return replace(result, run=int(np.nanargmax(found.value)) + 1)
@@ -282,7 +289,7 @@ def _key(criterion: Criterion) -> Key:
 def _of_runs(
     begun: Mapping[Key, MeasureOfRuns], runs: Sequence[Run], keys: Mapping[Key, Criterion]
 ) -> Findings:
-    """Return what was found of several recordings together, which have been read."""
+    """Return the findings of measures over several recordings, once these have been read."""
     found: Findings = {}
     for key, measure in begun.items():
         kind = MEASURES[keys[key].name]
@@ -302,7 +309,7 @@ def _of_runs(
 
 
 def _of_plan(plan: Plan, keys: Mapping[Key, Criterion]) -> Findings:
-    """Run every measure of the plan; those of one pass share it."""
+    """Run every measure of the plan; measures of one pass share it."""
     names = {name for name, _ in keys}
     readings = {name: MEASURES[name].of_plan(plan) for name in names}
     passes = dict.fromkeys(reading.measure for reading in readings.values() if reading is not None)
@@ -317,7 +324,7 @@ def _of_plan(plan: Plan, keys: Mapping[Key, Criterion]) -> Findings:
 def _rows(
     criterion: Criterion, findings: Mapping[Key, list[Found]], run: Run, spec: Spec
 ) -> Iterator[tuple[MeasureKind, Found]]:
-    """Yield what was found of a criterion: of each axis and step that it is asked of."""
+    """Yield the findings of a criterion, for each axis and step that it covers."""
     kind, plan = MEASURES[criterion.name], run.plan
     found = findings.get(_key(criterion), [])
     axes: Sequence[str] = ("",)
@@ -333,7 +340,7 @@ def _rows(
         if criterion.step:
             mine = [one for one in mine if one.step in ("", criterion.step)]
         if not mine and not _endless(criterion.name, axis, plan):
-            # A finding without an axis is the reason why none was measured.
+            # A finding without an axis gives the reason why no axis was measured.
             reasons = [one for one in found if not one.axis]
             note = reasons[0].worst().note if reasons else _absent(criterion, kind, axis, run)
             blank = Finding(value=None, axis=axis, step=criterion.step, note=note)
@@ -344,7 +351,7 @@ def _rows(
 
 
 def _absent(criterion: Criterion, kind: MeasureKind, axis: str, run: Run) -> str:
-    """Say why nothing was found of an axis, or of the tool."""
+    """Return why there is no finding for an axis, or for the tool."""
     if kind.of_run(run) is None and kind.of_plan(run.plan) is None:
         return f"not a measure of {run.of}"
     if criterion.step:
@@ -353,7 +360,7 @@ def _absent(criterion: Criterion, kind: MeasureKind, axis: str, run: Run) -> str
 
 
 def _replaced(criterion: Criterion, found: Found, spec: Spec) -> bool:
-    """Say whether a criterion of one step replaces this one of every step there."""
+    """Return whether a criterion for one step replaces this one for every step there."""
     if criterion.step or not found.step:
         return False
     place = criterion.name, criterion.axis, found.step
@@ -386,8 +393,8 @@ def _result(criterion: Criterion, kind: MeasureKind, plan: Plan, finding: Findin
     )
 
 
-def _lined(happened: Sequence[Happening], plan: Plan) -> list[Happening]:
-    """Fill in the job lines of what happened."""
+def _lined(happened: Sequence[Disturbance], plan: Plan) -> list[Disturbance]:
+    """Fill in the job lines of events."""
     wanted = {one.operation for one in happened if one.operation is not None}
     lines = plan.intent.lines_of(plan.job, wanted) if wanted else {}
     return [
@@ -396,8 +403,8 @@ def _lined(happened: Sequence[Happening], plan: Plan) -> list[Happening]:
     ]
 
 
-def _in_order(happened: Sequence[Happening]) -> list[Happening]:
-    """Return what happened in the order of time; what has none comes last."""
+def _in_order(happened: Sequence[Disturbance]) -> list[Disturbance]:
+    """Return events in the order of time; events without a time come last."""
     return sorted(happened, key=lambda one: np.inf if one.time_s is None else one.time_s)
 
 

@@ -1,4 +1,4 @@
-"""What every measure has in common: it starts on a recording, is fed blocks, and finishes."""
+"""Common form of all measures: start on a recording, feed blocks, finish."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from threadline.verdict.types import Status
 Dimension = Literal[
     "tool", "axis", "axis/s", "axis/s^2", "axis/s^3", "time", "current", "rate", "ratio", "stitch"
 ]
-"""Of a measured value: a length at the tool, the axis' own unit (m or rad) and its rates, ..."""
+"""Dimension of a measured value: length at the tool, the axis' own unit (m or rad), rates, ..."""
 
 
 class Measure(Protocol):
@@ -28,27 +28,27 @@ class Measure(Protocol):
         """Take the next samples."""
 
     def finish(self) -> Sequence[Found]:
-        """Return the worst of what was fed, of every run: for each axis, or for the tool."""
+        """Return the worst value of every run: for each axis, or for the tool."""
 
 
 class SweptMeasure(ABC):
     """A measure that takes the samples of a block in the sweep of all measures (``sweep.feed``).
 
-    Its part in a sweep is what compiled loops read and fill in. When it is fed, the sweep is over:
-    it takes from its part what came of the block.
+    ``part`` gives the arrays that compiled loops read and update. ``feed`` is called after the
+    sweep, and reads the results from these arrays.
     """
 
     @abstractmethod
     def part(self, block: Block) -> NamedTuple | None:
-        """Return its part in the sweep over ``block``; None where it takes none."""
+        """Return its arrays for the sweep over ``block``; None if it takes no part."""
 
     @abstractmethod
     def feed(self, block: Block) -> None:
-        """Take what the sweep found in ``block``."""
+        """Take the sweep's results for ``block``."""
 
     @abstractmethod
     def finish(self) -> Sequence[Found]:
-        """Return the worst of what was fed, as ``Measure.finish``."""
+        """Return the worst value of every run, as ``Measure.finish``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,12 +60,12 @@ class Option:
 
 
 Needs = tuple[tuple[ChannelKind, ...], ...]
-"""Kinds of channel, each a set of alternatives, without which nothing is measured."""
+"""Required kinds of channel; of each set one is enough."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Running:
-    """A measurement that has begun: of what kind, how it reads its run, and itself."""
+    """A started measurement: its kind, how it reads its run, and the measure."""
 
     kind: MeasureKind
     reading: RunReading
@@ -73,10 +73,10 @@ class Running:
 
 
 class Run(Protocol):
-    """One recording beside its plan, as the measures of its kind of work read it.
+    """One recording beside its plan, in the form that the measures of its kind of work read.
 
-    ``of`` says in words what it is a run of. ``absent`` is said of an axis of which nothing was
-    found.
+    ``of`` names the kind of run in words. ``absent`` is the reason given for an axis without a
+    finding.
     """
 
     of: ClassVar[str]
@@ -84,43 +84,43 @@ class Run(Protocol):
 
     @property
     def plan(self) -> Plan:
-        """What was intended."""
+        """The intended work."""
 
     @property
     def recording(self) -> Recording:
-        """What is judged."""
+        """The judged recording."""
 
     @property
     def by_time(self) -> bool:
-        """Whether the operations are those of the plan at the same instant."""
+        """Whether the operations are taken from the plan at the same instant."""
 
     @property
-    def untold(self) -> Run | None:
+    def fallback(self) -> Run | None:
         """The same run with the operations of the plan; None once it is known which ones count.
 
-        A live recording may have a column of operations that says nothing. Until it says
-        something both runs are measured: they share one stream of blocks, and are read in step.
+        A live recording may have an empty column of operations. Until a real operation appears both
+        runs are measured: they share one stream of blocks, and are read in step.
         """
 
     def lacks(self, reading: RunReading, per_axis: bool) -> str:
-        """Say why the recording cannot tell what a measure asks for; empty where it can."""
+        """Return why the recording lacks data for a measure; empty if it does not."""
 
     def blocks(self) -> Iterator[Block]:
-        """Yield what measures are fed with; reads the recording."""
+        """Yield the blocks for the measures; reads the recording."""
 
     def leave(self) -> None:
         """Read no more of the recording."""
 
     def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:
-        """Return what each measure found, as far as it was seen, after the last block."""
+        """Return the findings of each measure, as far as seen, after the last block."""
 
     def unseen(self, reading: RunReading) -> str:
-        """Say, once the recording was read, what a measure of many runs did not see of it."""
+        """Return, after reading, what a measure of many runs did not see of the recording."""
 
     def release(self) -> None:
-        """Forget the samples of this run, once the measures that read one run have finished.
+        """Discard the samples of this run, once the measures that read one run have finished.
 
-        What measures of many runs read is kept.
+        Data for measures of many runs is kept.
         """
 
 
@@ -129,7 +129,7 @@ Options = Mapping[str, float]
 
 
 class MeasureOfRuns(Protocol):
-    """Measures runs that were recorded one by one, in one pass over all of them in step."""
+    """Measures several recordings in one pass over all of them in step."""
 
     def feed(self, number: int, block: Block, by_time: IntArray | None) -> None:
         """Take the next samples of a run.
@@ -139,34 +139,34 @@ class MeasureOfRuns(Protocol):
         number
             Number of the run, from 0 on.
         by_time
-            (n,) operations of the plan at the same instants, as long as nobody knows whether the
+            (n,) operations of the plan at the same instants, until it is known whether the
             recording has its own.
         """
 
     def finish(self, runs: Sequence[Any]) -> Sequence[Finding]:
-        """Return what was found; ``runs`` are those that count in the end (``Run.untold``)."""
+        """Return the findings; ``runs`` are the runs that count in the end (``Run.fallback``)."""
 
 
 @dataclass(frozen=True, slots=True)
 class _WholeRuns:
-    """A measure that reads its runs whole, and not block by block."""
+    """A measure that reads whole runs, not blocks."""
 
     finish: Callable[[Sequence[Any]], Sequence[Finding]]
 
     def feed(self, number: int, block: Block, by_time: IntArray | None) -> None:
-        """Take no notice: the runs are there already."""
+        """Do nothing: the whole runs are read at the end."""
 
 
 def whole_runs(
     measure: Callable[[Sequence[RunT_contra], Options], Sequence[Finding]],
 ) -> Callable[[Sequence[RunT_contra], Options], MeasureOfRuns]:
-    """Return what begins a measurement that a function makes of whole runs at once."""
+    """Return a starter for a measure that is a function of whole runs."""
     return lambda _, options: _WholeRuns(lambda runs: measure(runs, options))
 
 
 @dataclass(frozen=True, slots=True)
 class _Whole:
-    """A measure that has its run whole, and needs no samples one after the other."""
+    """A measure that reads its whole run, not blocks."""
 
     findings: Callable[[], Sequence[Finding]]
 
@@ -175,13 +175,13 @@ class _Whole:
         return [Found.made([finding]) for finding in self.findings()]
 
     def feed(self, block: Block) -> None:
-        """Take no notice: the run is there already."""
+        """Do nothing: the whole run is read at the end."""
 
 
 def whole(
     measure: Callable[[RunT_contra, Options], Sequence[Finding]],
 ) -> Callable[[RunT_contra, Options], Measure]:
-    """Return what begins a measurement that a function makes of a whole run at once."""
+    """Return a starter for a measure that is a function of a whole run."""
     return lambda run, options: _Whole(partial(measure, run, options))
 
 
@@ -192,9 +192,9 @@ class OfPlan:
     Parameters
     ----------
     intent
-        The plans that it is measured on, by what they intend.
+        Type of intent of the plans that it applies to.
     measure
-        Returns its findings, and those of other measures that fall out of the same pass, by name.
+        Returns its findings, and by name those of other measures from the same pass.
     """
 
     intent: type
@@ -210,16 +210,16 @@ class OfRun(Generic[RunT_contra]):
     Parameters
     ----------
     run
-        The runs that it is measured on.
+        Type of the runs that it applies to.
     start
-        Begins a measurement of one.
+        Begins a measurement of one run.
     needs
-        Without which nothing is measured.
+        Channels without which nothing is measured.
     follows
-        Whether it follows the motion in time: samples farther apart than the lag tell nothing.
+        Whether it follows the motion in time: samples farther apart than the lag are useless.
     of_every_axis
-        The kind of channel that it needs of all axes, although it measures single ones: a command
-        has ended only when that of every axis has.
+        Kind of channel that it needs for all axes, although it measures single ones: a command has
+        ended only when it has ended on every axis.
     """
 
     run: type[Any]
@@ -236,9 +236,9 @@ class OfRuns(Generic[RunT_contra]):
     Parameters
     ----------
     in_step
-        Begins a measurement of runs that were recorded one by one.
+        Begins a measurement of runs in separate recordings.
     start
-        Begins a measurement of runs that one recording holds side by side; None where none can.
+        Begins a measurement of parallel runs in one recording; None if it has none.
     """
 
     run: type[Any]
@@ -262,14 +262,14 @@ class MeasureKind:
     name
         As in a specification.
     dimension
-        Of the value.
+        Dimension of the value.
     per_axis
         One finding per axis; else one for the tool.
     reads
-        The input that it reads (the plan alone, one run, many runs), and how: once for each form
-        that this input has. A plan or run of no such form has nothing to measure.
+        Its input (the plan alone, one run, many runs) and how it is read: one entry for each form
+        of this input. A plan or run of another form has nothing to measure.
     options
-        What a specification may set.
+        Options that a specification may set.
     of_worst
         Whether it is a maximum over samples: further samples can only make it larger.
     slack, allowance
@@ -297,18 +297,18 @@ class MeasureKind:
 
     @property
     def compares_runs(self) -> bool:
-        """Whether it reads many runs of one machine together, and nothing of a single one."""
+        """Whether it compares many runs of one machine, and is undefined for a single run."""
         return any(isinstance(reading, OfRuns) for reading in self.reads)
 
     def of_run(self, run: object) -> RunReading | None:
-        """Return how it reads such a run, or None where it reads none."""
+        """Return how it reads such a run; None if it cannot."""
         for reading in self.reads:
             if not isinstance(reading, OfPlan) and isinstance(run, reading.run):
                 return reading
         return None
 
     def of_plan(self, plan: Plan) -> OfPlan | None:
-        """Return how it reads such a plan, or None where it reads none."""
+        """Return how it reads such a plan; None if it cannot."""
         for reading in self.reads:
             if isinstance(reading, OfPlan) and isinstance(plan.intent, reading.intent):
                 return reading
@@ -327,7 +327,7 @@ class MeasureKind:
         return (units | {"stitch": "stitch"})[self.dimension]
 
     def status(self, value: float | None, limit: float | None) -> Status:
-        """Return what comes of a measured value under a limit, each None where there is none."""
+        """Return the status of a measured value under a limit; each may be None."""
         if value is None:
             return Status.NOT_MEASURED
         if limit is None:

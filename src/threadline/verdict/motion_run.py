@@ -1,4 +1,4 @@
-"""One stream for two readers who take it in step: it is read once."""
+"""A run of axes along a path, read block by block; two readers can share one recording."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from threadline.commands.plan import Plan
 from threadline.files import Channel, ChannelKind, Recording, RecordingBlock
 from threadline.verdict.blocks import find_first, judged_blocks, master_channel, peak_channels
-from threadline.verdict.by_time import Told, with_operation
+from threadline.verdict.by_time import WatchedOperations, with_operation
 from threadline.verdict.coverage import Coverage, Lack
 from threadline.verdict.finding import Finding, Found
 from threadline.verdict.measure import MeasureKind, Needs, Running, RunReading
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 class Fork(Generic[T]):
-    """Items that two readers get, each in order; what one has not taken yet is kept for it.
+    """A stream shared by two readers, each in order; items one has not taken yet are kept for it.
 
     >>> fork = Fork(iter("abc"))
     >>> one, other = iter(fork.first), iter(fork.second)
@@ -38,7 +38,7 @@ class Fork(Generic[T]):
     Parameters
     ----------
     items
-        Read once, when the first of the two asks.
+        Read once, when the first reader asks.
     """
 
     def __init__(self, items: Iterable[T]) -> None:
@@ -48,7 +48,7 @@ class Fork(Generic[T]):
         self.second: Branch[T] = Branch(self)
 
     def pull(self) -> bool:
-        """Put the next item before both readers; return whether there was one."""
+        """Read the next item for both readers; return whether there was one."""
         if self._source is None:
             self._source = iter(self._items)
         for item in self._source:
@@ -59,7 +59,7 @@ class Fork(Generic[T]):
 
 
 class Branch(Generic[T]):
-    """What one of the two readers gets."""
+    """One reader's side of a fork."""
 
     def __init__(self, fork: Fork[T]) -> None:
         self._fork = fork
@@ -76,14 +76,14 @@ class Branch(Generic[T]):
             self._waiting.append(item)
 
     def leave(self) -> None:
-        """Take no more: nothing is kept for this reader from now on."""
+        """Stop reading: nothing is kept for this reader from now on."""
         self._left = True
         self._waiting.clear()
 
 
 _ROUNDING = 1e-9
 NO_DYNAMICS = "the machine file has no dynamics: nothing is known of what its drives move"
-_ARRIVED_M = 1e-4  # at the tool: a few counts, which is how near a quantised command comes
+_ARRIVED_M = 1e-4  # at the tool: a few counts, the accuracy of a quantised command
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,17 +93,17 @@ class MotionRun(Setting):
     Parameters
     ----------
     lag_s
-        How far the machine may trail its command.
+        Free following error in time: how far the machine may trail its command.
     by_time
         Whether its operations are those of the commands at the same instant, as none were recorded.
     coverage
-        Which instants of each channel the recording holds, once it was read.
-    told
-        Of a live recording with a column of operations: whether it says anything.
-    instead
-        The same run with the operations of the commands, for a column that says nothing.
+        Instants of each channel that the recording covers, once it has been read.
+    operations
+        For a live recording with a column of operations: whether the column is usable.
+    by_plan
+        The same run with the operations of the commands, in case the column is empty.
     branch
-        The branch of the stream that this run reads, where two runs share one recording.
+        Its side of the stream, if two runs share one recording.
     """
 
     of: ClassVar[str] = "a machine with axes"
@@ -112,17 +112,17 @@ class MotionRun(Setting):
     lag_s: float
     by_time: bool
     coverage: Coverage
-    told: Told | None = None
-    instead: MotionRun | None = None
+    operations: WatchedOperations | None = None
+    by_plan: MotionRun | None = None
     branch: Branch[RecordingBlock] | None = None
 
     @property
-    def untold(self) -> MotionRun | None:
-        """The run with the operations of the commands, until the recorded ones say something."""
-        return None if self.told is None or self.told.anything else self.instead
+    def fallback(self) -> MotionRun | None:
+        """The run with the commands' operations, until a recorded operation appears."""
+        return None if self.operations is None or self.operations.usable else self.by_plan
 
     def release(self) -> None:
-        """Do nothing: it holds no more samples than one block."""
+        """Do nothing: a run holds no more samples than one block."""
 
     def leave(self) -> None:
         """Read no more of the recording."""
@@ -130,17 +130,17 @@ class MotionRun(Setting):
             self.branch.leave()
 
     def lacks(self, reading: RunReading, per_axis: bool) -> str:
-        """Say why the recording cannot tell what a measure asks for; empty where it can."""
+        """Return why the recording lacks data for a measure; empty if it does not."""
         for alternatives in reading.needs:
             lacking = self._lacking(alternatives)
-            # A measure of single axes takes what there is; one of the tool needs every axis.
+            # A measure of single axes takes the axes that exist; one of the tool needs every axis.
             every = not per_axis or reading.of_every_axis in alternatives
             if lacking and (every or len(lacking) == len(self.axes)):
                 return self._why(alternatives, lacking)
         return self._too_coarse(reading.needs) if reading.follows else ""
 
     def _absent(self, reading: RunReading) -> dict[str, str]:
-        """Return the axes that a measure of single axes cannot measure, each with what it lacks."""
+        """Return the axes that a measure of single axes cannot measure, each with the reason."""
         return {
             axis: self._why(alternatives, [axis])
             for alternatives in reading.needs
@@ -148,7 +148,7 @@ class MotionRun(Setting):
         }
 
     def _why(self, alternatives: Sequence[ChannelKind], axes: Sequence[str]) -> str:
-        """Say why there is none of these channels of some axes, and what would give it."""
+        """Return why none of these channels of some axes exists, and how to provide one."""
         if self.recording.simulated and self.plan.machine.without_dynamics:
             return NO_DYNAMICS
         return f"no {' or '.join(alternatives)} channel of {', '.join(axes)}: " + _how_to_give(
@@ -156,17 +156,17 @@ class MotionRun(Setting):
         )
 
     def _lacking(self, alternatives: Sequence[ChannelKind]) -> list[str]:
-        """Return the axes of which the recording has none of these channels."""
+        """Return the axes for which the recording has none of these channels."""
         operation = self.recording.find(ChannelKind.OPERATION)
         if ChannelKind.OPERATION in alternatives and operation is not None:
-            return []  # one for all axes
+            return []  # one channel for all axes
         return [a for a in self.axes if find_first(self.recording, alternatives, a) is None]
 
     def _too_coarse(self, needs: Needs) -> str:
-        """Say which channel is sampled more coarsely than the lag; empty where none is.
+        """Return which channel is sampled more coarsely than the lag; empty if none is.
 
-        An error may come and go between two samples, and the lag that is free would be a whole
-        sample. A sample at each tick of the commands is as fine as any: a lag may be shorter.
+        An error could come and go between two samples, and the free lag would be a whole sample.
+        Samples at each tick of the commands are always fine enough, even for a shorter lag.
         """
         channels = [
             channel
@@ -186,17 +186,17 @@ class MotionRun(Setting):
         )
 
     def blocks(self) -> Iterator[Block]:
-        """Yield what measures are fed with; reads the recording, in bounded memory."""
+        """Yield the blocks for the measures; reads the recording, in bounded memory."""
         path = PathWindow(self.plan.motion.programmed)
         return judged_blocks(self.recording, self.axes, self.lag_samples, path, self.resolution)
 
     def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:
-        """Return what each measure found, as far as it was seen, after the last block."""
+        """Return the findings of each measure, as far as seen, after the last block."""
         if not running:
             return []
         begin_s, end_s = self.plan.motion.trajectory.moves_s
         if last is not None:
-            # Later by what it was held for; sooner where it has come to the end already.
+            # Later by the time of its holds; earlier if it has reached the end already.
             late_s = float(last.time_s[-1] - last.due_s[-1])
             end_s = float(last.time_s[-1]) if self._arrived(last) else end_s + late_s
         return [self._result(one, begin_s, end_s) for one in running]
@@ -208,7 +208,7 @@ class MotionRun(Setting):
             for axis, why in absent.items()
         ]
         for one_found in one.measure.finish():
-            # What a measure makes of an axis that it never saw is no measurement.
+            # A result for an axis that was never seen is not a measurement.
             if one_found.axis not in absent:
                 channels = self._channels(one.reading, one_found.axis)
                 lack = self.coverage.lack(channels, begin_s, end_s)
@@ -220,17 +220,17 @@ class MotionRun(Setting):
         return found
 
     def unseen(self, reading: RunReading) -> str:
-        """Say which of its channels a measure of many runs lacks, or where; empty if none.
+        """Return which channels a measure of many runs lacks, or where; empty if none.
 
-        To be asked once the recording has been read to its end.
+        Call it once the recording has been read to its end.
         """
         lack = self.coverage.lack(self._channels(reading), *self.plan.motion.trajectory.moves_s)
         return "" if lack is None else lack.why
 
     def _channels(self, reading: RunReading, axis: str = "") -> list[Channel]:
-        """Return the channels that a measure reads, of ``axis`` alone or of all.
+        """Return the channels that a measure reads, for ``axis`` or, by default, for all axes.
 
-        The channel at whose instants all others are judged is always among them.
+        They always include the channel that sets the instants of the others.
         """
         found = [master_channel(self.recording, self.axes)]
         for alternatives in reading.needs:
@@ -244,7 +244,7 @@ class MotionRun(Setting):
         return found
 
     def _arrived(self, block: Block) -> bool:
-        """Say whether the command stands at the end of the path, in the last moving operation."""
+        """Return whether the command stands at the path's end, in the last moving operation."""
         path, commanded, operation = block.path, block.commanded, block.operation
         if path is None or commanded is None or operation is None or not path.ended:
             return False
@@ -253,13 +253,13 @@ class MotionRun(Setting):
 
 
 def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
-    """Return what a finding is worth where samples are missing.
+    """Return a finding reduced to what it proves where samples are missing.
 
-    What was seen before an early end still fails a limit that it exceeds, of measures that are the
-    worst of all samples; else nothing was measured.
+    A maximum over samples from before an early end still fails a limit that it exceeds; any other
+    finding counts as not measured.
     """
     seen = finding.seen or finding
-    if seen.value is None:  # it says itself where it ended
+    if seen.value is None:  # its note says where it ended
         return replace(seen, note="; ".join(filter(None, (seen.note, lack.why))))
     if lack.early and kind.of_worst:
         return replace(seen, seen=None, unseen=lack.why)
@@ -269,15 +269,15 @@ def _as_seen(finding: Finding, kind: MeasureKind, lack: Lack) -> Finding:
 def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
     """Return ``recording`` beside ``plan``, with operations and the intended commanded positions.
 
-    Recorded operations count, not those of the plan at the same instant. A recording without them,
-    or with -1 throughout, gets those of the commands. Whether a live recording has any is known
-    only after it has been read, and it can be read only once: the returned run then has a second
-    one, ``instead``, which reads the same blocks with the operations of the commands.
+    Recorded operations have priority over the plan's at the same instant. A recording without them,
+    or with -1 throughout, gets those of the commands. For a live recording this is known only after
+    it has been read, and it can be read only once: the returned run then has a second one,
+    ``by_plan``, which reads the same blocks with the operations of the commands.
 
     Raises
     ------
     RecordingError
-        If the recording holds no position of any axis of the plan, or, while it is read, an
+        If the recording holds no position of any axis of the plan, or (while it is read) an
         operation that the job does not have.
     """
     coverage = Coverage(recording)
@@ -286,16 +286,16 @@ def motion_run(recording: Recording, plan: Plan, lag_s: float) -> MotionRun:
     if channel is None:
         timed = with_operation(watched, plan, plan.axes)
         return _beside(timed, plan, lag_s, coverage, by_time=True)
-    if recording.simulated:  # the twin tells
+    if recording.simulated:  # the twin always records operations
         return _beside(watched, plan, lag_s, coverage, by_time=False)
     fork = Fork(watched)
-    told = Told(fork.first, channel, plan.job)
+    operations = WatchedOperations(fork.first, channel, plan.job)
     others = tuple(c for c in recording.channels if c is not channel)
-    untold = replace(watched, channels=others, blocks=fork.second)
-    timed = with_operation(untold, plan, plan.axes)
-    instead = _beside(timed, plan, lag_s, coverage, by_time=True)
-    run = _beside(replace(watched, blocks=told), plan, lag_s, coverage, by_time=False)
-    return replace(run, told=told, instead=replace(instead, branch=fork.second))
+    fallback = replace(watched, channels=others, blocks=fork.second)
+    timed = with_operation(fallback, plan, plan.axes)
+    by_plan = _beside(timed, plan, lag_s, coverage, by_time=True)
+    run = _beside(replace(watched, blocks=operations), plan, lag_s, coverage, by_time=False)
+    return replace(run, operations=operations, by_plan=replace(by_plan, branch=fork.second))
 
 
 def _beside(

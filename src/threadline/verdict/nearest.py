@@ -1,8 +1,8 @@
 """Distances between the actual paths of many runs and the programmed one, within a window.
 
-Runs stand side by side in memory, (samples, axes, runs): the geometry of a chord is worked out
-once, and the innermost loop, over the runs, becomes vector instructions. It adds and multiplies for
-each run what it would alone, so that a run has the same bits in any company.
+Runs are adjacent in memory, (samples, axes, runs): the geometry of a chord is computed once, and
+the innermost loop, over the runs, becomes vector instructions. Each run gets the same operations as
+when it is alone, so that its result does not depend on the other runs, bit for bit.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ import numpy as np
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 
-_FINEST = 1.0 / 4096  # of the way between two points: finer parts of it are not looked at
-_NOTHING_M2 = 1e-26  # a place that is no farther from the path is on it, but for rounding
-_MOST_PARTS = 32  # of a way that wait: one more for each halving, down to the finest
+_FINEST = 1.0 / 4096  # of a segment: it is not subdivided further
+_NOTHING_M2 = 1e-26  # a place this close to the path is on it, up to rounding
+_MOST_PARTS = 32  # parts of a segment that wait: one for each halving, down to the finest
 
 
 def _weighed_to_segment(
     point: FloatArray, start: FloatArray, end: FloatArray, share: FloatArray
 ) -> float:
-    """Return the squared distance of a point to a segment, each axis counting with its share."""
+    """Return the squared distance of a point to a segment, each axis weighed with its share."""
     along = 0.0
     length = 0.0
     for k in range(len(point)):
@@ -38,11 +38,11 @@ def _weighed_to_segment(
 weighed_to_segment = njit(nogil=True)(_weighed_to_segment)
 
 
-def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the (m, axes) way of each chord, and (m,) its squared length; 1 of a mere point.
+def chord_vectors(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the (m, axes) direction vector of each chord, and (m,) its squared length.
 
-    Chord c ends at vertex c; row 0 is nothing. A chord so short that its squared length has lost
-    digits, or that one over it is infinite, is a mere point.
+    Chord c ends at vertex c; row 0 is unused. A chord whose squared length has lost digits, or has
+    an infinite inverse, counts as a point, with length 1.
     """
     way = np.diff(vertices, axis=0, prepend=vertices[:1])
     squared = lengths_squared(way)
@@ -50,7 +50,7 @@ def chord_ways(vertices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def lengths_squared(ways: FloatArray) -> FloatArray:
-    """Return (m,) squared lengths of (m, axes) ways, faster than numpy sums the axes of each."""
+    """Return (m,) squared lengths of (m, axes) vectors, faster than numpy's sum over axes."""
     squared = ways[:, 0] ** 2
     for axis in range(1, ways.shape[1]):
         squared += ways[:, axis] ** 2
@@ -71,8 +71,8 @@ def _nearest_of_all(
 ) -> None:
     """Fill in the squared distance of a point of each run to the chords ``begin`` to ``end``.
 
-    ``chord`` is the first of the nearest. ``axes`` has one entry for each axis: its length is known
-    when this is compiled, and the loops over axes are gone. So is what asks for ``share``.
+    ``chord`` is the first of the nearest. ``axes`` is a tuple with one entry per axis: its length
+    is known at compile time, so that loops over axes are unrolled and tests of ``share`` vanish.
     """
     runs = len(squared)
     for r in range(runs):
@@ -121,9 +121,9 @@ def _nearest_chords(
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
-    """Do so with each of (n, axes, runs) points and the chords ``begin[i]`` to ``end[i]``.
+    """Do the same for each of (n, axes, runs) points and the chords ``begin[i]`` to ``end[i]``.
 
-    ``share`` is of the shape of the points; it is empty where the axes count alike.
+    ``share`` has the shape of the points; empty means equal weights of the axes.
     """
     for i in range(len(points)):
         if len(share):
@@ -141,7 +141,7 @@ def _nearest_chords(
 def _most_between(
     first: float, second: float, here: FloatArray, there: FloatArray, share: FloatArray
 ) -> float:
-    """Return what no squared distance is above on a way between ends with such squared ones."""
+    """Return an upper bound of squared distances on a segment, given those of its ends."""
     squared = 0.0
     for k in range(len(here)):
         squared += (share[k] * (there[k] - here[k])) ** 2
@@ -160,28 +160,28 @@ def _none_farther(
     share: FloatArray,
     least: float,
 ) -> bool:
-    """Say whether it is plain that no place between two points is farther than ``least``, squared.
+    """Return whether certainly no place between two points is farther than ``least``, squared.
 
     ``known`` is a chord near the first point, ``chord`` one near the second.
     """
-    # One chord that is near both ends is enough: no place of the way is farther from it.
+    # One chord near both ends is enough: no place of the segment is farther from it than an end.
     second = weighed_to_segment(there, vertices[chord - 1], vertices[chord], share)
     other = weighed_to_segment(here, vertices[chord - 1], vertices[chord], share)
     if max(other, second) <= least:
         return True
-    # Nor is any farther than half of the way and of the distances of both ends.
+    # Nor can a place be farther than half of the segment plus the distances of both ends.
     first = weighed_to_segment(here, vertices[known - 1], vertices[known], share)
     if _most_between_fast(first, second, here, there, share) <= least:
         return True
     if abs(chord - known) != 1:
         return False
-    # The vertex between the chords parts the way: each part is near its own chord at both ends.
+    # The vertex between the chords splits the segment: each part is near its own chord.
     joint = weighed_to_segment(vertices[min(known, chord)], here, there, share)
     return max(first, second, joint) <= least
 
 
 def _alike(first: IntArray, first_only: int, second: IntArray, second_only: int) -> bool:
-    """Say whether all numbers are the same; the one of all counts where it is not below 0."""
+    """Return whether all chord numbers are equal; ``only`` counts unless it is below 0."""
     if first_only >= 0 and second_only >= 0:
         return first_only == second_only
     others = 0
@@ -211,10 +211,10 @@ def _look_between(
     r: int,
     number: int,
 ) -> None:
-    """Raise ``worst[r]``, squared, where the way between two points is farther than its ends.
+    """Raise ``worst[r]``, squared, where a segment between two points is farther than its ends.
 
     ``left_from`` is a chord near the first point, ``led_to`` one near the second; ``low`` to
-    ``high`` are those that count. Where the worst is: see ``between``.
+    ``high`` are the candidates. For the place of the worst see ``between``.
     """
     least = max(worst[r], _NOTHING_M2)
     if _none_farther_fast(here, there, max(left_from, low), led_to, vertices, of, least):
@@ -230,7 +230,7 @@ def _look_between(
         for n in range(axes):
             start[n] = here[n] + a * (there[n] - here[n])
             stop[n] = here[n] + b * (there[n] - here[n])
-        # No place of this part is farther than its ends from any one chord.
+        # No place of this part is farther than its ends from any single chord.
         bound = np.inf
         for c in range(low, high + 1):
             first = weighed_to_segment(start, vertices[c - 1], vertices[c], of)
@@ -273,14 +273,14 @@ def _between(
     worst_chord: IntArray,
     number: int,
 ) -> None:
-    """Raise ``worst``, (runs,) squared, where the straight way to a point is farther than its ends.
+    """Raise ``worst``, (runs,) squared, where a segment to a point is farther than its ends.
 
-    The distance to one chord is largest at an end of the way; to two it may not be. ``chord`` are
-    the nearest ones of each run, unless ``only`` is one of all. ``begin``, ``end`` and ``only``
-    have an entry more than the points, for the point before. Where the worst is: ``at`` the
-    point that the way leads to, counted from ``number`` on, ``part`` of the way (0..1), and the
-    nearest chord ``worst_chord``. The way counts with the shares of the point that it leads to;
-    where ``share`` is empty the axes count alike.
+    The distance to one chord is largest at an end of the segment; to two it may not be. ``chord``
+    are the nearest ones of each run, unless ``only`` gives one for all. ``begin``, ``end`` and
+    ``only`` have one entry more than the points, for the point before. The place of the worst is
+    ``at``, the point that the segment leads to, counted from ``number``; ``part`` of the segment
+    (0..1); and the nearest chord ``worst_chord``. Axes are weighed with the shares of the point
+    that the segment leads to; an empty ``share`` means equal weights.
     """
     axes = points.shape[1]
     here, there, of = np.empty(axes), np.empty(axes), np.ones(axes)
@@ -325,12 +325,12 @@ def nearest_chords(
     vertices
         (m, axes).
     share
-        (n, axes, runs) with which the axes count at each point; None where they count alike.
+        (n, axes, runs) weights of the axes at each point; None for equal weights.
     """
     samples, axes, runs = points.shape
     squared = np.empty((samples, runs))
     chord = np.empty((samples, runs), dtype=np.int64)
-    way, length = chord_ways(vertices)
+    way, length = chord_vectors(vertices)
     each, shares = (0,) * axes, points[:0] if share is None else share
     nearest_chords_each(points, begin, end, vertices, way, length, each, shares, squared, chord)
     return squared, chord

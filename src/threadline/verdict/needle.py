@@ -24,10 +24,10 @@ from threadline.jobs.operations import (
 )
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 from threadline.verdict.samples import PLANNED_RESOLUTION
-from threadline.verdict.window import Passing
+from threadline.verdict.window import TrajectoryFollower
 
-_MOST_MOVES = 1024  # in hand at once
-_ROUNDING = 1e-9  # of the time: pieces that are no farther apart than this meet
+_MOST_MOVES = 1024  # in memory at once
+_ROUNDING = 1e-9  # of the time: pieces no farther apart than this are adjacent
 _TAGS = (
     "contour", "exempt", "target_m", "slowest_hz", "fastest_hz", "most_hz_s", "from_m", "to_m",
 )  # fmt: skip
@@ -41,28 +41,28 @@ class Stitches:
     Parameters
     ----------
     operation, line
-        (n,) of the move of each.
+        (n,) move of each stitch, and its line.
     contour
-        (n,) number of the contour that it belongs to; a contour's first stitch has ``first``.
+        (n,) number of its contour; the first stitch of a contour has ``first``.
     first, exempt
         (n,) bool.
     point
-        (n, axes) where the needle is to go down, lengths at the tool.
+        (n, axes) intended needle-down point, lengths at the tool.
     from_point, from_s
-        (n, axes) and (n,) the same of the needle-down before.
+        (n, axes) point and (n,) time of the previous needle-down.
     down_s
-        (n,) when it goes down, from the start of the trajectory.
+        (n,) time of the needle-down, from the start of the trajectory.
     target_m, period_s
-        (n,) wanted length, and programmed time of one turn of the needle; where the needle follows
-        the head it is the planned one, from when the head departs.
+        (n,) wanted length, and programmed time of one turn of the needle; for a needle that follows
+        the head, the planned time from the departure of the head.
     slowest_hz, fastest_hz
-        (n,) between which speeds a needle turns that follows the head; NaN for any other.
+        (n,) speed range of a needle that follows the head; NaN for any other.
     most_hz_s
-        (n,) most that the speed of such a needle may change by, stitch/s^2; NaN without a limit.
+        (n,) largest change rate of such a needle's speed, stitch/s^2; NaN without a limit.
     departs, stops
         (n,) bool: the head rests before the stitch, and after it.
     from_m, to_m
-        (n,) the stretch of the drawn line that each covers; NaN where nothing is drawn.
+        (n,) stretch of the drawn line that each covers; NaN without a drawing.
     """
 
     operation: IntArray
@@ -93,7 +93,7 @@ class Stitches:
 
     @property
     def follows(self) -> NDArray[np.bool_]:
-        """(n,) whether the needle turns with the way of the head."""
+        """(n,) whether the needle turns with the motion of the head."""
         return ~np.isnan(self.fastest_hz)
 
     def rows(self, rows: slice) -> Stitches:
@@ -102,14 +102,14 @@ class Stitches:
 
 
 _FOUND: WeakKeyDictionary[Plan, KeptStream[Stitches]] = WeakKeyDictionary()
-"""Stitches of the plans that there are: what finds them does not hold the plan."""
+"""Stitches of existing plans; the entries do not keep a plan alive."""
 
 
 def has_stitches(job: Job) -> bool:
-    """Say whether the moves of a job carry the tags of a seam's stitches; reads up to the first.
+    """Return whether the moves of a job have the tags of a seam's stitches; reads up to the first.
 
-    A seam begins with a tool event ``sew``. Part programs may name tags of their own, ``stitch``
-    among them, without being seams.
+    A seam begins with a tool event ``sew``. Part programs may name tags of their own, such as
+    ``stitch``, without being seams.
     """
     for item in job.runs():
         if isinstance(item, ToolEvent) and item.name == "sew":
@@ -122,12 +122,12 @@ def has_stitches(job: Job) -> bool:
 
 
 def planned_stitches(plan: Plan) -> Iterator[Stitches]:
-    """Yield the stitches of ``plan`` in runs, in one reading of the job and of its trajectory.
+    """Yield the stitches of ``plan`` in groups, in one reading of the job and its trajectory.
 
-    The needle is geared with the motion: it is down when the commanded head passes the end of the
-    stitch's move, in the order of the job. Where the loads follow the motion by feed-forward the
-    needle keeps the times before smoothing, which are those of the job. The stitches of a short
-    job are found once, however many measures and runs read them.
+    The needle is geared to the motion: it is down when the commanded head passes the end of the
+    stitch's move, in the order of the job. If the loads follow by feed-forward, the needle keeps
+    the times of the job, from before smoothing. The stitches of a short job are computed once,
+    however many measures and runs read them.
     """
     return iter(_FOUND.setdefault(plan, KeptStream(_found, plan.job, plan.motion)))
 
@@ -139,8 +139,8 @@ def _found(job: Job, intended: Motion) -> Iterator[Stitches]:
     columns = [motion.axes.index(axis) for axis in job.axes]
     start = np.asarray(job.start, dtype=np.float64) * radius
     moving = _Moving(motion)
-    passing = Passing(moving, columns, radius, start)
-    before_s, contour = passing.time_s, -1.0
+    follower = TrajectoryFollower(moving, columns, radius, start)
+    before_s, contour = follower.time_s, -1.0
     runs = _runs(job)
     waiting: _Moves | None = None
     while True:
@@ -152,7 +152,7 @@ def _found(job: Job, intended: Motion) -> Iterator[Stitches]:
         if waiting is None or not len(waiting):
             return
         points = waiting.target[:_MOST_MOVES] * radius
-        down = passing.times(points)
+        down = follower.times(points)
         done = len(down)
         taken, waiting = waiting.rows(slice(done)), waiting.rows(slice(done, None))
         points = points[:done]
@@ -199,7 +199,7 @@ def _period_s(feed: Feed | None) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Moves:
-    """Consecutive moves, n of them: what their stitches are made of.
+    """Consecutive moves, n of them, from which stitches are made.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ class _Moves:
     begins, ends
         (n,) bool: the head rests before the move, and after it.
     sewn, tags
-        (n,) bool: it is a stitch; (n, tags) as ``_TAGS`` has them, NaN for what it lacks.
+        (n,) bool: whether it is a stitch; (n, tags) in the order of ``_TAGS``, NaN if missing.
     """
 
     operation: IntArray
@@ -222,7 +222,7 @@ class _Moves:
 
     @classmethod
     def of(cls, run: MoveRun, first: int, *, rested: bool) -> _Moves:
-        """Return those of a run whose first move has that number in the job."""
+        """Return the moves of a run whose first move has the number ``first`` in the job."""
         count = len(run)
         period_s, begins = np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
         for at, feed in run.feeds:
@@ -248,14 +248,14 @@ class _Moves:
         return _Moves(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def with_more(self, more: _Moves) -> _Moves:
-        """Return these moves and more behind them."""
+        """Return these moves followed by more."""
         return _Moves(
             *(np.concatenate([getattr(one, f.name) for one in (self, more)]) for f in fields(self))
         )
 
 
 def _numbers(run: MoveRun, name: str) -> FloatArray:
-    """Return (n,) the numbers of a tag, NaN where a move lacks it."""
+    """Return (n,) the numbers of a tag, NaN if a move lacks it."""
     column = run.columns.get(name)
     if column is None:
         return np.full(len(run), np.nan)
@@ -268,7 +268,7 @@ def _numbers(run: MoveRun, name: str) -> FloatArray:
 
 
 def _runs(job: Job) -> Iterator[_Moves]:
-    """Yield the moves of a job, a run at a time; the head rests where something else is done."""
+    """Yield the moves of a job in groups; the head rests at any other operation."""
     rested, number, last = True, 0, None
     for item in move_runs(job):
         if isinstance(item, MoveRun) and not len(item):
@@ -285,17 +285,17 @@ def _runs(job: Job) -> Iterator[_Moves]:
 
 
 class _Moving:
-    """The pieces that move: the needle is down when a stitch ends, not its rest after it.
+    """The pieces that move: the needle is down when a stitch ends, before any rest there.
 
     Parameters
     ----------
     trajectory
-        With its rests.
+        Trajectory with its rests.
     """
 
     def __init__(self, trajectory: Trajectory) -> None:
         self._source = trajectory
-        self._departs_s: list[float] = []  # when the motion goes on after rests that take time
+        self._departs_s: list[float] = []  # end of each rest that takes time
 
     def __iter__(self) -> Iterator[TrajectoryBlock]:
         end_s = 0.0
@@ -320,10 +320,10 @@ class _Moving:
                 )
 
     def departs(self, from_s: FloatArray, until_s: FloatArray) -> FloatArray:
-        """Return (n,) when the head departs on stitches that begin with a rest.
+        """Return (n,) departure times of the head for stitches that begin with a rest.
 
-        ``from_s`` and ``until_s`` are (n,) when it came to where each begins, and ends. What is
-        over by the last of them is let go of.
+        ``from_s`` and ``until_s`` are (n,) the times at the start and end of each stitch. Rests
+        before the last of them are discarded.
         """
         found = np.array(from_s)
         departs = np.array(self._departs_s)

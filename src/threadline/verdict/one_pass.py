@@ -1,4 +1,4 @@
-"""Runs while they are read: each once, all measures of it at the same time."""
+"""Reads each run once, with all its measures at the same time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Findings = dict[Key, list[Found]]
 
 
 class _Begun:
-    """The measures of one run, begun, and what cannot be measured of it."""
+    """The started measures of one run, and the reasons for those that cannot be measured."""
 
     def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], together: bool) -> None:
         self.run = run
@@ -33,7 +33,7 @@ class _Begun:
                 continue
             missing = run.lacks(reading, kind.per_axis)
             if missing:
-                # Of every axis: another recording may have measured it, and this one counts too.
+                # For every axis: another recording may have measured it, and both count.
                 for_axes = run.plan.axes if kind.per_axis else ("",)
                 self._lacking[key] = [
                     Found.made([Finding(value=None, axis=axis, note=missing)]) for axis in for_axes
@@ -44,7 +44,7 @@ class _Begun:
         self._measures = [one.measure for one in self._running.values()]
 
     def blocks(self) -> Iterator[Block]:
-        """Feed the measures; yield what they were fed with."""
+        """Feed the measures; yield their blocks."""
         for block in self.run.blocks():
             feed(self._measures, block)
             self.last = block
@@ -56,15 +56,15 @@ class _Begun:
 
 
 class _Timed:
-    """A run with the operations of the plan, read in step with the run as it was recorded."""
+    """A run with the plan's operations, read in step with the run as it was recorded."""
 
     def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], together: bool) -> None:
         self.begun = _Begun(run, kinds, together)
         self._blocks = self.begun.blocks()
-        self._operation: IntArray = np.empty(0, dtype=np.int64)  # of samples not asked for yet
+        self._operation: IntArray = np.empty(0, dtype=np.int64)  # samples not asked for yet
 
     def operations(self, count: int) -> IntArray:
-        """Read on until there are the operations of ``count`` more samples; return them."""
+        """Read on until ``count`` more samples have operations; return these."""
         while len(self._operation) < count:
             block = next(self._blocks)
             assert block.operation is not None
@@ -73,39 +73,39 @@ class _Timed:
         return taken
 
     def finish(self) -> None:
-        """Read what is left."""
+        """Read the rest."""
         for _ in self._blocks:
             pass
 
     def leave(self) -> None:
-        """Read no more; nothing is kept for it."""
+        """Stop reading; nothing is kept for it."""
         self.begun.run.leave()
 
 
 class Pass:
     """One pass over one run.
 
-    Until it is known whether the recording has operations of its own, the run is measured twice,
-    side by side: with the operations as recorded, and with those of the plan by time.
+    Until it is known whether the recording has operations of its own, the run is measured twice in
+    parallel: with the operations as recorded, and with those of the plan by time.
 
     Parameters
     ----------
     run
         The run.
     kinds
-        Measures, by what is asked for.
+        Measures, by key.
     together
-        Whether the runs that its recording holds side by side are measured together, too.
+        Whether the parallel runs of its recording are measured together, too.
     """
 
     def __init__(self, run: Run, kinds: Mapping[Key, MeasureKind], *, together: bool) -> None:
         self._begun = _Begun(run, kinds, together)
-        self._timed = None if run.untold is None else _Timed(run.untold, kinds, together)
+        self._timed = None if run.fallback is None else _Timed(run.fallback, kinds, together)
 
     def blocks(self) -> Iterator[tuple[Block, IntArray | None]]:
         """Read the run; yield its blocks, and the operations by time while they may be needed."""
         for block in self._begun.blocks():
-            if self._timed is not None and self._begun.run.untold is None:
+            if self._timed is not None and self._begun.run.fallback is None:
                 self._timed.leave()
                 self._timed = None
             yield block, None if self._timed is None else self._timed.operations(len(block))
@@ -115,11 +115,11 @@ class Pass:
 
     @property
     def run(self) -> Run:
-        """The run; after it was read, the one whose operations count."""
+        """The run; after reading, the one whose operations count."""
         return self._begun.run
 
     def found(self) -> Findings:
-        """Return what was found of this run, after it was read; its samples are let go of."""
+        """Return the findings of this run, after reading; discard its samples."""
         found = self._begun.found()
         self.run.release()
         return found
@@ -131,8 +131,8 @@ def read_all(passes: Sequence[Pass], together: Sequence[MeasureOfRuns]) -> None:
     Parameters
     ----------
     together
-        Measures of all of them: where there are any, the run that is furthest behind is read next,
-        so that none of them is far ahead of another.
+        Measures of all runs: if there are any, the run that is furthest behind is read next, so
+        that none gets far ahead of another.
     """
     readers = dict(enumerate(one.blocks() for one in passes))
     taken = dict.fromkeys(readers, 0)

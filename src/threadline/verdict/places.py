@@ -1,4 +1,4 @@
-"""Places of the command that the tools of many runs can have come to, sample by sample."""
+"""Places of the command that the tools of many runs can have reached, sample by sample."""
 
 from __future__ import annotations
 
@@ -10,18 +10,25 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
 from threadline.verdict.boxes import MORE, Boxes
 
-_CEILING = 4.0  # times the largest squared error: a place behind that is worth more is given up
+_CEILING = 4.0  # times the largest squared error: a worse trailing place is dropped
 
 
-def _given_up(value: FloatArray, row: int, ceiling: float, dropped: FloatArray) -> bool:
-    """Say whether all values of a row are above the ceiling; if so lower ``dropped`` to them."""
-    near = 0
+def _given_up(
+    value: FloatArray, row: int, long: float, ceiling: float, dropped: FloatArray
+) -> bool:
+    """Return whether all values of a row exceed the ceiling; if so lower ``dropped`` to them.
+
+    The ceiling is compared with the least value reachable in the next place, ``long`` m long: the
+    root of the value falls with the distance.
+    """
+    least, near = np.sqrt(ceiling) + long, 0
     for r in range(len(dropped)):
-        near += value[row, r] <= ceiling
+        near += value[row, r] <= least * least
     if near:
         return False
     for r in range(len(dropped)):
-        dropped[r] = value[row, r] if value[row, r] < dropped[r] else dropped[r]
+        left = (np.sqrt(value[row, r]) - long) ** 2
+        dropped[r] = left if left < dropped[r] else dropped[r]
     return True
 
 
@@ -31,7 +38,7 @@ _given_up_fast = njit(nogil=True)(_given_up)
 def _ahead(
     point: FloatArray, start: FloatArray, way: FloatArray, per_length: float, heading: FloatArray
 ) -> float:
-    """Return how far a point is from the nearest place of a way, along a heading."""
+    """Return how far a point is from the nearest place of a segment, along a heading."""
     length, along = 0.0, 0.0
     for a in range(len(point)):
         length += (point[a] - start[a]) * way[a]
@@ -54,7 +61,7 @@ def _bounds(
     k: int,
     per_length: float,
 ) -> tuple[float, float]:
-    """Return what no place of box i is nearer to way k than, and none farther; both squared."""
+    """Return a lower and an upper bound of the distance of box i to segment k, both squared."""
     middle, half = 0.0, 0.0
     for a in range(way.shape[1]):
         place = 0.5 * (lower[i, a] + upper[i, a])
@@ -81,57 +88,70 @@ def _stay_at(
     way: FloatArray,
     k: int,
     per_length: float,
+    long: float,
     axes: tuple[int, ...] | FloatArray,
     value: FloatArray,
     row: int,
     carry: FloatArray,
     least: FloatArray,
     worst: FloatArray,
-    ceiling: float,
-) -> tuple[int, int, int]:
-    """Advance ``row`` of ``value``, that of place k, by sample i; with it ``carry`` and ``least``.
+    limit: float,
+) -> tuple[int, int]:
+    """Advance ``row`` of ``value``, the row of place k, by sample i, and ``carry``, ``least``.
 
-    Return in how many runs it is more than ``worst``, in how many no more than ``ceiling``, and in
-    how many the least of all places so far is more than ``worst``. ``axes`` has one entry for each
-    axis: of a tuple the length is known when this is compiled, and the loops over axes are gone.
+    Return the number of runs in which the least of all places so far is at most ``limit``, and in
+    which it exceeds ``worst``. ``axes`` is a tuple with one entry per axis: its length is known at
+    compile time, and loops over axes are unrolled.
+
+    The values at the place's beginning and end were ``carry`` and ``row``'s. From the beginning on
+    the root of the value falls with the distance, down to the value at the end. So the least is
+    where the tool is nearest, or farther on, where its growing distance meets the falling root.
     """
-    more, near, farther = 0, 0, 0
+    near, farther = 0, 0
     for r in range(len(carry)):
-        carried = value[row, r] if value[row, r] < carry[r] else carry[r]
+        left, held = carry[r], value[row, r]
         along = 0.0
         for a in range(len(axes)):
             along += (points[i, a, r] - command[start, a]) * way[k, a]
-        where = along * per_length
-        where = where if where > 0.0 else 0.0
+        place = along * per_length
+        where = place if place > 0.0 else 0.0
         where = where if where < 1.0 else 1.0
         away = 0.0
         for a in range(len(axes)):
             gap = points[i, a, r] - command[start, a] - where * way[k, a]
             away += gap * gap
         error = away - off[i, r]
-        error = error if error > carried else carried
-        carry[r] = carried
-        value[row, r] = error
+        behind = np.sqrt(left) - where * long
+        beside, room = (where - place) * long, (1.0 - where) * long
+        on = (behind * behind - error) / (2.0 * (behind + beside))
+        on = on if on < room else room  # room too where it is no number
+        on = on if on > 0.0 else 0.0
+        on = on if behind > 0.0 and behind * behind > error else 0.0
+        error += on * (2.0 * beside + on)
+        error = error if error > held else held
+        carry[r] = held
         least[r] = error if error < least[r] else least[r]
-        more += error > worst[r]
-        near += error <= ceiling
+        value[row, r] = least[r]
+        near += least[r] <= limit
         farther += least[r] > worst[r]
-    return more, near, farther
+    return near, farther
 
 
 _stay_at_fast = njit(nogil=True)(_stay_at)
 
 
 class ProgressPart(NamedTuple):
-    """What a sweep over a block takes from the measure and brings back: see ``_advance``.
+    """Arrays that a sweep over a block reads and updates for the progress error: see ``_advance``.
 
-    Place ``first`` is that of the first sample of the block, which is the ``number``-th of all.
-    ``places`` are the first and the last that have a value; ``ceiling`` has one entry.
+    Place ``first`` belongs to the first sample of the block, which has the number ``number``.
+    ``inverse`` is 1 over the squared ``length`` of each place. ``places`` are the first and the
+    last place with a value; ``ceiling`` has one entry.
     """
 
     command: FloatArray
     way: FloatArray
     inverse: FloatArray
+    length: FloatArray
     heading: FloatArray
     first: int
     number: int
@@ -150,30 +170,31 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
 ) -> None:
     """Advance the places of the command by the samples ``points``, the first of them ``beginning``.
 
-    Place k is the way of the command from its sample k - 1 to k. Its value, of each run, is the
-    least of the largest squared errors with which the tool can have come to place k by now without
-    going back. Sample i, the ``number + i``-th of all, belongs to place ``first + i``. ``off`` is
-    its squared distance from the path, which is no error of progress. The least of all values only
-    grows: ``worst`` is what it has come to, ``at`` the sample at which it did, and ``side`` where
-    the tool was then, along the way of the command from the place that is nearest to being right.
+    Place k is the segment of the command from its sample k - 1 to k. The value of place k, in each
+    run, is the least possible largest squared error of a tool that has reached the end of place k,
+    or of an earlier one, by now without going back, within a place either: see ``_stay_at``. Sample
+    i, with the number ``number + i``, belongs to place ``first + i``. ``off`` is its squared
+    distance from the path, which is not an error of progress. The least of all values can only
+    grow: ``worst`` is its present value, ``at`` the sample at which it was reached, and ``side``
+    the tool's position then, along the command from its best matching place.
 
-    Places before the first and after the last of ``places`` have no value. A place that is the
-    first to have one, and has more than ``ceiling`` in every run, is given up: ``dropped`` is the
-    least that was given up, of each run, or less where the box of all runs told it. As long as it
-    is more than ``worst``, nothing was lost: the ceiling stays at four times the largest ``worst``
-    or more.
+    Places before the first of ``places`` have no value; those after the last have its value. The
+    first place with a value is dropped if it exceeds ``ceiling`` in every run, together with the
+    segment from its end to where the value may have fallen to the ceiling: ``dropped`` is the least
+    dropped value of each run, or a lower bound from the box of all runs. As long as it exceeds
+    ``worst``, nothing was lost: the ceiling stays at least four times the largest ``worst``.
 
-    A value that is no more than ``worst`` is as good as 0, for nothing is found below that. A place
-    where this is so of every run is quiet; where the box of all runs tells that it stays so, it is
-    not looked at, and its value is 0 from then on.
+    A value of at most ``worst`` is as good as 0, for it cannot change the result. Only the last
+    place can have one in every run: it is settled. If the box of all runs shows that the next place
+    stays so, it is skipped, and its value is 0 from then on.
 
-    What goes over the axes of a place is compiled for two and for three of them, and for any
-    number; the rest is compiled once.
+    Loops over the axes of a place are compiled for two axes, for three, and for any number; the
+    rest is compiled once.
     """
-    # Each look into a tuple would count references.
+    # Each tuple access would count references.
     known, lower, upper, _, _ = boxes
     (
-        command, way, inverse, heading, first, number, lag, places, value, worst, at, side,
+        command, way, inverse, length, heading, first, number, lag, places, value, worst, at, side,
         ceilings, dropped,
     ) = part  # fmt: skip
     samples, axes, runs = points.shape
@@ -181,87 +202,74 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
     first, number = first + beginning, number + beginning
     low, high, ceiling = places[0], places[1], ceilings[0]
     carry, least = np.empty(runs), np.empty(runs)
-    # Of each place, whether it is quiet, whether its value was left out, and where it is near.
-    quiet, blank = np.zeros(rows, dtype=np.bool_), np.zeros(rows, dtype=np.bool_)
-    near = np.zeros(rows, dtype=np.int64)
-    raised, floor, lost = known, 0.0, np.inf
+    near = np.zeros(rows, dtype=np.int64)  # for each place, number of runs that need it
+    settled, raised, floor, lost, farther = False, known, 0.0, np.inf, 0
     for i in range(samples):
         last = first + i
         begin = max(last - lag, 0)
         for r in range(runs):
             carry[r] = 0.0 if number + i == 0 else np.inf
             least[r] = np.inf
-        row = (origin + last) % rows
-        for r in range(runs):
-            value[row, r] = np.inf
-        quiet[row] = blank[row] = False
         if raised and known:
             floor = np.inf
             for r in range(runs):
                 floor = min(floor, worst[r])
-        raised = carried_quiet = cleared = False
-        for k in range(low, begin):  # the lag excuses them no longer: the tool has moved on
-            row = (origin + k) % rows
-            carried_quiet = carried_quiet or quiet[row]
-            for r in range(0 if carried_quiet else runs):
-                carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
-        low, farther = max(low, begin), 0
-        for k in range(low, last + 1):
-            # Of the first place only its end is within the lag.
+        raised = False
+        if low < begin:  # beyond the lag: the tool must have passed these
+            row = (origin + min(begin - 1, high)) % rows
+            for r in range(runs):
+                carry[r] = value[row, r]
+            low = begin
+        k, farther = low, 0
+        while True:
+            # Only the end of the first place is within the lag.
             start = k - 1 if k > begin else k
-            per_length = inverse[k] if k > begin else 0.0
+            per_length, long = (inverse[k], length[k]) if k > begin else (0.0, 0.0)
+            limit = (np.sqrt(ceiling) + (length[k + 1] if k < last else 0.0)) ** 2
             row = (origin + k) % rows
-            carried_quiet = carried_quiet or quiet[row]
+            if k > high:
+                for r in range(runs):
+                    value[row, r] = carry[r]
+            apart, across = 0.0, np.inf
             if known:
                 apart, across = _bounds_fast(
                     lower, upper, i + 1, command, start, way, k, per_length
                 )
-                if carried_quiet and across <= floor:
-                    quiet[row] = blank[row] = True
-                    farther = 0
-                    break
-                if k == low and k < last and apart > ceiling:
-                    near[row] = 0
-                    for r in range(runs):
-                        near[row] += apart - off[i, r] <= ceiling
-                    if not near[row]:  # given up unseen
-                        lost = min(lost, ceiling)
-                        for r in range(0 if carried_quiet else runs):
-                            carry[r] = value[row, r] if value[row, r] < carry[r] else carry[r]
-                        low += 1
-                        continue
-                if carried_quiet and not cleared:
-                    for r in range(runs):
-                        carry[r] = 0.0
-                    cleared = True
-            if blank[row]:
+            if k > high and settled and across <= floor:
                 for r in range(runs):
                     value[row, r] = 0.0
-                blank[row] = False
+                farther = 0
+                break
+            if k == low and k < last and apart > limit:
+                near[row] = 0
+                for r in range(runs):
+                    near[row] += apart - off[i, r] <= limit
+                if not near[row]:  # dropped without a value
+                    lost = min(lost, ceiling)
+                    for r in range(runs):
+                        carry[r] = value[row, r]
+                    low, k = low + 1, k + 1
+                    continue
             if axes == 3:
-                more, near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, (0, 0, 0), value, row,
-                    carry, least, worst, ceiling,
+                near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, long, (0, 0, 0), value, row,
+                    carry, least, worst, limit,
                 )  # fmt: skip
             elif axes == 2:
-                more, near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, (0, 0), value, row,
-                    carry, least, worst, ceiling,
+                near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, long, (0, 0), value, row,
+                    carry, least, worst, limit,
                 )  # fmt: skip
             else:
-                more, near[row], farther = _stay_at_fast(
-                    points, off, i, command, start, way, k, per_length, way[k], value, row,
-                    carry, least, worst, ceiling,
+                near[row], farther = _stay_at_fast(
+                    points, off, i, command, start, way, k, per_length, long, way[k], value, row,
+                    carry, least, worst, limit,
                 )  # fmt: skip
-            quiet[row] = more == 0 and known
-            if not farther:  # here every run has been good enough: no later place is better
+            # Where every run has been good enough no later place is better.
+            if k == last or not farther:
                 break
-        for later in range(k + 1, high + 1):
-            row = (origin + later) % rows
-            for r in range(runs):
-                value[row, r] = np.inf
-            quiet[row] = blank[row] = False
-        high = k
+            k += 1
+        high, settled = k, not farther
         if farther:
             raised = True
             for r in range(runs):
@@ -281,15 +289,11 @@ def _advance(  # noqa: PLR0915 - one loop over the places; each call would be co
                     )
         while low < high:
             row = (origin + low) % rows
-            if quiet[row] or (near[row] and not raised):
+            if near[row] and not raised:
                 break
-            if not _given_up_fast(value, row, ceiling, dropped):
+            if not _given_up_fast(value, row, length[low + 1], ceiling, dropped):
                 break
             low += 1
-    for row in range(rows):
-        if blank[row]:
-            for r in range(runs):
-                value[row, r] = 0.0
     if lost < np.inf:
         for r in range(runs):
             dropped[r] = min(dropped[r], lost)

@@ -1,4 +1,4 @@
-"""Where in the plan an instant of a run is: the chord of the path, and the time of the plan."""
+"""Place in the plan at an instant of a run: the chord of the path, and the time of the plan."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from threadline.errors import RecordingError
 from threadline.files import Clock, Event
 from threadline.verdict.window import PathWindow
 
-_SAME_M = 1e-6  # two chords nearer to the command than this to each other are the same line there
+_SAME_M = 1e-6  # chords whose distances from the command differ by less are the same line there
 
 
 def _squared(points: FloatArray, i: int, vertices: FloatArray, chord: int) -> float:
@@ -34,7 +34,7 @@ def _squared(points: FloatArray, i: int, vertices: FloatArray, chord: int) -> fl
 def _along(
     points: FloatArray, before: FloatArray, i: int, vertices: FloatArray, chord: int
 ) -> float:
-    """Return the part of the way to point ``i`` that is along a chord; ``before`` is point -1."""
+    """Return the component along a chord of the step to point ``i``; ``before`` is point -1."""
     along, length = 0.0, 0.0
     for k in range(points.shape[1]):
         direction = vertices[chord, k] - vertices[chord - 1, k]
@@ -55,9 +55,9 @@ def _refine(
     last: IntArray,
     same_m: float,
 ) -> None:
-    """Widen the chords ``first`` to ``last`` of each point by a neighbour that it is really on.
+    """Widen the chords ``first`` to ``last`` of each point by a neighbour that matches better.
 
-    Rows are indexed through: to take one out of an array would count references.
+    Rows are accessed by index: taking a row out of an array would count references.
     """
     end = len(vertices) - 1
     for i in range(len(points)):
@@ -94,20 +94,19 @@ def chords_under_way(
 ) -> tuple[IntArray, IntArray]:
     """Return (n,) first and last chord that each command is on, counted from the path's start.
 
-    The chords of its operation, and the one before or after them where the command is nearer to
-    that one, or as near and moving along it: a blend round a corner is labelled with one
-    operation although it follows two.
+    These are the chords of its operation, and a neighbour if the command is nearer to it, or
+    equally near and moving along it: a blend round a corner has one operation but follows two.
 
     Parameters
     ----------
     path
-        Holds the operations and their neighbours.
+        Window with the operations and their neighbours.
     own
-        (n,) first and last chord of the operation under way, see ``PathWindow.chords``.
+        (n,) first and last chord of the current operation, see ``PathWindow.chords``.
     commanded
-        (n, axes) lengths at the tool, or None where the command was not recorded.
+        (n, axes) lengths at the tool; None if the command was not recorded.
     before
-        (axes,) the command before these, None at the start.
+        (axes,) the command before these; None at the start.
     """
     first, last = own[0].copy(), np.maximum(*own)
     if commanded is not None and np.isfinite(commanded).all():
@@ -118,40 +117,40 @@ def chords_under_way(
 
 
 _MOST_S = 1e9  # thirty years
-_ROUNDING = 1e-9  # of a period: an instant that is a tick but for a rounding is that tick
+_ROUNDING = 1e-9  # of a period: an instant this close to a tick is that tick
 
 
 class PlanClock:
-    """Follows the events ``plan`` of a recording, in bounded memory.
+    """Follows the ``plan`` events of a recording, in bounded memory.
 
-    Without any the plan's time is that of the recording. Behind an event it goes on with the
-    clock, or stands where the event before it has the same time but for ``_ROUNDING`` of a period.
-    It never goes back.
+    Without events the plan's time equals the recording's. After an event it advances with the
+    clock, or stands still if the previous event had the same plan time within ``_ROUNDING`` of a
+    period. It never goes back.
 
     Parameters
     ----------
     clock
-        Of the recording.
+        Clock of the recording.
     """
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._slack_s = _ROUNDING * float(clock.period_s)
-        self._from_s: FloatArray = np.empty(0)  # when each event was
-        self._due_s: FloatArray = np.empty(0)  # and what was due then
-        self._rate: FloatArray = np.empty(0)  # at which the plan goes on behind it
+        self._from_s: FloatArray = np.empty(0)  # time of each event
+        self._due_s: FloatArray = np.empty(0)  # plan's time at each event
+        self._rate: FloatArray = np.empty(0)  # rate of the plan's time after each event
         self._tick = 0  # of the latest event
-        self._gone = 0  # events that were let go of
-        self._passed = 0  # events up to the instant that was asked for last
-        self._latest_s = -np.inf  # plan's time then
+        self._gone = 0  # events that were discarded
+        self._passed = 0  # events up to the latest requested instant
+        self._latest_s = -np.inf  # plan's time at that instant
 
     def take(self, events: Iterable[Event]) -> None:
-        """Take the events of a block, before its instants are asked for.
+        """Take the events of a block, before its instants are requested.
 
         Raises
         ------
         RecordingError
-            If they go back, or tell a time that no plan has.
+            If they go back in time, or give a time that no plan has.
         """
         told = [event for event in events if event.kind == "plan"]
         if not told:
@@ -159,7 +158,7 @@ class PlanClock:
         for event in told:
             if event.tick < self._tick or not 0.0 <= event.value <= _MOST_S:
                 raise RecordingError(
-                    f"an event tells that {event.value:.6g} s of the plan were due at "
+                    f"an event says that {event.value:.6g} s of the plan were due at "
                     f"{self._clock.time_s(event.tick):.6g} s",
                     remedy="Events follow each other in time, and a plan begins at 0 s; record it "
                     "again.",
@@ -174,13 +173,13 @@ class PlanClock:
         self._rate = np.concatenate([self._rate, np.where(stands, 0.0, 1.0)])
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, NDArray[np.bool_] | None]:
-        """Return what was due at (n,) rising instants, later than those asked for before.
+        """Return the plan's time at (n,) ascending instants, later than those of earlier calls.
 
         Returns
         -------
         tuple
-            (n,) times of the plan, s; and (n,) whether less than the time from the instant before
-            was due since then. The instants themselves and None where no event has come yet.
+            (n,) times of the plan, s; and (n,) whether the plan's time advanced less than the clock
+            since the previous instant. Without any event yet: the instants themselves, and None.
         """
         if not len(self._from_s) or not len(time_s):
             return time_s, None

@@ -1,4 +1,4 @@
-"""Every measure by the name that a specification calls it."""
+"""Every measure by its name in a specification."""
 
 from __future__ import annotations
 
@@ -120,8 +120,8 @@ _KINDS = (
         ),
         options=repeat.OPTIONS,
     ),
-    # The only measure of plans or runs by the intent: a path or step tables tell beforehand how far
-    # they go, a schedule does not. The allowance is for rounded sums that end beyond the travel.
+    # Measured on plans or on runs, by intent: a path or step tables tell beforehand how far they
+    # go, a schedule does not. The allowance is for rounded sums that end beyond the travel.
     MeasureKind(
         name="travel",
         dimension="axis",
@@ -304,7 +304,7 @@ _KINDS = (
         per_axis=False,
         reads=(_switched(switch_measures.switching_error),),
     ),
-    # Recorded instants are sums of periods: a rounding is no fault.
+    # Recorded instants are sums of periods: allow for rounding.
     MeasureKind(
         name="switching_dwell",
         dimension="time",
@@ -353,9 +353,9 @@ MEASURES: dict[str, MeasureKind] = {kind.name: kind for kind in _KINDS}
 
 
 def needed_channels(spec: Spec) -> tuple[ChannelKind, ...]:
-    """Return the kinds of channels that the criteria of ``spec`` read of a simulated machine.
+    """Return the kinds of channels that the criteria of ``spec`` read from a simulated machine.
 
-    Where a criterion accepts several kinds of channel, the load is taken.
+    If a criterion accepts several kinds of channel, the load is taken.
     """
     needs = (need for criterion in spec.criteria for need in MEASURES[criterion.name].needs)
     found = {kind for n in needs for kind in ((ChannelKind.LOAD,) if ChannelKind.LOAD in n else n)}

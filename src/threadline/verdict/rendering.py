@@ -12,7 +12,7 @@ from threadline.base.arrays import finite
 from threadline.commands.plan import Plan
 from threadline.units import without_noise
 from threadline.verdict.demands import VELOCITY_STEPS
-from threadline.verdict.types import Change, Happening, Level, Result, Status, Verdict
+from threadline.verdict.types import Change, Disturbance, Level, Result, Status, Verdict
 
 _TOLD_SHARE = 10.0  # of a limit
 HAPPENED = "What changed the motion"
@@ -29,7 +29,7 @@ _SHOWN = {
 
 
 def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
-    """Return what ``prove --json`` prints; SI units, ``None`` for what is not a finite number."""
+    """Return the content of ``prove --json``; SI units, ``None`` for values that are not finite."""
     return {
         "job": plan.job.name,
         "machine": plan.machine.name,
@@ -48,10 +48,11 @@ def verdict_json(verdict: Verdict, plan: Plan) -> dict[str, Any]:
         "runs": verdict.runs,
         "machines": verdict.machines,
         **({"ends": verdict.ends} if verdict.ends else {}),
+        **({"band": verdict.band} if verdict.band else {}),
         "tightest": _tightest_json(verdict.tightest),
         "incomplete": verdict.incomplete,
         "late_ticks": verdict.late_ticks,
-        "events": [_happening(one) for one in verdict.happenings],
+        "events": [_disturbance(one) for one in verdict.disturbances],
         "options": dict(plan.options),
         **plan.intent.told(plan.options),
     }
@@ -65,7 +66,7 @@ def _tightest_json(result: Result | None) -> dict[str, Any] | None:
 
 
 def criteria_json(verdict: Verdict) -> list[dict[str, Any]]:
-    """Return the criteria as ``prove --json`` lists them."""
+    """Return the criteria as in ``prove --json``."""
     return [_criterion(result) for result in verdict.results]
 
 
@@ -90,7 +91,7 @@ def _criterion(result: Result) -> dict[str, Any]:
     }
 
 
-def _happening(one: Happening) -> dict[str, Any]:
+def _disturbance(one: Disturbance) -> dict[str, Any]:
     return {
         "kind": one.change.value,
         "text": one.text,
@@ -103,18 +104,18 @@ def _happening(one: Happening) -> dict[str, Any]:
 
 
 def _cuts(verdict: Verdict) -> list[str]:
-    """Return what the first limit switch did that cut a motor; none for most."""
-    cuts = [one.told for one in verdict.happenings if one.change is Change.LIMIT_SWITCH]
+    """Return the text about the first limit switch that cut a motor; usually empty."""
+    cuts = [one.words for one in verdict.disturbances if one.change is Change.LIMIT_SWITCH]
     return cuts[:1]
 
 
 def happened_lines(verdict: Verdict) -> list[str]:
-    """Return a line for each thing that changed the motion of the runs, with time and line."""
-    return [f"{HAPPENED}: {one.told}" for one in verdict.happenings]
+    """Return a line for each event that changed the motion of the runs, with time and line."""
+    return [f"{HAPPENED}: {one.words}" for one in verdict.disturbances]
 
 
 def happened_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of a table of what changed the motion of the runs."""
+    """Return header and rows of a table of events that changed the motion of the runs."""
     rows = [
         [
             one.text,
@@ -122,17 +123,17 @@ def happened_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
             str(one.job_line or "-"),
             str(one.run or "-"),
         ]
-        for one in verdict.happenings
+        for one in verdict.disturbances
     ]
     return [HAPPENED.lower(), "at", "line", "run"], rows
 
 
 def closing(verdict: Verdict) -> str:
-    """Return the line under a verdict for people: what, at which level, and how narrowly.
+    """Return the line under a verdict for people: result, level, and smallest margin.
 
-    A verdict that fails only because something required was not measured says so: nothing was
-    found out of specification, and nothing proved. Where the machine keeps its limits and nothing
-    else that was measured has one, that is all the line says.
+    A verdict that fails only because a required criterion was not measured says so: nothing was
+    found out of specification, and nothing proved. If the machine keeps its limits and no other
+    measured criterion has a limit, the line says only that.
     """
     level = _level(verdict)
     missing = dict.fromkeys(r.name for r in verdict.results if r.status is Status.NOT_MEASURED)
@@ -165,7 +166,7 @@ def closing(verdict: Verdict) -> str:
 
 
 def in_a_word(verdict: Verdict) -> str:
-    """Return a verdict as a table has it: what :func:`closing` begins with, in a word or two."""
+    """Return a verdict for a table: the first word or two of :func:`closing`."""
     if verdict.passed:
         return "in spec" if verdict.answers else "limits kept"
     failed = any(result.status is Status.FAILED for result in verdict.results)
@@ -173,7 +174,7 @@ def in_a_word(verdict: Verdict) -> str:
 
 
 def word_of_json(content: Mapping[str, Any]) -> str:
-    """Return a verdict that was written as JSON in the words that :func:`closing` begins with."""
+    """Return the first word or two of :func:`closing` for a verdict that was written as JSON."""
     if content["passed"]:
         return "limits kept" if content.get("level") == Level.LIMITS else "in spec"
     failed = any(one["status"] == Status.FAILED for one in content["criteria"])
@@ -183,7 +184,7 @@ def word_of_json(content: Mapping[str, Any]) -> str:
 def closing_of_all(verdicts: Sequence[Verdict]) -> str:
     """Return the line under several verdicts: how many are in spec, and at which level.
 
-    Where none of them answers more than whether limits are kept, that is all that is said.
+    If none of them answers more than whether limits are kept, the line says only that.
     """
     good = sum(verdict.passed for verdict in verdicts)
     what = "in spec" if any(verdict.answers for verdict in verdicts) else "within the limits"
@@ -203,28 +204,28 @@ def _level(verdict: Verdict) -> str:
         told += f", {verdict.machines} machine{'s' if verdict.machines > 1 else ''} within them"
     if verdict.ends:
         told += f", {verdict.ends} at the ends of the tolerances of loads and springs, one run each"
+    if verdict.band:
+        told += f", {verdict.band} with modes all over the band, one run each"
     if verdict.wished is not None:
         told += f", {100.0 * verdict.wished:.6g} % of all to pass"
     return told
 
 
 def _used(result: Result) -> str:
-    """Return how much of its limit a result uses, rounded up: 100 % is never less."""
+    """Return the used share of a result's limit, rounded up: 100 % is never less."""
     assert result.measured is not None and result.limit
     name = " ".join(filter(None, (result.name, result.axis, result.step)))
     share = max(result.measured, 0.0) / result.limit
-    if math.isinf(share):  # as the time to settle of what never does
+    if math.isinf(share):  # such as the settling time of a tool that never settles
         return f"{name} is beyond any multiple of its limit"
     return f"{percent_used(share)} of {name} used"
 
 
 def percent_used(share: float, digits: int = 0) -> str:
-    """Return the share of a limit that is used, in per cent, rounded up.
+    """Return the used share of a limit, in per cent, rounded up.
 
-    A result never reads better than it is: 100 % is never more than the limit. What is more than
-    ten times its limit is only told as that: such a figure says nothing but that something else is
-    wrong.
-
+    A result never reads better than it is: 100 % is never more than the limit. Above ten times the
+    limit the exact figure is omitted: something else must be wrong then.
     >>> percent_used(0.9401), percent_used(1.0), percent_used(1.0004), percent_used(0.9401, 1)
     ('95 %', '100 %', '101 %', '94.1 %')
     >>> percent_used(10.0), percent_used(112137.9)
@@ -237,7 +238,7 @@ def percent_used(share: float, digits: int = 0) -> str:
 
 
 def _not_kept(verdict: Verdict) -> list[str]:
-    """Return a line on the limits of the machine that a plan is excused from; none for most."""
+    """Return a line about limits of the machine that a plan need not keep; usually empty."""
     steps = any(r.hard and r.limit is None and VELOCITY_STEPS in r.note for r in verdict.results)
     if verdict.answers or not steps:
         return []
@@ -245,7 +246,7 @@ def _not_kept(verdict: Verdict) -> list[str]:
 
 
 def _unasked(verdict: Verdict) -> str:
-    """Return why a verdict says nothing beyond the limits of the machine."""
+    """Return why a verdict judges nothing beyond the limits of the machine."""
     asked = dict.fromkeys(r.name for r in verdict.results if r.limit is not None and not r.hard)
     if asked:
         were = "was" if len(asked) == 1 else "were"
@@ -263,10 +264,9 @@ def verdict_rows(
     verdict
         Its results keep their order.
     every_axis
-        One row per axis; else one per criterion, that of the worst axis and step, without the
-        zeros of axes that never move (each has its result all the same). Where some were
-        not measured it is the worst of the others, with a note; if they had to be, with a row of
-        theirs.
+        One row per axis; else one per criterion, for the worst axis and step, without the zeros of
+        axes that never move (these have a result all the same). If some were not measured, the row
+        is the worst of the others, with a note; a required one gets its own row.
     """
     header = ["criterion", "axis", "measured", "limit", "status", "at", "line", "note"]
     if every_axis:
@@ -281,7 +281,7 @@ def verdict_rows(
 
 
 def _of_what(result: Result, verdict: Verdict) -> Result:
-    """Return a result with a note where its value is of the plan beside values of a recording.
+    """Return a result with a note if its value is the plan's beside values of a recording.
 
     A limit of the plan that was measured on the recording instead has a note too.
     """
@@ -293,11 +293,10 @@ def _of_what(result: Result, verdict: Verdict) -> Result:
 
 
 def of_moving_axes(results: Sequence[Result]) -> list[Result]:
-    """Return the results but those of axes that stand still while another moves.
+    """Return the results except those of axes that stand still while another moves.
 
-    An axis stands still if its motion never has a speed. What fails there stays, and what is not
-    measured, and what is not 0: another axis may shake it. The room to the ends of its travel is
-    left out.
+    An axis stands still if its motion never has a speed. Results that failed, were not measured or
+    are not 0 stay: another axis may shake it. The room to the ends of its travel is left out.
     """
     speeds = {r.axis: r.measured for r in results if r.name == "velocity"}
     still = {axis for axis, v in speeds.items() if v is not None and without_noise(v) == 0.0}
@@ -314,9 +313,9 @@ def of_moving_axes(results: Sequence[Result]) -> list[Result]:
 
 
 def _worst(results: Sequence[Result]) -> list[Result]:
-    """Return the worst result of one criterion, and the first that it asks for but lacks.
+    """Return the worst result of one criterion, and the first required one that is missing.
 
-    Results that are not measured and not required are counted in the note of the worst.
+    The note of the worst counts results that are not measured and not required.
     """
     absent = [r for r in results if r.status is Status.NOT_MEASURED]
     measured = [r for r in results if r.status is not Status.NOT_MEASURED]
@@ -335,8 +334,7 @@ def _worst(results: Sequence[Result]) -> list[Result]:
 def _row(result: Result) -> list[str]:
     measured, note = result.measured, result.note
     if result.name == "travel" and measured is not None and measured < 0.0:
-        # To people a travel that is kept is told as 0 beyond it, and the room that is left as a
-        # note.
+        # A travel that is kept is shown as 0 beyond it, and the room that is left as a note.
         room = shown(without_noise(-measured), result.unit)
         of = f"{note}; " if note.startswith("of the ") else ""
         measured, note = 0.0, f"{of}{room} of room left"
@@ -362,9 +360,9 @@ def _line(result: Result) -> str:
 
 
 def step_rows(verdict: Verdict) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of what each step of a move list leaves, measure by measure.
+    """Return header and rows of the results of each step of a move list.
 
-    One row per step, in order; one column per measure and axis that is told of steps.
+    One row per step, in order; one column per measure and axis with results by step.
     """
     told = [r for r in verdict.results if r.step]
     columns = list(dict.fromkeys((r.name, r.axis) for r in told))
@@ -389,7 +387,7 @@ def _lacking(result: Result) -> bool:
 
 
 def _figure(result: Result) -> str:
-    """Return what was measured for people: 0 for rounding, unless it is what fails."""
+    """Return the measured value for people: 0 for rounding, unless it is what fails."""
     assert result.measured is not None
     value = result.measured
     if result.status is not Status.FAILED:
@@ -398,7 +396,7 @@ def _figure(result: Result) -> str:
 
 
 def shown(value: float, unit: str) -> str:
-    """Return a value in SI for people: in mm, degrees, ms, per cent."""
+    """Return an SI value for people: in mm, degrees, ms, per cent."""
     if math.isinf(value):
         return "never" if unit == "s" else "unbounded"
     if not unit:

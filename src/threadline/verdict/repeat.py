@@ -1,4 +1,4 @@
-"""Repeatability: how far runs of one and the same job lie apart."""
+"""Repeatability: the spread of runs of the same job."""
 
 from __future__ import annotations
 
@@ -45,17 +45,17 @@ class _Spread:
         )
 
     def finish(self) -> Sequence[Found]:
-        """Return the one finding that all runs have together."""
+        """Return the one finding for all runs together."""
         return [self._worst.found()]
 
 
 def start_repeatability(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring the spread of the runs that one recording holds side by side.
+    """Begin measuring the spread of parallel runs in one recording.
 
     Parameters
     ----------
     options
-        ``recordings``: how many it takes; fewer measure nothing.
+        ``recordings``: number of runs needed; fewer measure nothing.
     """
     wanted = max(int(options["recordings"]), 2)
     few = setting.runs < wanted
@@ -63,17 +63,17 @@ def start_repeatability(setting: Setting, options: Mapping[str, float]) -> Measu
 
 
 def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> MeasureOfRuns:
-    """Begin measuring the spread of runs that were recorded one by one.
+    """Begin measuring the spread of runs in separate recordings.
 
-    Fewer than the specification asks for measure nothing, nor do runs that were not in the same
-    operation at the same instant.
+    Nothing is measured with fewer runs than the specification asks for, or if the runs are not in
+    the same operation at the same instant.
 
     Parameters
     ----------
     runs
-        Read in step; memory holds what one of them is ahead of the others.
+        Read in step; memory holds only the lead of one run over the others.
     options
-        ``recordings``: how many it takes.
+        ``recordings``: number of runs needed.
     """
     wanted, count = max(int(options["recordings"]), 2), sum(run.runs for run in runs)
     few = f"needs {wanted} recordings, has {count}" if count < wanted else ""
@@ -82,7 +82,7 @@ def start_in_step(runs: Sequence[Setting], options: Mapping[str, float]) -> Meas
 
 @dataclass(slots=True)
 class _Taken:
-    """Samples of a run that wait for those of the others: a block, from one of its samples on."""
+    """Samples of a run that wait for the other runs: a block, from one of its samples on."""
 
     block: Block
     by_time: IntArray | None
@@ -94,7 +94,7 @@ class _Taken:
 
 
 class _Operations:
-    """The operations of a run, as they were recorded and by time, by their hashes."""
+    """Hashes of the operations of a run, as recorded and by time."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -113,11 +113,11 @@ class _Operations:
 
 
 class _InStep:
-    """The spread of runs, sample by sample, as soon as every run has one."""
+    """The spread of runs, sample by sample, as soon as every run has the sample."""
 
     def __init__(self, count: int, spread: _Spread, few: str) -> None:
         self._few = few
-        # By time a sample may be of another operation: the same spread, told with that one.
+        # By time a sample may belong to another operation: the same spread, reported with that one.
         self._own, self._by_time = spread, _Spread(spread.setting, few)
         self._held = False
         self._waiting: list[deque[_Taken]] = [deque() for _ in range(count)]

@@ -1,4 +1,4 @@
-"""One channel at the instants of another that has another clock or another stride."""
+"""Samples as measures read them: channels at common instants, and blocks of all channels."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from threadline.verdict.nearest import nearest_chords
 from threadline.verdict.window import PathWindow
 
 MOST_WAITING = 1 << 16
-"""Samples that wait for a channel that is behind; what comes later than that is refused."""
-_ROUNDING = 1e-9  # of a sample: instants of two clocks that should be one may differ by a rounding
+"""Samples that wait for a late channel; samples that come later than that are refused."""
+_ROUNDING = 1e-9  # of a sample: equal instants of two clocks may differ by a rounding
 
 
 def sample_interval_s(channel: Channel) -> float:
     """Return the time between two samples of a channel."""
     period_s = channel.clock.period_s
-    # The quotient of two whole numbers is correctly rounded, and no fraction is shortened.
+    # The quotient of two integers is correctly rounded, and no fraction needs to be reduced.
     return period_s.numerator * channel.stride / period_s.denominator
 
 
 class Follower:
-    """One channel at the instants of another: its own samples, or the last one until the next.
+    """One channel at the instants of another: its own samples, or the last one held.
 
-    Of a finer channel that is ``largest`` it is the sample of largest magnitude since the instant
-    before: between two instants nothing of it is lost.
+    With ``largest``, a finer channel gives the sample of largest magnitude since the previous
+    instant, so that no peak between two instants is lost.
 
     Parameters
     ----------
     channel, master
-        The channel whose samples are read, and the channel at whose instants.
+        The channel to read, and the channel that sets the instants.
 
     Attributes
     ----------
@@ -56,12 +56,12 @@ class Follower:
         self._time_s: FloatArray = np.empty(0)  # of samples that may still be needed
         self._values: FloatArray = np.empty(0)
         self._due_s = -np.inf  # when the next sample is due
-        self._asked_s = -np.inf  # the last instant at which it was asked for
+        self._asked_s = -np.inf  # the latest requested instant
 
     def values(self, block: RecordingBlock, count: int) -> FloatArray:
-        """Return (count, ...) samples of a block, where it has the same instants."""
+        """Return the (count, ...) samples of a block, for a channel with the same instants."""
         values = self._checked(block)
-        # What is missing of it in this block is no number; whoever needs it is told so.
+        # Samples missing in this block are NaN; the measures that need them are told why.
         lacking = max(count - len(values), 0)
         known = values[:count]
         return known if not lacking else np.concatenate([known, np.full(lacking, np.nan)])
@@ -78,12 +78,12 @@ class Follower:
         return values
 
     def take(self, block: RecordingBlock) -> None:
-        """Keep the channel's samples in a block until they are asked for.
+        """Keep the channel's samples in a block until they are requested.
 
         Raises
         ------
         RecordingError
-            If they come after their instants were taken for missing.
+            If they come after their instants have counted as missing.
         """
         values = self._checked(block)
         if not len(values):
@@ -103,11 +103,11 @@ class Follower:
         self._due_s = float(times[-1]) + sample_interval_s(channel)
 
     def known(self, time_s: FloatArray) -> int:
-        """Return at how many of some instants no sample can change its value any more."""
+        """Return at how many of some instants the value is final."""
         return int(np.searchsorted(time_s, self._due_s - self._slack_s))
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return the channel's values at instants later than those asked for before."""
+        """Return the channel's values at instants later than those of earlier calls."""
         if not len(time_s):
             return np.empty(0)
         self._asked_s = float(time_s[-1])
@@ -119,36 +119,36 @@ class Follower:
         self._time_s, self._values = times[keep:], values[keep:]
         if not self._largest:
             return np.asarray(values[held])
-        # The first value that was kept belongs to the instant before: it counted there already.
+        # The first value that was kept belongs to the previous instant and counted there.
         begin = np.minimum(np.concatenate([[self._fresh], held[:-1] + 1]), held)
         self._fresh = 1
-        # ``reduceat`` takes stretches from each place to the next: every other one is wanted.
+        # ``reduceat`` reduces from each index to the next: every other interval is wanted.
         pairs = np.column_stack([begin, held + 1]).ravel()
         sizes = np.append(np.abs(values[: keep + 1]), 0.0)
         return np.asarray(np.maximum.reduceat(sizes, pairs)[::2])
 
 
 MOST_HELD = 2_000_000  # samples of all runs in the lag: some 600 MB
-PARTS_OF_MEAN = 4096  # samples in the time over which a mean is taken, at most twice as many
-_LESS_THAN_A_COUNT = 1e-6  # of a count: two counts are one count apart but for a rounding
+PARTS_OF_MEAN = 4096  # samples in the averaging time, at most twice as many
+_LESS_THAN_A_COUNT = 1e-6  # of a count: tolerance for rounding when counts are compared
 PLANNED_RESOLUTION = 1e-12
-"""Resolution, m or rad, of commanded positions that are those of the plan, in doubles."""
+"""Resolution, m or rad, of commanded positions that come from the plan, in doubles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """What a measure knows before the first sample.
+    """The facts about a recording and its plan that a measure needs before the first sample.
 
     Parameters
     ----------
     plan, recording
-        What was intended, and what is judged.
+        The intended work, and the judged recording.
     axes, radius_m
-        Of the programmed path: names, and (axes,) lengths at the tool per unit of the axis.
+        Axes of the programmed path: names, and (axes,) lengths at the tool per unit of the axis.
     interval_s
         Time between two samples.
     lag_samples
-        How many samples the machine may trail its command.
+        Number of samples that the machine may trail its command.
     """
 
     plan: Plan
@@ -160,10 +160,10 @@ class Setting:
 
     @property
     def resolution(self) -> FloatArray:
-        """(axes,) change of a commanded position that is a motion, m or rad: see ``Steady``.
+        """(axes,) smallest change of a commanded position that counts as motion, m or rad.
 
-        One count of the axis, as commands are whole counts; where the loads follow the motion and
-        the commanded positions are those of the plan, a rounding of theirs.
+        One count of the axis, as commands are whole counts; a rounding error if the loads follow
+        the motion and the commanded positions come from the plan. See ``Steady``.
         """
         intended = self.plan.motion.of_loads
         planned = () if intended is None else intended.axes
@@ -183,17 +183,17 @@ class Setting:
 
     @property
     def runs(self) -> int:
-        """How many runs the recording holds side by side."""
+        """Number of parallel runs in the recording."""
         return self.recording.runs
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Block:
-    """Consecutive samples of runs in step, n of them, with every channel on the same instants.
+    """Consecutive samples of parallel runs, n of them, with every channel at the same instants.
 
-    Several runs are of the same commands: they differ in what the machine made of them. Of each
-    array (n, runs, axes) the runs of one axis at one instant lie side by side in memory, which is
-    what ``lanes`` hands to loops.
+    Several runs have the same commands and differ in the response of the machine. In each array
+    (n, runs, axes) the runs of one axis at one instant are adjacent in memory; ``lanes`` gives
+    compiled loops this layout.
 
     Parameters
     ----------
@@ -202,27 +202,27 @@ class Block:
     time_s
         (n,) instants.
     commanded
-        (n, axes) or None, of all runs; NaN where an axis has no such channel.
+        (n, axes) or None, for all runs; NaN for an axis without such a channel.
     actual, own
-        (n, runs, axes) or None: where the tool or load was, and what the axis' encoder read.
+        (n, runs, axes) or None: position of the tool or load, and reading of the axis' encoder.
     voltage, current, current_peak
-        (n, runs, axes) or None; the last two of largest magnitude since the sample before.
+        (n, runs, axes) or None; the last two of largest magnitude since the previous sample.
     operation
-        (n,) operation under way, or None.
+        (n,) current operation, or None.
     chord
         (n,) chord that the command is on, counted from the start of the path, or None.
     begin, end
-        (n,) first and last chord that it was or will be on within the lag of each sample.
+        (n,) first and last chord that the command is on within the lag around each sample.
     path
-        The programmed path about these operations, or None without an operation channel.
+        The programmed path around these operations, or None without an operation channel.
     torque_share
-        (n, runs, axes) or None: the torque asked of a drive over what it has, its largest since the
-        sample before.
+        (n, runs, axes) or None: torque asked of a drive over its limit, the largest since the
+        previous sample.
     plan_s, slow
-        (n,) the plan's time at each sample, and whether less of it went by than time did since the
-        sample before; None while it is that of the recording, which was not held yet.
+        (n,) the plan's time at each sample, and whether it advanced less than the clock since the
+        previous sample; None until the first hold, while it equals the recording's time.
     steady
-        (n, axes) ``commanded`` as what looks for a rest reads it: see ``Steady``. None as it is.
+        (n, axes) ``commanded`` with rests found by ``Steady``; None: equal to ``commanded``.
     """
 
     first: int
@@ -248,22 +248,22 @@ class Block:
 
     @property
     def rests(self) -> FloatArray | None:
-        """(n, axes) ``steady``, or ``commanded`` where nobody gave it; None without a command."""
+        """(n, axes) ``steady``, else ``commanded``; None without a command."""
         return self.commanded if self.steady is None else self.steady
 
     @property
     def due_s(self) -> FloatArray:
-        """(n,) the plan's time at each sample: what was due then by the plan is that of it."""
+        """(n,) the plan's time at each sample."""
         return self.time_s if self.plan_s is None else self.plan_s
 
     @property
     def runs(self) -> int:
-        """How many runs stand side by side."""
+        """Number of parallel runs."""
         of_runs = (self.actual, self.own, self.voltage, self.current)
         return next((values.shape[1] for values in of_runs if values is not None), 1)
 
     def window(self) -> tuple[PathWindow, IntArray, IntArray]:
-        """Return the path, and ``begin`` and ``end`` counted within what it holds."""
+        """Return the path, and ``begin`` and ``end`` counted within its window."""
         assert self.path is not None and self.begin is not None and self.end is not None
         begin = np.maximum(self.begin - self.path.first, 1)
         return self.path, begin, np.maximum(self.end - self.path.first, begin)
@@ -282,20 +282,20 @@ class Block:
 
     @cached_property
     def nearest(self) -> tuple[FloatArray, IntArray]:
-        """(n, runs) squared distances of the tool to the nearest chord of its window, and which."""
+        """(n, runs) squared distance of the tool to the nearest chord of its window, and which."""
         path, begin, end = self.window()
         return nearest_chords(self.at_tool, begin, end, path.vertices)
 
     @cached_property
     def shares(self) -> FloatArray | None:
-        """(n, axes, runs) what a length is of that of ``at_tool`` there; None where it is 1."""
+        """(n, axes, runs) ratio of true lengths to ``at_tool``; None where it is 1."""
         assert self.actual is not None and self.path is not None
         local = self.path.local
         return None if local is None else local.shares(lanes(self.actual), axis=1)
 
     @cached_property
     def nearest_on_surface(self) -> tuple[FloatArray, IntArray]:
-        """As ``nearest``, with lengths at the radius that a mandrel has at each sample."""
+        """As ``nearest``, with lengths at the mandrel's radius at each sample."""
         if self.shares is None:
             return self.nearest
         path, begin, end = self.window()
@@ -331,21 +331,21 @@ class Block:
         )
 
     def operations_at(self, index: IntArray) -> IntArray | None:
-        """Return the operations under way at some samples."""
+        """Return the current operations at some samples."""
         return None if self.operation is None else self.operation[index]
 
     def positions_at(self, index: IntArray) -> FloatArray | None:
-        """Return the commanded positions at some samples; NaN where one is not known."""
+        """Return the commanded positions at some samples; NaN if unknown."""
         return None if self.commanded is None else self.commanded[index]
 
 
 class Steady:
-    """Commanded positions that stand still where they change by less than their resolution.
+    """Commanded positions that stand still while they change by less than their resolution.
 
-    An axis stands at a place until it is as far from it as ``resolution``, and then at the place
-    where it is. Every criterion that looks for the end of the command, for a rest or for the
-    direction of a motion reads these positions: the noise of a recorder below a count, or a
-    rounding, is no motion. Commands in whole counts are left as they are, to the bit.
+    An axis keeps its position until the command is ``resolution`` away, then takes the command's
+    position. Every criterion that looks for the end of the command, a rest or the direction of a
+    motion reads these positions: recorder noise below a count, or a rounding, is no motion.
+    Commands in whole counts pass unchanged, to the bit.
 
     Parameters
     ----------
@@ -358,14 +358,14 @@ class Steady:
         self._last: FloatArray = np.full(len(resolution), np.nan)
 
     def take(self, commanded: FloatArray) -> FloatArray:
-        """Return the next (n, axes) positions so; NaN where none is known."""
+        """Return the next (n, axes) positions with rests held; NaN if unknown."""
         steady = np.array(commanded)
         _hold_fast(steady, self._resolution, self._last)
         return steady
 
 
 def _hold(positions: FloatArray, resolution: FloatArray, last: FloatArray) -> None:
-    """Hold (n, axes) positions in place; ``last`` is where each axis stands, and brought up."""
+    """Hold (n, axes) positions in place; ``last`` is the held position, and is updated."""
     for axis in range(positions.shape[1]):
         stands = last[axis]
         for i in range(len(positions)):
@@ -380,19 +380,19 @@ _hold_fast = njit(nogil=True)(_hold)
 
 
 def _any_since(slow: NDArray[np.bool_], rows: slice) -> NDArray[np.bool_]:
-    """Return of the samples ``rows`` whether any since the one before is ``slow``."""
+    """Return for the samples ``rows`` whether any since the previous one is ``slow``."""
     kept = np.arange(len(slow))[rows]
     counted = np.append(0, np.cumsum(slow))
     return np.diff(counted[kept + 1], prepend=0) > 0
 
 
 def samples_of_lag(lag_s: float, interval_s: float, runs: int) -> int:
-    """Return how many samples the lag has; so many of each run are held before and after a sample.
+    """Return the lag in samples; so many of each run are held before and after a sample.
 
     Raises
     ------
     BudgetError
-        If those of all runs are more than ``MOST_HELD``.
+        If all runs together have more than ``MOST_HELD``.
     """
     count = int(np.floor(lag_s / interval_s + _ROUNDING))
     if count * runs > MOST_HELD:
@@ -407,20 +407,20 @@ def samples_of_lag(lag_s: float, interval_s: float, runs: int) -> int:
 
 
 def enough_of(over_s: float, interval_s: float) -> int:
-    """Return of how many samples one is enough for means over ``over_s``.
+    """Return the stride in samples that is fine enough for means over ``over_s``.
 
-    At ticks of a nanosecond a mean over 2 ms would hold two million samples. From one sample that
-    is looked at to the next a mean changes by a part in ``PARTS_OF_MEAN`` of the difference
-    between the speeds at its ends.
+    At ticks of a nanosecond a mean over 2 ms would hold two million samples. From one used sample
+    to the next, a mean changes by one part in ``PARTS_OF_MEAN`` of the difference between the
+    speeds at its ends.
     """
     return max(int(over_s / interval_s / PARTS_OF_MEAN), 1)
 
 
 def together(channels: Sequence[FloatArray | None]) -> FloatArray | None:
-    """Return (n, runs, axes) of (n, runs) samples of every axis where they lie so in memory.
+    """Return (n, runs, axes) from (n, runs) samples of every axis, if their memory allows it.
 
-    The twin puts what many runs give of all axes into one array, (n, axes, runs), of which each
-    channel is a part. None where they do not fill such an array: then they have to be copied.
+    The twin puts the output of many runs for all axes into one array, (n, axes, runs); each channel
+    is a part of it. None if the channels do not fill such an array: then they must be copied.
     """
     first = channels[0]
     if first is None or first.ndim == 1 or first.base is None:
@@ -443,10 +443,10 @@ def together(channels: Sequence[FloatArray | None]) -> FloatArray | None:
 
 
 def _address(values: FloatArray) -> int:
-    """Return where an array begins in memory."""
+    """Return the memory address of an array."""
     return int(values.__array_interface__["data"][0])
 
 
 def lanes(values: FloatArray) -> FloatArray:
-    """Return (n, axes, runs) of (n, runs, axes) values, contiguous; no copy where they are so."""
+    """Return (n, axes, runs) of (n, runs, axes) values, contiguous; without a copy if they are."""
     return np.ascontiguousarray(values.transpose(0, 2, 1))

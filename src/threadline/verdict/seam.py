@@ -1,4 +1,4 @@
-"""The seam against its drawing: the stitches that were sewn, and the line that was drawn."""
+"""Measures of a seam: its stitches against the drawing, and the time to reach its speed."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from threadline.verdict.sewn import PART_OF_STITCH, SewnStitches, StitchFollower
 from threadline.verdict.stitch_run import too_short
 
 _PARTS = 16  # of the drawn stretch of a stitch: a bow of 0.25 mm between two places is 1 um
-_NEAR = 4  # stitches about its own that a place may lie on: the lag that is free
+_NEAR = 4  # neighbouring stitches that a place may lie on: the free lag
 _NONE = "the job has no drawing"
 
 
 class _Seam:
-    """The worst place of a seam, both ways.
+    """The worst place of a seam, measured both ways.
 
-    Of every place that is drawn the distance to the stitches about its own, and of every
-    needle-down the distance to the line that those stitches are to cover. Between needle-downs the
-    thread is straight, so it is no further from the line than these two.
+    For every drawn place: the distance to the stitches around its own. For every needle-down: the
+    distance to the line that those stitches cover. Between needle-downs the thread is straight, so
+    it is no further from the line than these two.
     """
 
     def __init__(self, setting: Setting, delay_s: float) -> None:
@@ -40,7 +40,7 @@ class _Seam:
         known = bool(self._lines) and has_stitches(job)
         self._follower = StitchFollower(setting, delay_s, figures=()) if known else None
         self._held: _Sewn | None = None
-        self._judged = 0  # of the stitches that are held
+        self._judged = 0  # of the buffered stitches
         self._runs = setting.runs
         self._worst = Worst(setting.runs, len(self._axes), note=_NONE)
 
@@ -61,7 +61,7 @@ class _Seam:
         return [self._worst.found()]
 
     def _judge(self, until: int) -> None:
-        """Judge the held stitches up to one, and let go of those that no other needs."""
+        """Judge the buffered stitches up to ``until``; discard those that no other needs."""
         held = self._held
         if held is None or until <= self._judged:
             return
@@ -84,11 +84,11 @@ class _Seam:
 
 
 class _Sewn:
-    """Stitches that are in hand: where each began and ended, and its drawn stretch in parts."""
+    """Buffered stitches: start and end of each, and its drawn stretch in parts."""
 
     def __init__(self, run: SewnStitches, lines: Sequence[DrawnLine], before: _Sewn | None) -> None:
         s = run.stitches
-        # A copy: a locked array would have machine code of its own.
+        # A copy: numba compiles a second version for a locked array.
         self.contour: IntArray = s.contour.copy()
         self.operation, self.job_line = s.operation, s.line
         self.down_s, self.begin, self.end = run.down_s, run.begun, run.actual
@@ -107,20 +107,20 @@ class _Sewn:
     _ARRAYS = ("contour", "operation", "job_line", "down_s", "begin", "end", "drawn")
 
     def after(self, first: int) -> _Sewn:
-        """Return the stitches from one on."""
+        """Return the stitches from ``first`` on."""
         rest = object.__new__(_Sewn)
         for name in self._ARRAYS:
             setattr(rest, name, getattr(self, name)[first:])
         return rest
 
     def apart(self, begin: int, until: int) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Return how far the line and the stitches ``begin`` up to ``until`` are apart.
+        """Return the distances between the line and the stitches ``begin`` up to ``until``.
 
         Returns
         -------
         tuple
-            (n, runs) the largest distance of the drawn stretch of a stitch from the stitches about
-            it, and which of its places has it; and of its needle-down from the line about it.
+            (n, runs) the largest distance of the drawn stretch of a stitch from the stitches around
+            it, the place that has it, and the distance of its needle-down from the line around it.
         """
         runs = self.end.shape[2]
         missed, strayed = np.empty((until - begin, runs)), np.empty((until - begin, runs))
@@ -153,7 +153,7 @@ def _apart(
     """Fill in ``missed``, ``part`` and ``strayed`` of the stitches from ``first`` on.
 
     ``drawn`` is (stitches, places, axes), ``begin`` and ``end`` are (stitches, axes, runs).
-    ``axes`` has one entry for each axis: its length is known when this is compiled.
+    ``axes`` is a tuple with one entry per axis: its length is known at compile time.
     """
     count, runs = missed.shape
     places = drawn.shape[1]
@@ -217,13 +217,13 @@ _apart_fast = njit(nogil=True)(_apart)
 
 
 def start_seam(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring how far the sewn stitches are from the drawn line, and it from them."""
+    """Begin measuring the distance between the sewn stitches and the drawn line, both ways."""
     return _Seam(setting, options["delay"])
 
 
 OPTIONS = {"over": Option(unit="s", default=0.002)}
 _HIGH, _STILL = 0.95, 0.01  # of the set speed
-_MOVES = 0.02  # of the highest speed of a needle that follows: less is a rest of the head
+_MOVES = 0.02  # of the highest speed of a following needle: a slower head rests
 
 
 class _Instant(NamedTuple):
@@ -237,8 +237,8 @@ class _Instant(NamedTuple):
 class _Dip:
     """A stretch in which the command is below its speed.
 
-    ``turn`` is when the head is asked to depart: the last instant at which the command stands, or
-    the one at which it is slowest where it does not stop. ``stop`` is the first such instant.
+    ``turn`` is when the head starts again: the last instant at which the command stands, or its
+    slowest instant if it does not stop. ``stop`` is the first such instant.
     """
 
     least: float
@@ -247,17 +247,16 @@ class _Dip:
 
 
 class _Rise:
-    """The longest of the times to the speed and from it, in turns of the needle.
+    """The longest time to reach the speed, or to stop from it, in turns of the needle.
 
-    The set speed of a needle that follows the head is what the head is told at that instant.
+    If the needle follows the head, the set speed is the commanded speed of the head at that
+    instant. Stitches sewn in a hold, or while the head regains its speed after one, do not count;
+    times are the plan's, which stands still in a hold.
 
-    What is sewn while a run is held, or comes to its speed again, counts in no leg, and a leg takes
-    the time of the plan, which stands in a hold.
-
-    A rise goes from the turn of a dip of the command until the head has 95 % of the set speed, a
-    fall from the last time that it had so much until the command stops. Speeds are means over
-    ``over``, or ``PART_OF_STITCH`` of the first stitches' least time where that is less: a mean
-    over more than a dip of the command would not see the dip.
+    A rise lasts from the turn of a dip of the command until the head has 95 % of the set speed, a
+    fall from the last time that it had this speed until the command stops. Speeds are means over
+    ``over``, or over ``PART_OF_STITCH`` of the shortest first stitch if that is less: a mean over
+    more than a dip would not see the dip.
     """
 
     def __init__(self, setting: Setting, over_s: float) -> None:
@@ -293,9 +292,9 @@ class _Rise:
             np.linalg.norm(p[self._span :] - p[: -self._span], axis=1) / self._over_s for p in whole
         )
         wanted, period_s, follows, sewn = self._set(block.due_s)
-        if block.slow is not None:  # its slowness in a hold is the operator's
+        if block.slow is not None:  # a hold is the operator's choice
             sewn &= ~block.slow
-        # A needle that follows asks for what the head is told, as long as that moves at all.
+        # For a following needle the set speed is the commanded speed, while it moves at all.
         geared = np.maximum(meant[:, 0], _MOVES * wanted)
         wanted = np.where(follows, geared, wanted)
         at = np.flatnonzero(sewn)
@@ -313,9 +312,9 @@ class _Rise:
     def _set(
         self, due_s: FloatArray
     ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return (n,) set speed and turn of the needle, whether it follows, and where it sews.
+        """Return (n,) set speed, turn of the needle, whether it follows, and whether it sews.
 
-        At (n,) instants of the plan. The speed is the highest where the needle follows the head.
+        At (n,) instants of the plan. For a following needle the speed is its highest.
         """
         wanted, period_s = np.ones(len(due_s)), np.ones(len(due_s))
         follows = np.zeros(len(due_s), dtype=np.bool_)
@@ -338,7 +337,7 @@ class _Rise:
 
 
 class _Legs:
-    """The stretches of one run in which the head comes to its speed, and leaves it.
+    """The stretches of one run in which the head reaches its speed, and stops from it.
 
     Attributes
     ----------
@@ -348,7 +347,7 @@ class _Legs:
 
     def __init__(self) -> None:
         self._dip: _Dip | None = None
-        self._turn: _Instant | None = None  # of the dip that is over, until the head has its speed
+        self._turn: _Instant | None = None  # of the last dip, until the head has its speed
         self._fast: _Instant | None = None  # when the head last had its speed
         self.worst: Finding | None = None
 
@@ -431,5 +430,5 @@ def _position(block: Block, index: int) -> tuple[float, ...] | None:
 
 
 def start_rise(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring how long the head takes to its speed."""
+    """Begin measuring the time that the head takes to reach its speed."""
     return _Rise(setting, options["over"])

@@ -1,4 +1,4 @@
-"""Settling and velocity ripple: the load after its command, and its speed against the one set."""
+"""Residual vibration, settling time and velocity ripple."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SETTLING_OPTIONS = {"band": Option(unit="m", default=1e-4)}
 class CommandEnd:
     """Finds the instant at which the command changes for the last time, block by block.
 
-    A change below the resolution of the command is none: see ``Steady``.
+    A change below the resolution of the command does not count: see ``Steady``.
     """
 
     def __init__(self) -> None:
@@ -30,7 +30,7 @@ class CommandEnd:
         self.position: FloatArray | None = None
 
     def begins_at(self, block: Block) -> int | None:
-        """Return the sample of the block with which the standstill begins anew, if there is one."""
+        """Return the sample of the block with which a new standstill begins, if any."""
         commanded = block.rests
         assert commanded is not None
         index = _last_change(commanded, self._last)
@@ -46,8 +46,8 @@ class CommandEnd:
 
 
 def _last_change(commanded: FloatArray, before: FloatArray | None) -> int | None:
-    """Return the last of (n, axes) commands that is not the one before it, if there is one."""
-    if len(commanded) > 1 and (commanded[-1] != commanded[-2]).any():  # it is under way
+    """Return the last of (n, axes) commands that differs from its predecessor, if any."""
+    if len(commanded) > 1 and (commanded[-1] != commanded[-2]).any():  # still moving
         return len(commanded) - 1
     changed = np.flatnonzero((commanded[1:] != commanded[:-1]).any(axis=1))
     if len(changed):
@@ -56,10 +56,10 @@ def _last_change(commanded: FloatArray, before: FloatArray | None) -> int | None
 
 
 class _Residual:
-    """Per axis: half the peak-to-peak of the load after the command's end; length at the tool.
+    """Per axis: half the peak-to-peak motion of the load after the command's end, at the tool.
 
-    From ``after`` the end of the command, for ``window``. With ``after`` 0 the way that the load
-    still has to go counts too.
+    From ``after`` the end of the command, for ``window``. With ``after`` 0 the distance that the
+    load still has to go counts too.
     """
 
     def __init__(self, setting: Setting, after_s: float, window_s: float) -> None:
@@ -83,14 +83,14 @@ class _Residual:
             return
         since = block.time_s - self._end.time_s
         after = self._after_s
-        # At the first instant the command has just arrived: only later samples show the load
-        # ringing.
+        # At the first instant the command has just arrived: only later samples show ringing of the
+        # load.
         inside = (since > 0) & (since >= after) & (since <= after + self._window_s)
         if not inside.any():
             return
         part, time_s = block.actual[inside], block.time_s[inside]
         low, high = part.min(axis=0), part.max(axis=0)
-        # The instant at which the whole swing has been seen, wherever blocks begin.
+        # The instant at which the whole window has been seen, wherever blocks begin.
         for grown, far in (
             (low < self._low, part.argmin(axis=0)),
             (high > self._high, part.argmax(axis=0)),
@@ -128,7 +128,7 @@ class _Settling:
         self._axes = len(setting.axes)
         self._band_m = band_m
         self._end = CommandEnd()
-        self._settled_s: FloatArray = np.full(setting.runs, np.nan)  # of those that have
+        self._settled_s: FloatArray = np.full(setting.runs, np.nan)  # NaN: not settled
         self._seen_s = 0.0
 
     def feed(self, block: Block) -> None:
@@ -141,7 +141,7 @@ class _Settling:
         outside = np.linalg.norm(away, axis=2) > self._band_m
         self._seen_s = float(block.time_s[-1])
         left = outside.any(axis=0)
-        # The sample after the last one outside, beyond the block where that is its last.
+        # The sample after the last one outside; it may lie in the next block.
         inside = len(block) - outside[::-1].argmax(axis=0)
         after_s = np.append(block.time_s, np.nan)[inside]
         begun_s = np.where(np.isnan(self._settled_s), block.time_s[begin], self._settled_s)
@@ -175,7 +175,7 @@ def start_settling(setting: Setting, options: Mapping[str, float]) -> Measure:
 
 OPTIONS = {"over": Option(unit="s", default=0.02)}
 _SAME = 1e-6  # relative: two speeds, or two directions
-_ARRIVED = 0.5  # of the way in one sample interval
+_ARRIVED = 0.5  # of the motion in one sample interval
 
 
 def _farthest(
@@ -186,16 +186,16 @@ def _farthest(
     worst: FloatArray,
     at: IntArray,
 ) -> None:
-    """Fill in the largest relative difference of the way over ``span`` samples from ``wanted``.
+    """Fill in the largest relative error of the distance over ``span`` samples.
 
     Parameters
     ----------
     points
-        (n + span, axes, runs); point i + span against point i.
+        (n + span, axes, runs); point i + span is compared with point i.
     samples
-        Which i count.
+        The indices i to use.
     wanted
-        (n,) length of that way.
+        (n,) expected distance.
     """
     _, axes, runs = points.shape
     squared = np.empty(runs)
@@ -218,11 +218,11 @@ _farthest_fast = njit(nogil=True)(_farthest)
 class _Ripple:
     """Largest relative difference between the tool's speed and the programmed one.
 
-    The speed is that of the tool's displacement over ``over``. Samples within the lag of a corner
-    or of a change of the set speed are exempt: they belong to two chords. Chords that follow each
-    other straight on at one speed, as the stitches of a seam, are one. So are rapid moves, which
-    have no set speed, what comes after the command has arrived at the end, and what lies within a
-    hold, or within the lag behind it.
+    The speed is the tool's displacement over ``over``. Samples within the lag of a corner or of a
+    change of the set speed are exempt: they belong to two chords. Chords that continue straight at
+    the same speed, such as stitches of a seam, count as one. Also exempt: rapid moves, which have
+    no set speed; the time after the command has arrived at the end; and holds, with the lag after
+    them.
     """
 
     def __init__(self, setting: Setting, over_s: float) -> None:
@@ -231,7 +231,7 @@ class _Ripple:
         self._interval_s = self._every * setting.interval_s
         self._span = max(round(over_s / self._interval_s), 1)
         self._after = self._span + setting.lag_samples // self._every
-        self._slow = -self._after - 1  # the last sample of a hold, counted from the next one
+        self._slow = -self._after - 1  # last sample of a hold, relative to the next sample
         self._runs = setting.runs
         self._tail: FloatArray = np.empty((0, len(setting.axes), setting.runs))
         self._worst = Worst(
@@ -247,7 +247,7 @@ class _Ripple:
         points = np.concatenate([self._tail, block.at_tool])
         known = len(self._tail)
         self._tail = points[-self._span :]
-        # Sample i of the block against the one `span` before it.
+        # Sample i of the block against the one ``span`` before it.
         skipped = max(self._span - known, 0)
         if len(block) <= skipped:
             return
@@ -256,7 +256,7 @@ class _Ripple:
         part = _part(path.vertices, path.speed_m_s)
         free = (part[begin] == part[end]) & (wanted > 0) & ~held[skipped:]
         if path.ended and block.commanded is not None:
-            # Once the command has arrived nothing is wanted of the speed any more.
+            # Once the command has arrived, no speed is expected any more.
             left = path.vertices[-1] - block.commanded[skipped:] * self._radius_m
             free &= np.linalg.norm(left, axis=1) > _ARRIVED * wanted * self._interval_s
         if not free.any():
@@ -273,7 +273,7 @@ class _Ripple:
         )
 
     def _held(self, block: Block) -> NDArray[np.bool_]:
-        """Return (n,) whether the run was held or came to its speed within lag and span before."""
+        """Return (n,) whether a hold, or its catching up, was within lag and span before."""
         if block.slow is None:
             return np.zeros(len(block), dtype=np.bool_)
         latest = np.where(block.slow, np.arange(len(block)), self._slow)
@@ -286,7 +286,7 @@ class _Ripple:
 
 
 def _part(vertices: FloatArray, speed_m_s: FloatArray) -> IntArray:
-    """Return (m,) a number for each chord that only differs across a corner or a new speed."""
+    """Return (m,) a number for each chord that changes only at a corner or a new speed."""
     chord = np.diff(vertices, axis=0, prepend=vertices[:1])
     length = np.linalg.norm(chord, axis=1, keepdims=True)
     direction = np.divide(chord, length, out=np.zeros_like(chord), where=length > 0.0)

@@ -1,4 +1,4 @@
-"""When a needle goes down that is geared with rows which may be held: plan's time and clock's."""
+"""Stitches as they were sewn: time of each needle-down, and position of the tool then."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from threadline.verdict.samples import Block, Setting, lanes
 
 
 class SewnClock:
-    """Turns times of the plan into those of a recording, and back, between samples in hand.
+    """Converts times of the plan into times of a recording, and back, over the buffered samples.
 
-    Until a run is held the two are one, and nothing is changed by a bit.
+    Until the first hold the two are equal, bit for bit.
     """
 
     def __init__(self) -> None:
         self._held = False
         self._time_s: FloatArray = np.empty(0)
         self._due_s: FloatArray = np.empty(0)
-        self._slow_s: FloatArray = np.empty(0)  # samples on the way to which it was held
+        self._slow_s: FloatArray = np.empty(0)  # samples before which the run was held
 
     def take(self, block: Block, kept: IntArray) -> None:
         """Take the samples ``kept`` of a block."""
@@ -40,13 +40,13 @@ class SewnClock:
             self._slow_s = np.concatenate([self._slow_s, block.time_s[block.slow]])
 
     def drop(self, before_s: float, slow_before_s: float) -> None:
-        """Let go of samples before an instant, but for two, and of what is slow before another."""
+        """Discard samples before an instant, except two, and slow ones before another instant."""
         first = max(int(np.searchsorted(self._time_s, before_s, side="right")) - 2, 0)
         self._time_s, self._due_s = self._time_s[first:], self._due_s[first:]
         self._slow_s = self._slow_s[np.searchsorted(self._slow_s, slow_before_s) :]
 
     def when(self, due_s: FloatArray) -> FloatArray:
-        """Return (n,) first instants at which the plan was at rising times; infinite if not yet."""
+        """Return (n,) first instants with the given ascending plan times; infinite if not yet."""
         if not self._held or not len(due_s):
             return due_s
         after = np.searchsorted(self._due_s, due_s, side="left")
@@ -57,58 +57,58 @@ class SewnClock:
             long_s > 0.0, long_s, 1.0
         )
         found = self._time_s[before] + part * (self._time_s[at] - self._time_s[before])
-        early = due_s - self._due_s[0] + self._time_s[0]  # before the samples in hand
+        early = due_s - self._due_s[0] + self._time_s[0]  # before the buffered samples
         return np.where(after > last, np.inf, np.where(after == 0, early, found))
 
     def due(self, time_s: FloatArray) -> FloatArray:
-        """Return (n,) times of the plan at rising instants."""
+        """Return (n,) times of the plan at ascending instants."""
         if not self._held:
             return time_s
         return np.asarray(np.interp(time_s, self._time_s, self._due_s))
 
     def slowed(self, begin_s: FloatArray, end_s: FloatArray) -> NDArray[np.bool_]:
-        """Return (n,) whether a run was held, or came to its speed, between instants."""
+        """Return (n,) whether a run was held, or regained its speed, between instants."""
         first = np.searchsorted(self._slow_s, begin_s, side="right")
         return np.asarray(np.searchsorted(self._slow_s, end_s, side="right") > first)
 
 
 _ACTUAL = (ChannelKind.TOOL, ChannelKind.LOAD)
-_BEHIND, _AHEAD = 12, 3  # stitches about its own that a needle-down is compared with
-_PARTS = 256  # of the time over which a speed is taken: finer samples say nothing more
-_FINE_S = 0.002  # or of so much, for a mean is taken over the part of a stitch at most
-_TO_SPEED = 2  # stitches that are exempt about a rest
-_SLOWEST = 1e-3  # of the highest speed of a needle that follows
+_BEHIND, _AHEAD = 12, 3  # stitches around its own that a needle-down is compared with
+_PARTS = 256  # of the averaging time of a speed: finer samples add nothing
+_FINE_S = 0.002  # or this much, since the averaging time is at most a part of a stitch
+_TO_SPEED = 2  # exempt stitches before and after a rest
+_SLOWEST = 1e-3  # of the highest speed of a following needle
 Figure = Literal["length", "placement", "speed", "time"]
 _ALL: tuple[Figure, ...] = ("length", "placement", "speed", "time")
 PART_OF_STITCH = 0.25
-"""Of a stitch, over which its speed is taken at most: a mean over all of it hides each swing."""
+"""Longest averaging time of the speed, as part of a stitch: a longer mean hides oscillation."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SewnStitches:
-    """Stitches and where the tool was.
+    """Stitches, and the position of the tool at each.
 
     Parameters
     ----------
     stitches
         n of them.
     down_s
-        (n,) when the needle went down, its delay included.
+        (n,) times of needle-down, the delay included.
     actual, begun
-        (n, axes, runs) where the tool was then, and at the needle-down before; lengths at the tool.
+        (n, axes, runs) tool position then, and at the previous needle-down; lengths at the tool.
     length_error
-        (n, runs) distance moved since the needle-down before, over the wanted one, less 1.
+        (n, runs) distance moved since the previous needle-down, over the wanted one, less 1.
     placement_m
-        (n, runs) distance of ``actual`` from the seam: the nearest point of the stitches about it.
+        (n, runs) distance of ``actual`` from the seam: the nearest point of the nearby stitches.
     speed_error
         (n, runs) relative error of the head's speed against the stitch's wanted length over its
-        planned time, or times the needle's planned speed where that follows the head: speeds are
-        means over ``over_s``, or ``PART_OF_STITCH`` of the stitch where that is less; the error is
-        the largest in the stitch, with its sign; not a number in a hold and two stitches behind it.
+        planned time, or times the planned needle speed if the needle follows the head. Speeds are
+        means over ``over_s``, or over ``PART_OF_STITCH`` of the stitch if that is less; the error
+        is the largest in the stitch, with its sign; NaN in a hold and two stitches after it.
     speed_s
         (n, runs) the instant at the end of that mean.
 
-    Of ``placement_m``, and of both of the speed, there are none where nobody asked for them.
+    ``placement_m``, ``speed_error`` and ``speed_s`` are empty unless requested.
     """
 
     stitches: Stitches
@@ -122,23 +122,23 @@ class SewnStitches:
 
 
 class StitchFollower:
-    """Takes the tool's position and gives back the stitches that were sewn meanwhile.
+    """Takes the tool's position and returns the stitches that were sewn meanwhile.
 
     The position is taken as straight between samples: at an acceleration a it is off by at most
-    a T^2 / 8 in a sample interval T. Stitches are given back as soon as they are complete, so that
-    no more samples are kept than those of a stitch and of a block.
+    a T^2 / 8 in a sample interval T. Stitches are returned as soon as they are complete, so that
+    only the samples of a stitch and of a block are kept.
 
     Parameters
     ----------
     setting
         Plan and recording.
     delay_s
-        How long after the command the needle goes down: the head's lag, to which the needle is
-        set. A head that itself follows the motion has none, and the needle goes down when due.
+        Delay of the needle-down after the command: the head's lag, to which the needle is set. A
+        head that itself follows the motion has no delay.
     over_s
-        Over which the head's speed is taken at most.
+        Longest averaging time of the head's speed.
     figures
-        What is asked for; placement and speed take most of the time, and are left out otherwise.
+        The requested results; placement and speed take most of the time, and are optional.
     """
 
     def __init__(
@@ -163,12 +163,12 @@ class StitchFollower:
 
     @property
     def unsewn(self) -> Stitches | None:
-        """What begins with the first stitch that no sample came to, if there is one."""
+        """The stitches from the first one that no sample reached, if any."""
         self._pull(1)
         return self._pending[0] if self._pending else None
 
     def feed(self, block: Block) -> list[SewnStitches]:
-        """Return the stitches, in runs, that are complete with the samples of a block."""
+        """Return the stitches, in groups, that are complete with the samples of a block."""
         time_s, actual = block.time_s, block.actual
         assert actual is not None
         kept = self._kept(time_s)
@@ -198,10 +198,10 @@ class StitchFollower:
         return sewn
 
     def _kept(self, time_s: FloatArray) -> IntArray:
-        """Return the rows of a block that are looked at: all of them, but where ticks are tiny.
+        """Return the rows of a block to use: all of them, unless ticks are very short.
 
-        A stitch may last a million ticks of a nanosecond: a fine part of what the speed is taken
-        over tells as much.
+        A stitch may last a million ticks of a nanosecond: a fine part of the averaging time is
+        enough.
         """
         rows = np.arange(len(time_s))
         lasts_s = float(time_s[-1] - time_s[0])
@@ -218,9 +218,9 @@ class StitchFollower:
                 self._pending.append(run)
 
     def _at(self, time_s: FloatArray) -> FloatArray:
-        """Return (m, axes, runs) where the tool was, straight between samples."""
+        """Return (m, axes, runs) tool positions, straight between samples."""
         last = len(self._time_s) - 1
-        # Of a few instants np.clip takes three times as long as both its halves.
+        # For a few instants np.clip takes three times as long as both its halves.
         after = np.maximum(np.searchsorted(self._time_s, time_s, side="right"), 1)
         after = np.minimum(after, max(last, 1))
         before, after = np.minimum(after - 1, last), np.minimum(after, last)
@@ -254,7 +254,7 @@ class StitchFollower:
         )
 
     def _placed(self, run: Stitches, actual: FloatArray) -> FloatArray:
-        """Return (n, runs) distances of needle-downs from the seam about them."""
+        """Return (n, runs) distances of needle-downs from the nearby seam."""
         behind = run.from_point[:1] if self._seam is None else self._seam
         coming = [pending.point for pending in self._pending[:_AHEAD]] or [run.point[-1:]]
         ahead = np.concatenate(coming)[:_AHEAD]
@@ -263,9 +263,9 @@ class StitchFollower:
         return _to_seam(actual, seam, len(behind))
 
     def _speeds(self, run: Stitches) -> tuple[FloatArray, FloatArray]:
-        """Return (n, runs) the largest relative error of the speed in each stitch, and when it was.
+        """Return (n, runs) the largest relative error of the speed in each stitch, and its time.
 
-        Instants are the samples within the stitch, less the time of a mean at its begin, and its
+        Instants are the samples within the stitch, except during the first averaging time, and its
         end.
         """
         begin_s, end_s = (self._clock.when(s) + self._delay_s for s in (run.from_s, run.down_s))
@@ -279,7 +279,7 @@ class StitchFollower:
         within |= at_s == end_s[stitch]
         at_s, stitch, over_s = at_s[within], stitch[within], over_s[within]
         way = self._at(at_s) - self._at(at_s - over_s)
-        # Far slower than the grid of the timing a stitch may be given no time: it is sewn at none.
+        # Far below the resolution of the timing a stitch may get no time: then its speed is zero.
         with np.errstate(divide="ignore"):
             wanted = (run.target_m / lasts_s)[stitch]
             if run.follows.any():
@@ -288,14 +288,14 @@ class StitchFollower:
                 share = (run.target_m / way_m)[stitch[own]]
                 due_s = self._clock.due(at_s[own] - self._delay_s)
                 geared = share * self._geared_m_s(due_s, over_s[own])
-                # Beside a rest, where stitches are exempt, no speed is next to nothing.
+                # Beside a rest, where stitches are exempt, the planned speed is not near zero.
                 least = _SLOWEST * (run.target_m * run.fastest_hz)[stitch[own]]
                 wanted[own] = np.maximum(geared, least)
             wanted = wanted[:, None]
         error = np.sqrt((way**2).sum(axis=1)) / over_s[:, None] / wanted - 1.0
         starts = np.minimum(np.searchsorted(stitch, np.arange(len(run))), len(stitch) - 1)
         sizes = np.abs(error)
-        # Of each stitch the first sample with its largest size.
+        # The first sample of each stitch with its largest error.
         worst = np.repeat(
             np.maximum.reduceat(sizes, starts), np.diff(starts, append=len(stitch)), axis=0
         )
@@ -303,13 +303,13 @@ class StitchFollower:
         first = np.minimum.reduceat(np.where(sizes == worst, rows, len(stitch)), starts)
         first = np.minimum(first, len(stitch) - 1)
         worst_error = np.take_along_axis(error, first, axis=0)
-        # Behind a hold the head comes to its speed as behind a rest: within so many stitches.
+        # After a hold the head regains its speed as after a rest: within so many stitches.
         since_s = np.concatenate([self._begun_s, begin_s])
         worst_error[self._clock.slowed(since_s[: len(run)] - self._over_s, end_s)] = np.nan
         return worst_error, at_s[first]
 
     def _geared_m_s(self, time_s: FloatArray, over_s: FloatArray) -> FloatArray:
-        """Return (m,) mean speeds of the head as planned over ``over_s`` up to rising instants."""
+        """Return (m,) planned mean speeds of the head over ``over_s`` up to ascending instants."""
         if not len(time_s):
             return np.zeros(0)
         begin_s = time_s - over_s
@@ -321,12 +321,12 @@ class StitchFollower:
 
 
 def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[SewnStitches]:
-    """Yield the stitches of a recording in runs; nothing where the job has none.
+    """Yield the stitches of a recording in groups; nothing if the job has none.
 
     Parameters
     ----------
     plan, recording
-        What was intended, and what happened; without a tool or load channel nothing is known.
+        The intended work, and the recording; without a tool or load channel nothing is yielded.
     delay_s
         As for ``StitchFollower``.
     """
@@ -341,7 +341,7 @@ def sewn_stitches(plan: Plan, recording: Recording, delay_s: float) -> Iterator[
 
 
 def _to_seam(points: FloatArray, seam: FloatArray, offset: int) -> FloatArray:
-    """Return (n, runs) distances of point i to the chords of ``seam`` about ``seam[offset + i]``.
+    """Return (n, runs) distances of point i to the chords of ``seam`` around ``seam[offset + i]``.
 
     ``points`` are (n, axes, runs).
     """

@@ -1,8 +1,8 @@
-"""Contour and progress of a single run: what a sweep finds of it, without a loop over runs.
+"""Contour and progress error of a single run, in a sweep without a loop over runs.
 
-A loop over one run costs more than what it does. How many axes there are is no part of what is
-compiled: one function serves all machines. The operations and their order are those of the loops
-over many runs (``nearest``, ``boxes``, ``places``), so that a run has the same bits in any company.
+A loop over one run costs more than its content. The number of axes is not known at compile time:
+one function serves all machines. The operations and their order equal those of the loops over many
+runs (``nearest``, ``boxes``, ``places``), so that a run gives the same bits alone or with others.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ def _nearest_chords(
     squared: FloatArray,
     chord: IntArray,
 ) -> None:
-    """Fill in the squared distance of each of (n, axes) points to the chords that count for it.
+    """Fill in the squared distance of each of (n, axes) points to its candidate chords.
 
-    ``chord`` is the first of the nearest. ``share``, (n, axes), is what each axis counts with; it
-    is empty where they count alike. As ``nearest.nearest_of_all``.
+    ``chord`` is the first of the nearest. ``share``, (n, axes), weighs the axes; empty means equal
+    weights. As ``nearest.nearest_of_all``.
     """
     axes, weighed = points.shape[1], len(share) > 0
     for i in range(len(points)):
@@ -71,7 +71,7 @@ def _to_vertex(
     v: int,
     share: FloatArray,
 ) -> tuple[float, float]:
-    """Return the squared distance of a vertex to the way to point i, and where on it (0..1)."""
+    """Return the squared distance of a vertex to the segment to point i, and its place (0..1)."""
     axes, weighed = points.shape[1], len(share) > 0
     along, size, away = 0.0, 0.0, 0.0
     for a in range(axes):
@@ -104,12 +104,12 @@ def _leave_path(
     vertex_share: FloatArray,
     part: ContourPart,
 ) -> None:
-    """Raise the worst to the samples, and to the ways to them; lower what vertices have come to.
+    """Raise the worst to the samples and their segments; lower the distances of vertices.
 
-    ``squared`` and ``chord``, (n,), are of the nearest chord of each sample. A vertex that is as
-    near as the worst is left as it is.
+    ``squared`` and ``chord``, (n,), belong to the nearest chord of each sample. A vertex that is as
+    near as the worst is skipped.
     """
-    # Each look into a tuple would count references.
+    # Each tuple access would count references.
     (
         begin, end, time_s, before, chord_before, fresh, worst, at, place, nearest, best,
         best_time_s,
@@ -156,6 +156,7 @@ def _advance(
     command: FloatArray,
     way: FloatArray,
     inverse: FloatArray,
+    length: FloatArray,
     heading: FloatArray,
     counts: tuple[int, int, int],
     places: IntArray,
@@ -164,7 +165,7 @@ def _advance(
     at: IntArray,
     side: FloatArray,
 ) -> None:
-    """Advance the places of the command by (n, axes) samples: ``places.move_on`` of one run.
+    """Advance the places of the command by (n, axes) samples: ``places.move_on`` for one run.
 
     ``counts`` are ``first``, ``number`` and ``lag`` of the part.
     """
@@ -176,34 +177,38 @@ def _advance(
         last = first + i
         begin = max(last - lag, 0)
         carry, least = 0.0 if number + i == 0 else np.inf, np.inf
-        value[(origin + last) % rows, 0] = np.inf
-        row = (origin + low) % rows
-        while low < begin:  # the lag excuses them no longer: the tool has moved on
-            carry = value[row, 0] if value[row, 0] < carry else carry
-            low, row = low + 1, row + 1 if row + 1 < rows else 0
-        k = low
+        if low < begin:  # beyond the lag: the tool must have passed these
+            carry = value[(origin + min(begin - 1, high)) % rows, 0]
+            low = begin
+        k, row = low, (origin + low) % rows
         while True:
-            # Of the first place only its end is within the lag.
-            start, per_length = (k - 1, inverse[k]) if k > begin else (k, 0.0)
-            carry = value[row, 0] if value[row, 0] < carry else carry
+            # Only the end of the first place is within the lag.
+            start, per_length, long = (k - 1, inverse[k], length[k]) if k > begin else (k, 0.0, 0.0)
+            left, held = carry, value[row, 0] if k <= high else carry
             along, away = 0.0, 0.0
             for a in range(axes):
                 along += (points[i, a] - command[start, a]) * way[k, a]
-            where = along * per_length
-            where = where if where > 0.0 else 0.0
+            place = along * per_length
+            where = place if place > 0.0 else 0.0
             where = where if where < 1.0 else 1.0
             for a in range(axes):
                 gap = points[i, a] - command[start, a] - where * way[k, a]
                 away += gap * gap
             error = away - off[i]
-            error = error if error > carry else carry
-            value[row, 0] = error
+            behind = np.sqrt(left) - where * long
+            if behind > 0.0 and behind * behind > error:
+                beside, room = (where - place) * long, (1.0 - where) * long
+                on = (behind * behind - error) / (2.0 * (behind + beside))
+                on = on if on < room else room
+                on = on if on > 0.0 else 0.0
+                error += on * (2.0 * beside + on)
+            error = error if error > held else held
             least = error if error < least else least
+            value[row, 0] = least
+            carry = held
             if k == last or not least > most:  # good enough: no later place is better
                 break
             k, row = k + 1, row + 1 if row + 1 < rows else 0
-        for later in range(k + 1, high + 1):
-            value[(origin + later) % rows, 0] = np.inf
         high = k
         if least > most:
             most, at[0] = least, number + i
@@ -220,9 +225,9 @@ _advance_fast = njit(nogil=True)(_advance)
 
 
 def progress_of_one(points: FloatArray, off: FloatArray, part: ProgressPart) -> None:
-    """Advance the places of the command by (n, axes) samples that are ``off`` the path, squared."""
+    """Advance the places of the command by (n, axes) samples at ``off``, squared, from the path."""
     _advance_fast(
-        points, off, part.command, part.way, part.inverse, part.heading,
+        points, off, part.command, part.way, part.inverse, part.length, part.heading,
         (part.first, part.number, part.lag), part.places, part.value, part.worst, part.at,
         part.side,
     )  # fmt: skip

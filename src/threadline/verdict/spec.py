@@ -1,4 +1,4 @@
-"""Reading specification files: strict, with the nearest right key and the line of every mistake."""
+"""Read specification files: strict, with the nearest right key and the line of every mistake."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ _MOST_BASES = 20
 _MAX_BYTES = 1_000_000
 _TOP = ("name", "lag", "criteria")
 _COMMON = ("name", "axis", "limit", "required")
-_OWN = "machine"  # a limit that is the machine's own
+_OWN = "machine"  # stands for the machine's own limit
 _LOOSER = "the machine's own limit, which the specification cannot widen"
-_ROUNDING = 1e-12  # relative: a limit written out is no other limit than the machine's
+_ROUNDING = 1e-12  # relative: a limit this close to the machine's is the machine's
 _LAG_S = 0.1
-_FEWEST = 2  # recordings that can differ
+_FEWEST = 2  # recordings for a spread
 _MOST_LAG_S = 3600.0
 _LIMITS_ALONE = """
 name = "the limits of the machine file, which has no specification beside it"
@@ -47,17 +47,16 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
     machine's limits, path deviation, tracking error, and DAC saturation or (driven by pulses) lost
     steps; for an on/off machine what its frame does at each step, the time of the cycle, and the
     limits of its valves; for an embroidery machine the residual of the stitches and the limits of
-    its step tables and servos. A limit of the machine holds beside a wider one of the file.
+    its step tables and servos. A wider limit in the file does not replace the machine's own.
 
     Parameters
     ----------
     reference
         A file; None for the default: beside a machine file ``NAME.toml`` the file
-        ``NAME.spec.toml`` or ``spec.toml``, else the one that the library has for its name or for
-        the machine that it is based on. A machine without dynamics needs none: it is asked to keep
-        its limits.
+        ``NAME.spec.toml`` or ``spec.toml``, else the library's for its name or for its base
+        machine. A machine without dynamics needs none: its own limits are the criteria.
     machine
-        Gives the axes, their units and their limits.
+        The machine with its axes, units and limits.
 
     Raises
     ------
@@ -70,7 +69,7 @@ def load_spec(reference: str | Path | None, machine: Machine) -> Spec:
 
 
 def _default(machine: Machine) -> tuple[str, str]:
-    """Return the default specification: a machine based on another is asked for the same."""
+    """Return the default specification; a machine based on another has the other's."""
     name = machine.name.split("+")[0]
     reference, _ = split_reference(machine.reference)
     own = Path(reference)
@@ -99,7 +98,7 @@ def _default(machine: Machine) -> tuple[str, str]:
     raise SpecError(
         f"machine {name!r} has no default specification",
         remedy=f"Give one with -s, or write {own.stem or name}.spec.toml beside its file; a copy "
-        'of a library machine is asked for the same once its file has base = "NAME".',
+        'of a library machine has its specification once its file has base = "NAME".',
     )
 
 
@@ -108,7 +107,7 @@ def _read(path: Path) -> str:
 
 
 class _Reader:
-    """One file: what it says, and where."""
+    """Reads one specification file, and knows the line of each entry."""
 
     def __init__(self, text: str, file: str, machine: Machine) -> None:
         self._text, self._file, self._machine = text, file, machine
@@ -122,7 +121,7 @@ class _Reader:
             raise SpecError(
                 what, place=Place(self._file, line), remedy="Correct that line."
             ) from error
-        self._known(content, _TOP, None)
+        self._refuse_unknown_keys(content, _TOP, None)
         name = content.get("name")
         if not isinstance(name, str) or not name:
             self._refuse('name must be a text, like name = "winding at 0.5 mm"', None, "name")
@@ -135,7 +134,7 @@ class _Reader:
         for index, row in enumerate(rows):
             for criterion in self._criteria(row, index):
                 key = criterion.name, criterion.axis, criterion.step
-                # A criterion of one axis replaces that of every axis, wherever it stands.
+                # A criterion for one axis replaces the one for every axis, whatever their order.
                 if key in criteria and criteria[key].every_axis == criterion.every_axis:
                     axis = f" of axis {key[1]}" if key[1] else ""
                     self._refuse(f"{key[0]}{axis} is there twice", index, "name", "Keep one.")
@@ -159,10 +158,10 @@ class _Reader:
         )
 
     def _unnamed(self, named: Mapping[tuple[str, str, str], Criterion]) -> list[Criterion]:
-        """Return what holds although the file does not say so, axis by axis.
+        """Return the criteria that hold without being in the file, axis by axis.
 
-        What is always listed, and the machine's own limits: a file may ask for more than they do,
-        and never for less.
+        These are the ones that every verdict lists, and the machine's own limits, which a file may
+        narrow but not widen.
         """
         found = []
         for name in self._always.listed:
@@ -188,7 +187,7 @@ class _Reader:
         if kind is None:
             remedy = nearest(name, MEASURES)
             self._refuse(f"there is no measure {name[:80]!r}", index, "name", remedy)
-        self._known(row, (*_COMMON, *kind.options, *self._always.keys), index)
+        self._refuse_unknown_keys(row, (*_COMMON, *kind.options, *self._always.keys), index)
         step = row.get("step", "")
         if not isinstance(step, str):
             self._refuse(f"step must be a name, got {step!r}", index, "step")
@@ -220,7 +219,7 @@ class _Reader:
         whole = re.fullmatch(r"[0-9]{1,9}(\.0*)?", str(text).strip())
         if whole is None or float(text) < _FEWEST:
             self._refuse(
-                f"{key} = {text!r} is not a whole number of {_FEWEST} at least",
+                f"{key} = {text!r} is not a whole number of at least {_FEWEST}",
                 index,
                 key,
                 f"Write it like {key} = {option.default:g}.",
@@ -249,13 +248,13 @@ class _Reader:
         if text is None:
             return None
         if text == _OWN:
-            return self._own_limit(kind, axis, index)
+            return self._machine_limit(kind, axis, index)
         of_axis = self._machine.axes.get(axis)
         axis_kind = "linear" if of_axis is None else of_axis.kind
         unit = kind.unit(axis_kind)
         factor = 1.0
         if axis_kind == "rotary" and kind.dimension.startswith("axis"):
-            # A length given for a rotary axis is one at the tool.
+            # A length given for a rotary axis is a length at the tool.
             length = "m" + unit.removeprefix("rad")
             if isinstance(text, str) and _is_of(text, length):
                 column = self._machine.axis_names.index(axis)
@@ -270,7 +269,7 @@ class _Reader:
             )
         return value
 
-    def _own_limit(self, kind: MeasureKind, axis: str, index: int | None) -> float | None:
+    def _machine_limit(self, kind: MeasureKind, axis: str, index: int | None) -> float | None:
         own = self._always.limited
         if kind.name not in own:
             self._refuse(
@@ -289,8 +288,7 @@ class _Reader:
             example = f'Write it like {key} = "5 %".'
         written = text if isinstance(text, str) else repr(text)
         if unit and re.fullmatch(r"[0-9.]+", written.strip()):
-            # A number without a unit is likely to be in the unit that people work in: 0.8 mm, not
-            # 0.8 m.
+            # A number without a unit is probably meant in the usual unit: 0.8 mm, not 0.8 m.
             example = f'Write it like {key} = "{written.strip()} {USUAL.get(unit, unit)}".'
             self._refuse(f"{key} = {text!r} has no unit", index, key, example)
         if not isinstance(text, str):
@@ -306,7 +304,9 @@ class _Reader:
             self._refuse(f"{key} = {text!r} is negative", index, key, "Limits are absolute values.")
         return value
 
-    def _known(self, table: Mapping[str, Any], known: tuple[str, ...], index: int | None) -> None:
+    def _refuse_unknown_keys(
+        self, table: Mapping[str, Any], known: tuple[str, ...], index: int | None
+    ) -> None:
         for key in table:
             if key not in known:
                 self._refuse(f"unknown key {key[:80]!r}", index, key, nearest(key, known))

@@ -1,10 +1,10 @@
-"""The worst stitch by one of its figures.
+"""Measures of stitches: the worst stitch by one of its figures, for seams and embroidery.
 
 The channel ``needle`` tells when the needle was in the cloth, simulated or live: its k-th entry is
 the k-th stitch of the design.
 
-Each tells the worst stitch by block and number, how many are out of its limit, and the speed of the
-shaft at which the worst would be in.
+Each measure names the worst stitch by block and number, how many exceed the limit, and the shaft
+speed at which the worst would not.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ class _Stitching:
 def turn_error(run: Stitches) -> FloatArray:
     """Return (n,) relative errors of the planned times of stitches.
 
-    They are against the programmed time, or against the nearest of the two bounds of a needle that
-    follows the head; beside a rest it may turn as slowly as it has to.
+    They are relative to the programmed time, or to the nearer bound of a needle that follows the
+    head; beside a rest such a needle may turn as slowly as necessary.
     """
     own = (run.down_s - run.from_s) / run.period_s - 1.0
     slowest = np.where(run.departs | run.stops, 0.0, run.slowest_hz)
@@ -112,7 +112,7 @@ def turn_error(run: Stitches) -> FloatArray:
 
 
 def too_short(left: Stitches, runs: int) -> Found:
-    """Return what is found where the recording ends before the first stitch of ``left``."""
+    """Return the finding if the recording ends before the first stitch of ``left``."""
     finding = Finding(
         value=None, operation=int(left.operation[0]), job_line=int(left.line[0]), note=SHORT
     )
@@ -120,12 +120,12 @@ def too_short(left: Stitches, runs: int) -> Found:
 
 
 def start_length(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring the relative error of the length of stitches, those exempt excepted."""
+    """Begin measuring the relative error of the length of stitches that are not exempt."""
     return _Stitching(setting, options["delay"], "length")
 
 
 def start_placement(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring how far from the seam the needle goes down."""
+    """Begin measuring the distance of needle-downs from the seam."""
     return _Stitching(setting, options["delay"], "placement")
 
 
@@ -135,9 +135,9 @@ def start_speed(setting: Setting, options: Mapping[str, float]) -> Measure:
 
 
 def start_needle(setting: Setting, options: Mapping[str, float]) -> Measure:
-    """Begin measuring the relative error of the time of stitches, those exempt excepted.
+    """Begin measuring the relative error of the time of stitches that are not exempt.
 
-    None is exempt where the needle follows the head.
+    No stitch is exempt if the needle follows the head.
     """
     return _Stitching(setting, options["delay"], "time")
 
@@ -147,20 +147,20 @@ NEEDLE = "needle"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sewn:
-    """What each stitch came to; s stitches, A axes; NaN where it was not seen.
+    """Results of each stitch; s stitches, A axes; NaN if it was not seen.
 
     Parameters
     ----------
     residual_m
         (s, A) largest distance of the frame from its place while the needle was in the cloth.
     time_s
-        (s, A) when.
+        (s, A) its time.
     force
-        (s, A) largest share of the servo's force since the stitch before.
+        (s, A) largest share of the servo's force since the previous stitch.
     force_s
-        (s, A) when.
+        (s, A) its time.
     seen
-        How many entries of the needle were recorded.
+        Number of recorded needle entries.
     until_s
         When the needle was last seen in the cloth, s.
     """
@@ -174,18 +174,18 @@ class Sewn:
 
 
 class StitchRun:
-    """A recording beside its stitches; of its samples one block is in memory at a time.
+    """A recording beside its stitches; one block of samples is in memory at a time.
 
     Parameters
     ----------
     recording, plan
-        The two.
+        The recording and its plan.
     """
 
     of: ClassVar[str] = "an embroidery machine"
     absent: ClassVar[str] = "nothing of axis {axis} was measured"
     by_time = False
-    untold = None
+    fallback = None
 
     def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan
@@ -201,18 +201,18 @@ class StitchRun:
 
     @cached_property
     def places_m(self) -> FloatArray:
-        """(s, A) where the frame was to stand."""
+        """(s, A) intended places of the frame."""
         return self.stitched.places_m[self.turns]
 
     @property
     def sewn(self) -> Sewn:
-        """What each stitch came to; reads the recording once."""
+        """Results of each stitch; reads the recording once."""
         if self._sewn is None:
             self._sewn = self._read()
         return self._sewn
 
     def lacks(self, reading: RunReading, per_axis: bool) -> str:  # noqa: ARG002
-        """Say what channel is absent that its measures read; empty where none is."""
+        """Return which channel for its measures is missing; empty if none is."""
         for alternatives in reading.needs:
             for axis in self.plan.axes:
                 if not any(self.recording.find(kind, axis) for kind in alternatives):
@@ -227,17 +227,17 @@ class StitchRun:
         return ""
 
     def blocks(self) -> Iterator[Block]:
-        """Yield nothing: its measures have the run whole."""
+        """Yield nothing: its measures read the whole run."""
         return iter(())
 
     def release(self) -> None:
-        """Do nothing: it holds no more samples than one block."""
+        """Do nothing: a run holds no more samples than one block."""
 
     def leave(self) -> None:
-        """Do nothing: it is read as a whole."""
+        """Do nothing: the run is read as a whole."""
 
     def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
-        """Return what each measure finds, as far as the stitches were seen."""
+        """Return the findings of each measure, as far as the stitches were seen."""
         found = [list(one.measure.finish()) for one in running]
         why = self.unseen_why()
         if not why:
@@ -245,7 +245,7 @@ class StitchRun:
         return [[f.each(partial(replace, unseen=why)) for f in row] for row in found]
 
     def unseen_why(self) -> str:
-        """Say which stitches were not seen; empty where all were."""
+        """Return which stitches were not seen; empty if all were."""
         if self._sewn is None:
             return ""
         wanted, seen = len(self.turns), self._sewn.seen
@@ -256,13 +256,13 @@ class StitchRun:
         return "" if lack is None else lack.why
 
     def unseen(self, reading: RunReading) -> str:  # noqa: ARG002
-        """Say which stitches were not seen, to a measure of many runs."""
+        """Return which stitches were not seen, for a measure of many runs."""
         _ = self.sewn
         return self.unseen_why()
 
     @property
     def _read_beside(self) -> list[Channel]:
-        """Channels that are read beside the needle's, sample by sample."""
+        """Channels that are read together with the needle's, sample by sample."""
         kinds = (ChannelKind.LOAD, ChannelKind.TORQUE_SHARE)
         found = [self.recording.find(kind, axis) for kind in kinds for axis in self.plan.axes]
         return [channel for channel in found if channel is not None]
@@ -289,7 +289,7 @@ class StitchRun:
                     _keep(residual[:, k], at[:, k], of, off, times[: len(stood)][inside])
                 pull = self.recording.find(ChannelKind.TORQUE_SHARE, axis)
                 if pull is not None:
-                    # From a stitch until the next it is the way there.
+                    # Between two stitches the frame moves to the next one.
                     asked = block.samples[pull.name][: len(needle)]
                     to = np.minimum(number + ~needle, count - 1)[: len(asked)]
                     _keep(force[:, k], force_at[:, k], to, asked, times)
@@ -315,7 +315,7 @@ class StitchRun:
 def _keep(
     worst: FloatArray, when: FloatArray, number: IntArray, values: FloatArray, times: FloatArray
 ) -> None:
-    """Keep the largest of the values of each stitch; the numbers rise."""
+    """Keep the largest value of each stitch; the numbers ascend."""
     for begin, end in _runs(number):
         at = begin + int(np.argmax(values[begin:end]))
         stitch = int(number[begin])
@@ -334,7 +334,7 @@ _MINUTE = 60.0
 
 
 def measure_tables(plan: Plan) -> Mapping[str, Sequence[Finding]]:
-    """Return what the plan alone tells: use of the windows, steps, loading of tables, travel."""
+    """Return the measures of the plan alone: use of windows, steps, loading of tables, travel."""
     stitched = plan.stitched
     return {
         "window_use": [_window_use(stitched)],
@@ -368,7 +368,7 @@ def _window_use(stitched: Stitched) -> Finding:
         needed = stitched.pace.rigid_windows_s(stitched.turns.moves)
         turn_s = float(needed[worst]) / stitched.pace.share
         note = f"{_out(use > SLACK, 'turns')}; it can at {_speed(turn_s)}"
-    # A window is rounded to a period of the timer, and is not too short for that.
+    # A window is rounded to a period of the timer; that does not make it too short.
     rounded = 1.0 / float(stitched.turns.window[worst])
     return _at(stitched, worst, max(0.0, float(use[worst]) - rounded), note)
 
@@ -380,7 +380,7 @@ def window_uses(stitched: Stitched) -> FloatArray:
 
 
 def step_rates_hz(stitched: Stitched, column: int) -> FloatArray:
-    """Return (n,) highest rate of steps of an axis in each turn, Hz; 0 where it stands."""
+    """Return (n,) highest step rate of an axis in each turn, Hz; 0 while it stands."""
     commands, turns = stitched.commands, stitched.turns
     shortest = np.minimum.reduceat(*one_behind_the_other(commands.library)).astype(np.float64)
     tick_s = np.full(len(turns), float(commands.clock.period_s))
@@ -391,7 +391,7 @@ def step_rates_hz(stitched: Stitched, column: int) -> FloatArray:
 
 
 def _step_rates(stitched: Stitched) -> list[Finding]:
-    """Return the highest rate of steps of each axis, Hz."""
+    """Return the highest step rate of each axis, Hz."""
     found = []
     for k, axis in enumerate(stitched.axes):
         rates = step_rates_hz(stitched, k)
@@ -415,7 +415,7 @@ def _fetch_use(stitched: Stitched) -> Finding:
 
 
 def _travel(stitched: Stitched) -> list[Finding]:
-    """Return by how much the frame leaves its travel on each axis, m."""
+    """Return the distance of the frame beyond its travel on each axis, m."""
     places = stitched.places_m
     found = []
     for k, axis in enumerate(stitched.axes):
@@ -430,14 +430,14 @@ def stitch_residual(run: StitchRun, _options: Mapping[str, float]) -> list[Findi
     """Per axis: the largest distance of the frame from its place while the needle is in, m."""
     sewn, pace = run.sewn, run.stitched.pace
     alone_s = pace.needed_turns_s(run.stitched.turns.moves)[run.turns]
-    # A stitch is out where either axis is: it is one needle that enters.
+    # A stitch is out if any axis is: a single needle enters.
     out = _out(np.asarray((sewn.residual_m > pace.tolerance_m).any(axis=1)), "stitches")
     found = []
     for k, axis in enumerate(run.plan.axes):
         residual = sewn.residual_m[:, k]
         worst = _worst(run, residual, sewn.time_s[:, k], axis)
         if (residual > pace.tolerance_m).any():
-            # Those of the planner's tolerance: a limit is none of a measure's business.
+            # Counted against the planner's tolerance: a measure does not know its limit.
             note = (
                 f"{out} beyond {pace.tolerance_m * 1e3:.4g} mm on an axis; alone it can "
                 f"at {_speed(float(alone_s[int(np.nanargmax(residual))]))}"

@@ -1,8 +1,8 @@
-"""One sweep over the samples of a block for all measures that hold every one of them up.
+"""One sweep over the samples of a block for all measures that read every sample.
 
-Samples of many runs are more than a processor's own memory holds. A measure that goes over a whole
-block by itself waits for each of them. In a sweep a few samples at a time are brought in, and every
-measure takes them while they are there.
+The samples of many runs exceed the processor's cache. A measure that loops over a whole block by
+itself waits for memory at each sample. A sweep loads a few samples at a time, and every measure
+uses them while they are in the cache.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from threadline.verdict.contour import ContourPart, raise_to_samples
 from threadline.verdict.electrical import DacPart, PeakPart, RmsPart
 from threadline.verdict.finding import add_squares, count_beyond, raise_to_farthest
 from threadline.verdict.measure import Measure, SweptMeasure
-from threadline.verdict.nearest import between, chord_ways, nearest_chords_each
+from threadline.verdict.nearest import between, chord_vectors, nearest_chords_each
 from threadline.verdict.places import ProgressPart, move_on
 from threadline.verdict.samples import Block, lanes
 from threadline.verdict.single_run import contour_of_one, nearest_of_one, progress_of_one
@@ -37,14 +37,14 @@ PartT = TypeVar("PartT", bound=NamedTuple)
 
 _OF_DRIVES = {PeakPart, RmsPart, DacPart}
 _AT_ONCE = 1 << 14
-"""Samples times runs that are brought in together: more wait, fewer lose time to the calls."""
+"""Samples times runs that are loaded together: more miss the cache, fewer cost more calls."""
 
 
 class _Chords(NamedTuple):
-    """The programmed path about a block: (m, axes) vertices, ways, (m,) squared lengths of ways.
+    """The programmed path around a block: (m, axes) vertices, chord vectors, squared lengths.
 
-    ``begin`` and ``end``, (n,), are the first and the last chord that count for each sample.
-    ``axes`` has one entry for each axis.
+    ``begin`` and ``end``, (n,), are the first and the last candidate chord for each sample.
+    ``axes`` is a tuple with one entry per axis.
     """
 
     begin: IntArray
@@ -80,10 +80,10 @@ def _sweep(
     tracking: TrackingPart,
     at_once: int,
 ) -> None:
-    """Let every measure take the (n, axes, runs) samples; one without runs is not there.
+    """Let every measure take the (n, axes, runs) samples; an argument without runs is unused.
 
-    It is not compiled: its calls cost little beside what they do, and a compiled one takes all that
-    it calls through the compiler once more, for each number of axes.
+    It is not compiled: its calls cost little compared with their work, and a compiled one would
+    compile all called functions again for each number of axes.
     """
     samples, axes, runs = actual.shape
     at_once = max(min(at_once, samples), 1)
@@ -91,7 +91,7 @@ def _sweep(
     moves, leaves = len(progress.worst) > 0, len(contour.worst) > 0
     path, weighed = (chords.vertices, chords.way, chords.length, chords.axes), len(share) > 0
     of_place = share[:0]
-    # The row before the first is the sample before.
+    # The row before the first is the previous sample.
     points, chord = np.empty((at_once + 1, axes, runs)), np.empty((at_once + 1, runs), np.int64)
     squared, only = np.empty((at_once, runs)), np.full(at_once + 1, -1)
     least, most = np.empty((at_once + 1, axes)), np.empty((at_once + 1, axes))
@@ -146,7 +146,7 @@ def _sweep(
 
 
 def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> None:
-    """Let every measure of drives take its samples; one without samples is not there."""
+    """Let every measure of drives take its samples; an argument without samples is unused."""
     samples = max(len(peak.current), len(rms.current), len(dac.voltage))
     for low in range(0, samples, at_once):
         own = slice(low, low + at_once)
@@ -172,9 +172,9 @@ _NO_CONTOUR = ContourPart(
     best_time_s=_NO_ROWS,
 )  # fmt: skip
 _NO_PROGRESS = ProgressPart(
-    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, heading=_NO_ROWS, first=0, number=0,
-    lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS, side=_NONE,
-    ceiling=_NONE, dropped=_NONE,
+    command=_NO_ROWS, way=_NO_ROWS, inverse=_NONE, length=_NONE, heading=_NO_ROWS, first=0,
+    number=0, lag=0, places=_NO_NUMBERS, value=_NO_ROWS, worst=_NONE, at=_NO_NUMBERS,
+    side=_NONE, ceiling=_NONE, dropped=_NONE,
 )  # fmt: skip
 _NO_TURNING = TurningPart(
     chord=_NO_NUMBERS, first=0, lag=0, values=_NONE, leaves=_NO_NUMBERS, starts=_NO_NUMBERS,
@@ -191,18 +191,18 @@ _NO_RMS = RmsPart(current=_NO_SAMPLES, total=_NO_ROWS)
 _NO_DAC = DacPart(
     voltage=_NO_SAMPLES, limit=_NONE, beyond=_NO_ROWS_OF_NUMBERS, first=_NO_ROWS_OF_NUMBERS, begin=0
 )
-"""Parts of measures that take no part: compiled code is the same with and without them."""
+"""Empty arrays for absent measures: compiled code is the same with and without them."""
 
 
 def _that(parts: Mapping[type, NamedTuple], none: PartT) -> PartT:
-    """Return the part of the kind of ``none``, or that itself."""
+    """Return the part of the same type as ``none``, else ``none`` itself."""
     found = parts.get(type(none), none)
     assert isinstance(found, type(none))
     return found
 
 
 def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
-    """Sweep over a block for one part of each kind at most."""
+    """Sweep over a block with at most one part of each type."""
     at_once = max(_AT_ONCE // block.runs, 1)
     if not parts.keys().isdisjoint(_OF_DRIVES):
         peak, rms, dac = _that(parts, _NO_PEAK), _that(parts, _NO_RMS), _that(parts, _NO_DAC)
@@ -216,7 +216,7 @@ def _over(block: Block, parts: Mapping[type, NamedTuple]) -> None:
 
 
 def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
-    """Go over the places of a block of a single run, measure by measure."""
+    """Process the places of a block of a single run, measure by measure."""
     assert block.actual is not None
     contour, progress = _that(parts, _NO_CONTOUR), _that(parts, _NO_PROGRESS)
     turning, tracking = _that(parts, _NO_TURNING), _that(parts, _NO_TRACKING)
@@ -230,7 +230,7 @@ def _over_places_of_one(block: Block, parts: Mapping[type, NamedTuple]) -> None:
     if not (len(contour.worst) or len(progress.worst)):
         return
     path, begin, end = block.window()
-    way, length = chord_ways(path.vertices)
+    way, length = chord_vectors(path.vertices)
     none = np.empty((0, points.shape[1]))
     squared, chord = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
     shares = block.shares
@@ -254,14 +254,14 @@ def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -
     axes = (0,) * actual.shape[1]
     path, shares = block.path, None
     vertex_share: FloatArray | None = None
-    if path is None:  # without operations: nothing that asks where on the path takes part
+    if path is None:  # without operations no measure of the place on the path takes part
         nowhere = np.empty((0, len(axes)))
         chords = _Chords(
             _NO_NUMBERS, _NO_NUMBERS, nowhere, nowhere, _NONE, np.ones(len(axes)), axes
         )
     else:
         _, begin, end = block.window()
-        way, length = chord_ways(path.vertices)
+        way, length = chord_vectors(path.vertices)
         chords = _Chords(begin, end, path.vertices, way, length, path.radius_m, axes)
         shares, vertex_share = block.shares, path.shares
     _sweep(
@@ -279,10 +279,10 @@ def _over_places(block: Block, parts: Mapping[type, NamedTuple], at_once: int) -
 
 
 def feed(measures: Sequence[Measure], block: Block) -> None:
-    """Feed measures with a block, those that are swept after one sweep for all of them."""
+    """Feed measures with a block; swept measures after a common sweep."""
     swept = (one for one in measures if isinstance(one, SweptMeasure))
     waiting = [part for one in swept if (part := one.part(block)) is not None]
-    while waiting:  # of two of a kind each needs a sweep of its own
+    while waiting:  # two measures of a type need two sweeps
         parts = {type(part): part for part in reversed(waiting)}
         _over(block, parts)
         waiting = [part for part in waiting if parts[type(part)] is not part]

@@ -1,4 +1,4 @@
-"""Measures of an on/off machine: what rings after each step, and the limits of the valves."""
+"""Measures of an on/off machine: ringing after each step, and the limits of the valves."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from threadline.files import ChannelKind
 from threadline.verdict.finding import Finding
 from threadline.verdict.switch_run import RunStep, SwitchRun, sample_at
 
-_LEAST_PERIODS = 0.5  # less does not show both extremes of what rings
-_BY_SPEED_PERIODS = 0.05  # so much tells place and speed of what rings
+_LEAST_PERIODS = 0.5  # less does not show both extremes of the ringing
+_BY_SPEED_PERIODS = 0.05  # enough for place and speed of the ringing
 _INSTANT_S = 1e-9
 _STOP_GIVES_M = 1.5e-4
-"""A piston that runs into its end stop presses it in by less, and it swings with its cylinder.
+"""Depth by which a piston presses in its end stop at most; it then swings with its cylinder.
 
 7 kg at 0.43 m/s press a beam of 1e8 N/m in by v sqrt(m / k) = 0.114 mm.
 """
@@ -30,12 +30,12 @@ def _unknown(run: SwitchRun, axis: str = "") -> list[Finding]:
 
 
 def residual_vibration(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
-    """Per step and cylinder: half the peak-to-peak of its frame, m, once it has come to rest.
+    """Per step and cylinder: half the peak-to-peak motion of its frame, m, once it rests.
 
-    It is watched from ``after`` s past its coming to rest, for ``window`` s or until its cylinder
-    moves again. What rings on from earlier moves counts too. Where it moves again within half a
-    period, which does not show both extremes, the amplitude follows from place and speed of the
-    frame then: on a machine whose next input comes later it would ring on with that.
+    It is watched from ``after`` s after it has come to rest, for ``window`` s or until its cylinder
+    moves again. Ringing left from earlier moves counts too. If it moves again within half a period,
+    which does not show both extremes, the amplitude follows from place and speed of the frame then:
+    with a later next input the frame would have rung on with it.
     """
     found: list[Finding] = []
     for axis in run.plan.job.axes:
@@ -64,7 +64,7 @@ def _ringing(
     end_s = min(end_s, begin_s + options["window"])
     time_s, values = frame
     blank = Finding(value=None, axis=axis, step=step.name, operation=step.operation)
-    why = run.ended(time_s, min(end_s, run.due_s(step, axis)))
+    why = run.ends_too_early(time_s, min(end_s, run.due_s(step, axis)))
     if why:
         return replace(blank, note=why)
     period_s = 2.0 * np.pi / abs(pole)
@@ -94,10 +94,10 @@ def _by_speed(
     end_s: float,
     pole: complex,
 ) -> Finding:
-    """Return the amplitude of a frame that is seen too shortly, by its place and its speed.
+    """Return the amplitude of a frame that is seen too briefly, from its place and speed.
 
-    It rings about the place at which it stood before the cycle, as ``Re(a exp(pole t))``; ``a`` is
-    fitted to its samples by least squares.
+    It rings about its place before the cycle, as ``Re(a exp(pole t))``; ``a`` is fitted to its
+    samples by least squares.
     """
     time_s, values = frame
     least_s = _BY_SPEED_PERIODS * 2.0 * np.pi / abs(pole)
@@ -117,16 +117,16 @@ def _by_speed(
 
 
 def _between(times_s: FloatArray, begin_s: float, end_s: float) -> slice:
-    """Return the samples from one instant to another, both included: a step has few of many."""
+    """Return the samples between two instants, both included, found by bisection."""
     first = int(np.searchsorted(times_s, begin_s, side="left"))
     return slice(first, max(first, int(np.searchsorted(times_s, end_s, side="right"))))
 
 
 def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]:
-    """Per step: from its last switching of a cylinder until every frame stays in the band, s.
+    """Per step: from its last cylinder switching until every frame stays in the band, s.
 
-    The band is about the place at which the frames stood before the cycle. A frame that has not
-    come to rest before its cylinder moves again never settles.
+    The band is centred on each frame's place before the cycle. A frame that has not come to rest
+    before its cylinder moves again never settles.
     """
     axes = run.plan.job.axes
     frames = {axis: run.find(ChannelKind.FRAME, axis) for axis in axes}
@@ -146,7 +146,7 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
         for axis, frame in frames.items():
             assert frame is not None
             time_s, values = frame
-            why = why or run.ended(time_s, run.due_s(step, axis))
+            why = why or run.ends_too_early(time_s, run.due_s(step, axis))
             inside = _between(time_s, last_s, run.quiet_s(step, axis)[1])
             out = np.flatnonzero(np.abs(values[inside] - values[0]) > options["band"])
             settled = float(time_s[inside.start + out[-1]]) - last_s if len(out) else 0.0
@@ -166,7 +166,7 @@ def settling_time(run: SwitchRun, options: Mapping[str, float]) -> list[Finding]
 
 
 def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """Per step and cylinder that moves in it: how far from its target it stands in the end, m."""
+    """Per step and cylinder that moves in it: final distance from its target, m."""
     found: list[Finding] = []
     for axis in run.plan.job.axes:
         load = run.find(ChannelKind.LOAD, axis)
@@ -178,10 +178,10 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
             found += _unknown(run, axis)
         for move in run.moves_of(axis):
             step = next(s for s in reversed(run.steps) if s.begin_s <= move.begin_s + 1e-9)
-            # A step may move it again: then it has stood until that.
+            # A later step may move it again: its place before that counts.
             later = [m.begin_s for m in run.moves_of(axis) if m.begin_s > move.begin_s]
             end_s = min([run.quiet_s(step, axis)[1], *later])
-            why = run.ended(load[0], run.due_s(step, axis))
+            why = run.ends_too_early(load[0], run.due_s(step, axis))
             if why:
                 operation = move.planned.operation
                 found.append(
@@ -204,7 +204,7 @@ def end_position_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Fi
 def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Sequence[Finding]:
     """Largest distance of a piston's place after a move from the mean over all runs, m.
 
-    Each run is read at its own instants: one that waited longer is compared where it stood.
+    Each run is read at its own instants: one that waited longer is compared at the same place.
     """
     wanted = max(int(options["recordings"]), 2)
     if len(runs) < wanted:
@@ -234,9 +234,9 @@ def repeatability(runs: Sequence[SwitchRun], options: Mapping[str, float]) -> Se
 
 
 def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """Per cylinder: how far the piston goes beyond its stroke, m; negative where room is left.
+    """Per cylinder: distance of the piston beyond its stroke, m; negative while room is left.
 
-    At an end stop it is 0, the tenth of a millimetre included by which a stop gives way.
+    At an end stop it is 0, including the tenth of a millimetre by which a stop gives way.
     """
     found = []
     for axis in run.plan.job.axes:
@@ -248,7 +248,7 @@ def travel(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
         beyond = np.maximum(load[1] - run.plan.machine.cylinders[axis].stroke.si, -load[1])
         at = int(np.argmax(beyond))
         value = 0.0 if 0.0 <= beyond[at] <= _STOP_GIVES_M else float(beyond[at])
-        why = run.ended(load[0], run.end_s) if run.followed else ""
+        why = run.ends_too_early(load[0], run.end_s) if run.followed else ""
         note = "beyond an end of its stroke" if value > 0.0 else ""
         found.append(
             Finding(value=value, axis=axis, time_s=float(load[0][at]), note=note, unseen=why)
@@ -269,7 +269,7 @@ def cycle_time(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
 
 
 def switching_order(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """Share of the switchings of the schedule that did not come, or not in its order."""
+    """Share of the switchings of the schedule that are missing or out of order."""
     total = len(run.commands.ticks)
     if run.followed:
         return [Finding(value=0.0)]
@@ -304,9 +304,9 @@ def switching_error(run: SwitchRun, _options: Mapping[str, float]) -> list[Findi
 
 
 def switching_dwell(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """By how much a valve switched again sooner than it can, s; 0 where none did.
+    """Time by which a valve switched again too soon, s; 0 if none did.
 
-    The note says which rested shortest, how long, and how long it needs.
+    The note names the valve with the shortest rest, its rest, and the rest that it needs.
     """
     machine = run.plan.machine
     assert machine.plc is not None
@@ -337,14 +337,14 @@ _VALVE_KINDS = ("direction", "flow")
 
 
 def valve_conflict(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """How long opposite valves were open together, or one without the soft-start valve, s."""
+    """Time for which opposite valves were open together, or one without the soft-start valve, s."""
     machine = run.plan.machine
     on = {n: run.states[:, i] != 0 for i, n in enumerate(run.commands.outputs)}
     air = np.ones(len(run.time_s), dtype=bool)
     for name, output in machine.outputs.items():
         if output.kind == "soft-start":
             air &= on[name]
-    # A sample stands for the time until the next one.
+    # A sample holds until the next one.
     span = np.append(np.diff(run.time_s), 0.0)
     wrong = np.zeros(len(run.time_s), dtype=bool)
     for cylinder in machine.cylinders.values():
@@ -356,7 +356,7 @@ def valve_conflict(run: SwitchRun, _options: Mapping[str, float]) -> list[Findin
 
 
 def over_level(run: SwitchRun, _options: Mapping[str, float]) -> list[Finding]:
-    """By how much the open flow controls of a cylinder exceed the unshaped level."""
+    """Amount by which the open flow controls of a cylinder exceed the unshaped level."""
     worst = Finding(value=0.0)
     on = {n: run.states[:, i] for i, n in enumerate(run.commands.outputs)}
     for axis, cylinder in run.plan.machine.cylinders.items():

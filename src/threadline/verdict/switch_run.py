@@ -1,4 +1,4 @@
-"""Samples of the channels of an on/off machine, kept in little memory.
+"""A run of an on/off machine: samples of its channels, kept in little memory.
 
 Everything is read from the channels of the recording. The outputs tell when a row of the schedule
 took effect, so that a cycle that waited for its inputs is judged at its own instants, simulated
@@ -26,37 +26,37 @@ from threadline.verdict.measure import Running, RunReading
 from threadline.verdict.samples import Block
 
 Samples: TypeAlias = NDArray[np.float64] | NDArray[np.int8]
-"""Samples of a channel; those of a switch are int8, an eighth of the memory."""
+"""Samples of a channel; switches are int8, an eighth of the memory."""
 
 
 def compact(values: FloatArray) -> Samples:
-    """Return a switch's samples in an eighth of the memory; others as they are."""
+    """Return a switch's samples in an eighth of the memory; others unchanged."""
     if ((values == 0.0) | (values == 1.0)).all():
         return values.astype(np.int8)
     return values
 
 
 def joined(parts: list[Samples]) -> Samples:
-    """Return the parts of a channel as one: in whole numbers where every part is."""
+    """Return the parts of a channel joined: as integers if every part is."""
     if all(part.dtype == np.int8 for part in parts):
         return np.concatenate(parts, dtype=np.int8)
     return np.concatenate(parts, dtype=np.float64)
 
 
 def whole(values: Samples) -> NDArray[np.int8]:
-    """Return the nearest state of an output; what is far from 0 and 1 stays far from both."""
+    """Return the nearest state of an output; a value far from 0 and 1 stays far from both."""
     return np.clip(np.rint(values), -100, 100).astype(np.int8)
 
 
 def sample_at(times_s: FloatArray, end_s: float) -> int:
-    """Return the last sample that is not behind an instant; the first where all are."""
+    """Return the last sample at or before an instant; the first if all are later."""
     return max(int(np.searchsorted(times_s, end_s, side="right")) - 1, 0)
 
 
 _ROUNDING_S = 1e-9
 _ROUNDING = 1e-6  # of a sample: instants are sums
 UNNAMED = "begin"
-"""Name of the step of moves that come before the first step that the list names."""
+"""Name of the step of moves before the first named step of the list."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,9 +66,9 @@ class RunStep:
     Parameters
     ----------
     name, operation
-        Of the step.
+        Name and operation of the step.
     begin_s, end_s
-        Its instants in the recording; the end is the beginning of the next.
+        Its instants in the recording; the end is the beginning of the next step.
     """
 
     name: str
@@ -86,12 +86,12 @@ class RunMove:
     planned
         The move of the schedule.
     target_m
-        Where it was to go.
+        Its target.
     begin_s, end_s
         First and last switching.
     rest_s
         When the cylinder has come to rest: its dead time and some lags after the last switching,
-        as the schedule has it.
+        as in the schedule.
     """
 
     planned: ScheduledMove
@@ -102,29 +102,29 @@ class RunMove:
 
 
 class SwitchRun:
-    """A recording beside its plan, read as a whole when it is first asked for anything.
+    """A recording beside its plan, read as a whole at the first access.
 
     Parameters
     ----------
     recording, plan
-        The two.
+        The recording and its plan.
 
     Raises
     ------
     RecordingError
-        If there are no outputs in it; when it is read, if a channel is damaged.
+        If it has no outputs; when it is read, if a channel is damaged.
     """
 
     of: ClassVar[str] = "an on/off machine"
     absent: ClassVar[str] = "nothing of axis {axis} was measured"
     by_time = False
-    untold = None
+    fallback = None
 
     def __init__(self, recording: Recording, plan: Plan) -> None:
         self.plan = plan
         self.commands = plan.scheduled.commands
         self._coverage = Coverage(recording)
-        self._holds: list[tuple[float, float]] = []  # when it was held, s
+        self._holds: list[tuple[float, float]] = []  # start and end of each hold, s
         self.recording = self._coverage.watched
         missing = [
             name
@@ -147,7 +147,7 @@ class SwitchRun:
             raise RecordingError("the output channels must have the same instants, two at least")
         states: NDArray[np.int8] = np.stack(columns, axis=1)
         outputs = [c for c in self.recording.channels if c.name in self.commands.outputs]
-        # With every output off, nothing has happened before.
+        # While every output is off, nothing has happened yet.
         begin_s = 0.0 if states[0].any() else np.inf
         lack = self._coverage.lack(outputs, begin_s, 0.0)
         if lack is not None:
@@ -164,12 +164,12 @@ class SwitchRun:
 
     @property
     def states(self) -> NDArray[np.int8]:
-        """(n, outputs) what each output was then, 0 or 1."""
+        """(n, outputs) state of each output at each instant, 0 or 1."""
         return self._switched[1]
 
     @cached_property
     def ends(self) -> tuple[tuple[float, float], ...] | str:
-        """Where, m, and when, s, each move came to its end, or why that is not known."""
+        """Final place, m, and time, s, of each move, or why they are not known."""
         found = []
         loads = {a: self.find(ChannelKind.LOAD, a) for a in {m.planned.axis for m in self.moves}}
         for move in self.moves:
@@ -177,7 +177,7 @@ class SwitchRun:
             if load is None:
                 return self.why(ChannelKind.LOAD, axis)
             step = next(s for s in reversed(self.steps) if s.begin_s <= move.begin_s + 1e-9)
-            why = self.ended(load[0], self.due_s(step, axis))
+            why = self.ends_too_early(load[0], self.due_s(step, axis))
             if why:
                 return why
             at = sample_at(load[0], self.quiet_s(step, axis)[1])
@@ -185,7 +185,7 @@ class SwitchRun:
         return tuple(found)
 
     def release(self) -> None:
-        """Let go of all samples; steps, moves, switchings and ends of moves are kept."""
+        """Discard all samples; keep steps, moves, switchings and ends of moves."""
         if self.steps:
             _ = self.ends, self.moves
         for samples in ("_channels", "_switched", "changes"):
@@ -217,7 +217,7 @@ class SwitchRun:
         return found
 
     def held_s(self, begin_s: float, end_s: float) -> float:
-        """Return for how long an operator held the schedule between two instants, s."""
+        """Return the total time of holds between two instants, s."""
         return sum(max(min(b, end_s) - max(a, begin_s), 0.0) for a, b in self._holds)
 
     def _samples(self, name: str) -> tuple[FloatArray, FloatArray]:
@@ -231,75 +231,75 @@ class SwitchRun:
         return time_s, np.asarray(values, dtype=np.float64)
 
     def lacks(self, reading: RunReading, per_axis: bool) -> str:  # noqa: ARG002
-        """Say nothing: each of its measures tells itself what it lacks, step by step."""
+        """Return nothing: each of its measures reports missing data itself, step by step."""
         return ""
 
     def blocks(self) -> Iterator[Block]:
-        """Yield nothing: its measures have the run whole."""
+        """Yield nothing: its measures read the whole run."""
         return iter(())
 
     def leave(self) -> None:
-        """Do nothing: it is read as a whole."""
+        """Do nothing: the run is read as a whole."""
 
     def results(self, running: Sequence[Running], last: Block | None) -> list[list[Found]]:  # noqa: ARG002
-        """Return what each measure finds in the run, which it has whole."""
+        """Return the findings of each measure in the whole run."""
         found = [list(one.measure.finish()) for one in running]
-        why = self.ended(self.time_s, self.end_s) if self.followed else ""
+        why = self.ends_too_early(self.time_s, self.end_s) if self.followed else ""
         if not why:
             return found
-        # What is of no step is of the whole cycle.
+        # A finding without a step belongs to the whole cycle.
         return [
             [f if f.step else f.each(partial(replace, unseen=why)) for f in row] for row in found
         ]
 
     def unseen(self, reading: RunReading) -> str:  # noqa: ARG002
-        """Say nothing: each of its measures tells itself what it did not see."""
+        """Return nothing: each of its measures reports itself what it did not see."""
         return ""
 
     def find(self, kind: ChannelKind, axis: str) -> tuple[FloatArray, FloatArray] | None:
-        """Return times, s, and values of a channel of ``axis``, or None where samples lack."""
+        """Return times, s, and values of a channel of ``axis``; None if samples are missing."""
         channel = self.recording.find(kind, axis)
         if channel is None or self._lack_of(channel) is not None:
             return None
         return self._samples(channel.name)
 
     def why(self, kind: ChannelKind, axis: str) -> str:
-        """Say what lacks where ``find`` returns None."""
+        """Return what is missing if ``find`` returns None."""
         channel = self.recording.find(kind, axis)
         lack = None if channel is None else self._lack_of(channel)
         return f"no {kind.value} channel of {axis}" if lack is None else lack.why
 
     def _lack_of(self, channel: Channel) -> Lack | None:
-        """Return what is missing of a channel since the first switching, but for its end."""
+        """Return what is missing of a channel since the first switching, except its end."""
         begin_s = float(self.row_s[0]) if len(self.row_s) else 0.0
         return self._coverage.lack([channel], begin_s, 0.0)
 
     @cached_property
     def end_s(self) -> float:
-        """When the cycle ends, if the schedule was followed."""
+        """End of the cycle, if the schedule was followed."""
         return self.instant_s(self.commands.duration_ticks)
 
     @staticmethod
-    def ended(time_s: FloatArray, until_s: float) -> str:
-        """Say that samples at ``time_s`` end before an instant; empty where they do not."""
+    def ends_too_early(time_s: FloatArray, until_s: float) -> str:
+        """Say that samples at ``time_s`` end before an instant; empty if they do not."""
         interval_s = float(time_s[-1] - time_s[-2]) if len(time_s) > 1 else 0.0
         if time_s[-1] + (1.0 + _ROUNDING) * interval_s + _ROUNDING_S >= until_s:
             return ""
         return f"the recording ends at {time_s[-1]:.6g} s, it is judged until {until_s:.6g} s"
 
     def due_s(self, step: RunStep, axis: str) -> float:
-        """Return until when what ``step`` leaves must have been seen: the cycle's end at most."""
+        """Return until when effects of ``step`` must have been seen: the cycle's end at most."""
         return min(self.quiet_s(step, axis)[1], self.end_s)
 
     @cached_property
     def changes(self) -> IntArray:
-        """(k,) samples at which an output is another than before; everything is off before."""
+        """(k,) samples at which an output changes; everything is off before."""
         before = np.vstack((np.zeros_like(self.states[:1]), self.states[:-1]))
         return np.flatnonzero((before != self.states).any(axis=1))
 
     @cached_property
     def row_s(self) -> FloatArray:
-        """(rows that were followed,) instants at which the rows of the schedule took effect."""
+        """(followed rows,) instants at which the rows of the schedule took effect."""
         found = []
         for index, row in zip(self.changes, self.commands.levels, strict=False):
             if not np.array_equal(self.states[index], row):
@@ -315,15 +315,14 @@ class SwitchRun:
     def instant_s(self, tick: int) -> float:
         """Return the instant, s, at which a tick of the schedule was played.
 
-        It is counted from the next switching, whose instant is known, and after the last one from
-        that.
+        It is counted back from the next switching, whose instant is known, or on from the last.
         """
         period_s = float(self.commands.clock.period_s)
         ticks = self.commands.ticks
         after = int(np.searchsorted(ticks, tick))
         if after < len(ticks):
             return float(self.row_s[after] - (ticks[after] - tick) * period_s)
-        # After the last switching ticks go on at their period, but for waits.
+        # After the last switching ticks go on at their period, except for waits.
         now_s, last = float(self.row_s[-1]), int(ticks[-1])
         for event in self.commands.events:
             if event.kind == "wait" and last <= event.tick < tick:
@@ -336,16 +335,16 @@ class SwitchRun:
         came = (time_s >= from_s - _ROUNDING_S) & ((values != 0) == bool(event.value))
         found = np.flatnonzero(came)
         if not len(found):
-            return from_s  # not recorded, or it never came: no more is known
+            return from_s  # it never came, or was not recorded: nothing more is known
         period_s = float(self.commands.clock.period_s)
         scans = np.ceil((time_s[found[0]] - from_s) / period_s - _ROUNDING_S)
         return float(from_s + scans * period_s)
 
     @cached_property
     def unseen_wait(self) -> str:
-        """Why nobody knows how long the cycle waited behind its last switching; empty if known.
+        """Why the wait after the last switching is unknown; empty if it is known.
 
-        Before that the switchings themselves tell.
+        Before that the switchings themselves show it.
         """
         now_s = float(self.row_s[-1]) if len(self.row_s) else 0.0
         for event in self.commands.events:
@@ -365,7 +364,7 @@ class SwitchRun:
         named = [(e.tick, e.name, e.operation) for e in self.commands.events if e.kind == "tool"]
         first = min((move.first_tick for move in self.plan.scheduled.moves), default=0)
         if not named or first < named[0][0]:
-            # What moves before a step is named belongs to one, too.
+            # Moves before the first named step belong to a step, too.
             start = int(self.commands.ticks[0])
             named.insert(0, (start, UNNAMED, int(self.commands.operation[0])))
         begins = [self.instant_s(tick) for tick, _, _ in named]
@@ -400,10 +399,10 @@ class SwitchRun:
         return [m for m in self.moves if m.planned.axis == axis]
 
     def quiet_s(self, step: RunStep, axis: str) -> tuple[float, float]:
-        """Return the span in which what ``step`` leaves is seen: at rest, until it moves again.
+        """Return the span in which effects of ``step`` are seen: at rest, until it moves again.
 
-        From the end of the motion, or the beginning of the step where that is later, to the next
-        move of this cylinder or the end of the recording, or of the cycle if that is later.
+        From the end of the motion, or the beginning of the step if that is later, to the next move
+        of this cylinder, or to the end of the recording or the cycle, whichever is later.
         """
         mine = self.moves_of(axis)
         done = [m for m in mine if m.begin_s < step.end_s - _ROUNDING_S]
@@ -414,7 +413,7 @@ class SwitchRun:
 
 
 def _held(events: Sequence[Event], clock: Clock) -> list[tuple[float, float]]:
-    """Return when each hold began and ended, s; one that the run ended in is not there."""
+    """Return begin and end of each hold, s, except one that the run ended in."""
     found, since = [], None
     for event in events:
         if event.kind == "hold" and since is None:

@@ -1,4 +1,4 @@
-"""Commanded positions of the loads, where feed-forward gives the controllers other ones."""
+"""Tracking error, and the intended commanded positions if feed-forward commands other ones."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from threadline.verdict.samples import Block, Setting
 
 
 def as_intended(recording: Recording, plan: Plan) -> Recording:
-    """Return ``recording`` with the commanded position of each axis as the plan meant it.
+    """Return ``recording`` with the commanded position of each axis as the plan intended it.
 
-    Where the loads follow the motion, the controllers are told what makes them do so: the motors
-    run ahead of it. What was intended is the motion; errors are measured from there. Where rows
-    were held it is the motion at the plan's time, which stands with them. Where the
-    motors follow it the two are one, and the recording is returned as it is.
+    If the loads follow the motion, the controllers receive commands that lead it. The intended
+    position is the motion itself, and errors are measured from there. Under holds it is the motion
+    at the plan's time. If the motors follow the motion, the two are equal and the recording is
+    returned unchanged.
     """
     intended = plan.motion.of_loads
     if intended is None:
@@ -60,10 +60,10 @@ def _blocks(
 
 
 class TrackingPart(NamedTuple):
-    """What a sweep over a block takes from the measure and brings back.
+    """Arrays that a sweep over a block reads and updates for the tracking error.
 
-    ``command``, (n, axes), is what the samples are held against; ``size`` and ``at``, (axes, runs),
-    are raised to the largest difference and to the first sample that has it, -1 of none.
+    ``command``, (n, axes), is subtracted from the samples; ``size`` and ``at``, (axes, runs), are
+    raised to the largest difference and to its first sample, -1 for none.
     """
 
     command: FloatArray
@@ -74,8 +74,8 @@ class TrackingPart(NamedTuple):
 class _Tracking(SweptMeasure):
     """Per axis, in its own unit (m or rad): the largest absolute difference. Lag counts.
 
-    The actual position is that of the tool or the load. A live machine has neither: there it is
-    what the axis' own encoder read, and the result says so.
+    The actual position is the tool's or the load's. A live machine may record neither: then the
+    axis' own encoder is read, and the result says so.
     """
 
     def __init__(self, setting: Setting) -> None:
@@ -90,7 +90,7 @@ class _Tracking(SweptMeasure):
         self._part: TrackingPart | None = None
 
     def part(self, block: Block) -> TrackingPart | None:
-        """Return what the sweep needs for the tool or the load, where there is one."""
+        """Return the arrays for the sweep over the tool or the load; None if not recorded."""
         self._part = None
         if block.actual is not None and block.commanded is not None and not all(self._own):
             shape = len(self._own), block.actual.shape[1]
@@ -102,7 +102,7 @@ class _Tracking(SweptMeasure):
         return self._part
 
     def feed(self, block: Block) -> None:
-        """Take what the sweep found; what encoders read is in no sweep."""
+        """Take the sweep's results; encoders are not part of the sweep."""
         if self._part is not None:
             self._offer(block, self._part.size, self._part.at, own=False)
         if block.own is not None and any(self._own):

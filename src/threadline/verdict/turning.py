@@ -1,4 +1,4 @@
-"""Where an axis of the programmed path turns back, found as the path streams by."""
+"""Turning-point error; turning points of the programmed path, found while it streams by."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Turning:
     value
         Length at the tool.
     direction
-        +1 where it is a highest value, -1 where it is a lowest one, 0 if the axis never moved.
+        +1 for a maximum, -1 for a minimum, 0 if the axis never moved.
     operation, line, position
-        Of the first vertex there; the position in the units of the axes.
+        Data of the first vertex there; the position in the units of the axes.
     leaves
         Number of the chord that leaves it: the axis may stand there for many chords before.
     """
@@ -53,8 +53,8 @@ def _scan(
 ) -> tuple[int, int, int]:
     """Run the hysteresis over ``vertices``; return direction, index of the extreme, and count.
 
-    ``at`` is the vertex of the running extreme, -1 while it is that of an earlier call, whose
-    (axes,) position ``extreme`` holds.
+    ``at`` is the vertex of the running extreme; -1 if it is from an earlier call, with its (axes,)
+    position in ``extreme``.
     """
     count = 0
     value = extreme[column]
@@ -76,9 +76,9 @@ _scan_fast = njit(nogil=True)(_scan)
 
 
 class ReversalScan:
-    """Finds the turnings of one axis; moves back by no more than ``smallest`` do not count.
+    """Finds the turnings of one axis; reversals of no more than ``smallest`` do not count.
 
-    Ignoring such a wiggle can hide an error of its own size at most.
+    Ignoring such a wiggle can hide an error of at most its size.
     """
 
     def __init__(self, column: int, smallest: float, radius_m: FloatArray) -> None:
@@ -91,7 +91,7 @@ class ReversalScan:
         self._operation = self._line = 0
 
     def scan(self, path: PathWindow) -> list[Turning]:
-        """Return the turnings that the vertices read since the last call confirm."""
+        """Return the turnings confirmed by the vertices read since the last call."""
         if self._seen < 0:
             self._seen = path.first
             self._keep(path, 0)
@@ -114,8 +114,8 @@ class ReversalScan:
             leaves,
         )
         found = []
-        # Only the first one can be at an extreme of an earlier call. Before the first, the axis
-        # may have begun to move, so its direction is counted back from the last one.
+        # Only the first one can be at an extreme of an earlier call. Before the first, the axis may
+        # have begun to move, so its direction is counted back from the last one.
         direction = first_direction or (self.direction if count % 2 == 0 else -self.direction)
         for index, leaving in zip(where[:count], leaves[:count], strict=True):
             if index >= 0:
@@ -127,7 +127,7 @@ class ReversalScan:
         return found
 
     def end(self) -> Turning:
-        """Return the end of what was scanned, which counts as a turning."""
+        """Return the end of the scanned path, which counts as a turning."""
         return self._turning(self.direction, self._seen)
 
     def _turning(self, direction: int, leaves: int) -> Turning:
@@ -150,15 +150,15 @@ OPTIONS = {"smallest": Option(unit="m", default=5e-5)}
 
 
 class TurningPart(NamedTuple):
-    """What a sweep over a block takes from the measure and brings back, of k axes.
+    """Arrays that a sweep over a block reads and updates for the turnings of k axes.
 
     The turnings that axis k awaits are ``values`` and ``leaves`` from ``starts[k]`` to
-    ``starts[k + 1]``, of which ``closed[k]`` are behind it after the sweep, with (turnings, runs)
+    ``starts[k + 1]``; after the sweep ``closed[k]`` of them are passed, with (turnings, runs)
     ``errors`` at ``times_s``. ``whole``, (k, 2), is the direction of each axis and the sample at
-    which the command left the turning or -1, the same for all runs; ``real``, (k, 4, runs), is the
-    best, its time, the best of the opposite direction since then and its time. An axis without a
-    direction is not followed. ``chord``, (n,), is that of the command, and the first sample of the
-    block has the number ``first``.
+    which the command left the turning, or -1; it is the same for all runs. ``real``, (k, 4, runs),
+    is the extreme, its time, the extreme of the opposite direction since then and its time. An axis
+    without a direction is not followed. ``chord``, (n,), is the command's, and the first sample of
+    the block has the number ``first``.
     """
 
     chord: IntArray
@@ -177,17 +177,17 @@ class TurningPart(NamedTuple):
 def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compiled once more
     points: FloatArray, boxes: Boxes, time_s: FloatArray, low: int, part: TurningPart
 ) -> None:
-    """Follow every axis through its turnings over samples of which the first is ``low``.
+    """Follow every axis through its turnings over samples, the first of them ``low``.
 
-    Where the box of all runs is beyond that of the best, the sample is the best of every run: it is
-    noted which one, and written out when a box does not tell.
+    If the box of all runs exceeds every run's extreme, the sample is the new extreme of every run:
+    its index is noted, and written out when a box does not decide.
     """
     samples, _, runs = points.shape
-    # Each look into a tuple would count references.
+    # Each tuple access would count references.
     known, lower, upper, lows, highs = boxes
     chord, first, lag, values, leaves, starts, whole, real, errors, times_s, closed = part
-    of_all = np.full(2, -1)  # samples that are the best of all runs, in both directions
-    bounds = np.empty(4)  # least and most of the best, and of that of the opposite direction
+    of_all = np.full(2, -1)  # samples that are the extreme of all runs, in both directions
+    bounds = np.empty(4)  # least and most of the extremes, and of the opposite ones
     for k in range(len(closed)):
         due, end = starts[k] + closed[k], starts[k + 1]
         fresh, side = known, whole[k, 0]
@@ -210,7 +210,7 @@ def _follow(  # noqa: PLR0915 - one loop over the samples; a call would be compi
                     told = True
                 else:
                     bounds[0], bounds[1] = max(bounds[0], least), max(bounds[1], most)
-                    # Where one run comes farther, its opposite direction begins anew.
+                    # When a run gets farther, its opposite direction starts again.
                     bounds[2], bounds[3] = min(bounds[2], -most), max(bounds[3], -least)
             closing = False
             if due < end:
@@ -268,7 +268,7 @@ class _Axis:
         self._last: FloatArray = np.zeros(setting.runs)
 
     def read(self, path: PathWindow) -> None:
-        """Take up the turnings that the path has come to."""
+        """Take the turnings that the path has reached."""
         self.open.extend(self._scan.scan(path))
         if not self._whole[0]:
             self._whole[0] = self.open[0].direction if self.open else self._scan.direction
@@ -276,7 +276,7 @@ class _Axis:
     def feed(
         self, last: FloatArray, last_s: float, errors: FloatArray, times_s: FloatArray
     ) -> None:
-        """Take the (closed, runs) errors of turnings that are behind, and where it is now."""
+        """Take the (closed, runs) errors of passed turnings, and the present position."""
         self._last, self._last_s = last, last_s
         for turning, error, at_s in zip(self.open, errors, times_s, strict=False):
             self._offer(turning, error, at_s)
@@ -292,7 +292,7 @@ class _Axis:
             else:
                 self._offer(turning, np.abs(self._last - turning.value), self._last_s)
             direction = -direction
-            # What followed the last turning is the way to the next; after that comes nothing.
+            # The last turning is followed by the motion to the next; after that comes nothing.
             real = np.stack([real[2], real[3], -real[0], real[1]])
         rest = path.remainder(last)
         if rest is not None:
@@ -319,13 +319,13 @@ class _Axis:
 
 
 class _TurningPoints(SweptMeasure):
-    r"""Per axis: the farthest that it comes at each reversal, against the programmed value.
+    r"""Per axis: the farthest position at each reversal, against the programmed value.
 
-    Lengths at the tool (rotary axes times their radius). A reversal is watched from the one
-    before it until the command has left it for the lag, or has left the next one. The end of
-    the job is the last of them. An extreme between two samples can be missed by at most
-    a T^2 / 8, with the acceleration a and the sample interval T. A stroke that takes less
-    time than the machine's lag is charged with the distance that was not yet covered.
+    Lengths at the tool (rotary axes times their radius). A reversal is watched from the previous
+    one until the command has left it for the lag, or has left the next one. The end of the job is
+    the last of them. An extreme between two samples can be missed by at most a T^2 / 8, with the
+    acceleration a and the sample interval T. A stroke that takes less time than the machine's lag
+    is charged with the distance that was not yet covered.
     """
 
     def __init__(self, setting: Setting, smallest: float) -> None:
@@ -344,7 +344,7 @@ class _TurningPoints(SweptMeasure):
         self._part: TurningPart | None = None
 
     def part(self, block: Block) -> TurningPart:
-        """Return what the sweep needs, with the turnings of the path about the block."""
+        """Return the arrays for the sweep, with the turnings of the path around the block."""
         assert block.path is not None and block.chord is not None
         for axis in self._axes:
             axis.read(block.path)
@@ -366,7 +366,7 @@ class _TurningPoints(SweptMeasure):
         return self._part
 
     def feed(self, block: Block) -> None:
-        """Take what the sweep found."""
+        """Take the sweep's results."""
         found = self._part
         assert found is not None
         self._path, self._last, last_s = block.path, block.last_at_tool, float(block.time_s[-1])

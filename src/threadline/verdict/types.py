@@ -1,4 +1,4 @@
-"""Criteria and verdicts: what is asked of a job, and what came of it."""
+"""Criteria, specifications and verdicts."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ NO_OPTIONS: Mapping[str, float] = {}
 
 
 def is_measured(value: float, unit: str) -> bool:
-    """Say whether ``value`` can be a result: a number, or of a time infinity, which is never."""
+    """Return whether ``value`` can be a result: a number; for a time also infinity (never)."""
     return math.isfinite(value) or (unit == "s" and value == math.inf)
 
 
 class Status(StrEnum):
-    """What came of a criterion."""
+    """Result of a criterion."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -28,19 +28,20 @@ class Status(StrEnum):
 class Level(StrEnum):
     """How far a verdict reaches."""
 
-    LIMITS = "limits and time alone"  # the machine file has no dynamics: nothing is said of places
-    NOMINAL = "nominal"  # few runs of one machine: nothing is said of others
-    REPEATED = "repeated"  # so many runs that what varies from run to run is in them
-    YIELD = "yield over tolerances"  # of a share of the machines within the tolerances of the file
-    TOLERANCES = "over tolerances"  # of every other machine that was drawn within them
+    LIMITS = "limits and time alone"  # no dynamics in the machine file: places are unknown
+    NOMINAL = "nominal"  # few runs of one machine: no claim about others
+    REPEATED = "repeated"  # enough runs to contain the variation from run to run
+    YIELD = "yield over tolerances"  # a share of the machines within the tolerances of the file
+    TOLERANCES = "over tolerances"  # every other machine that was drawn within them
+    DRAWN = "drawn machines"  # machines that were all drawn within them, in one run each
 
 
 REPEATED_RUNS = 20
-"""Runs from which a verdict is of level *repeated*."""
+"""Least number of runs for the level *repeated*."""
 
 
 def level_of(runs: int, machines: int, wished: float | None) -> Level:
-    """Return how far runs of a machine, and of others within its tolerances, reach."""
+    """Return the level of runs of a machine, and of others within its tolerances."""
     if machines:
         return Level.TOLERANCES if wished is None else Level.YIELD
     return Level.REPEATED if runs >= REPEATED_RUNS else Level.NOMINAL
@@ -55,20 +56,20 @@ class Criterion:
     name
         One of the measures: ``contour_error``, ``turning_point_error``, ...
     axis
-        The axis that it is asked of, ``""`` for every axis or for the tool.
+        Its axis, ``""`` for every axis or for the tool.
     step
-        The step of a move list that it is asked of, ``""`` for every step.
+        Its step of a move list, ``""`` for every step.
     limit
-        Largest allowed value, SI; None where it is only reported.
+        Largest allowed value, SI; None if it is only reported.
     required
         Whether the verdict passes only if it was measured.
     options
-        How it is measured (a band, a window), SI; what is left out has the measure's default.
+        How it is measured (a band, a window), SI; options left out have the measure's default.
     hard
-        The limit is the machine's own. A historical interpolation is excused from those of
-        acceleration and jerk: it reports what it asks for.
+        The limit is the machine's own. A historical interpolation may exceed the limits of
+        acceleration and jerk: it only reports its values.
     every_axis
-        Whether it was written for every axis: one that the job does not move is then left out.
+        Whether it was written for every axis: an axis that the job does not move is then left out.
     note
         A remark for the verdict, such as that the machine's own limit is narrower.
     """
@@ -93,14 +94,14 @@ class Spec:
     name
         For people.
     criteria
-        In the order in which the verdict lists them.
+        In the order of the verdict.
     lag_s
-        How long the machine may trail its command before trailing is an error: placement is judged
-        against the stretch of the program from this time before an instant to this time after it.
+        Free following error in time: placement is judged against the stretch of the program from
+        this time before an instant to this time after it.
     sha256
-        Of the file.
+        Hash of the file.
     file
-        As it was named; empty for the machine's own specification, and for one made by hand.
+        File name as given; empty for the machine's own specification, and for one made by hand.
     """
 
     name: str
@@ -110,9 +111,9 @@ class Spec:
     file: str = ""
 
     def with_margin(self, share: float) -> Spec:
-        """Return the specification with so much of every limit kept free.
+        """Return the specification with a share of every limit kept free.
 
-        The machine's own limits stay: they are what the motion is planned with.
+        The machine's own limits stay, since the motion is planned with them.
 
         Parameters
         ----------
@@ -130,34 +131,34 @@ class Spec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
-    """A criterion and what was measured.
+    """A criterion and its measured value.
 
     Parameters
     ----------
     name, axis, limit, required
-        As in the criterion; ``axis`` is filled in where one was measured.
+        As in the criterion; ``axis`` is filled in if one was measured.
     measured
-        The worst value, SI ``unit``; None where nothing was measured. Infinite is a time that has
-        no end: what never settles.
+        The worst value, SI ``unit``; None if nothing was measured. A time may be infinite: the tool
+        never settles.
     time_s
         When the worst value occurred, from the start of the job.
     operation, job_line
-        Where in the job; None where there is no such place.
+        Where in the job; None if there is no such place.
     passes
         Passes of the subroutines around that line, the outermost first; empty in the main program.
     position
-        (axes of the job,) commanded position there, m or rad; for a programmed point that was
-        missed, the point; None where there is no such place.
+        (axes of the job,) commanded position there, m or rad; for a missed programmed point, that
+        point; None if there is no such place.
     note
-        What the number alone does not say: ``short``, ``past``, why nothing was measured.
+        Remark beyond the number: ``short``, ``past``, why nothing was measured.
     run
-        Number of the run in which the worst value was found, from 1, those of other machines last;
-        None where there was one run alone, or the value is of the plan or of all runs together.
+        Number of the run with the worst value, from 1, other machines last; None if there was one
+        run only, or the value belongs to the plan or to all runs together.
     step
         The step of a move list that it was measured in; ``""`` for the whole job.
     of
-        ``"plan"`` where the value is of the plan, and no run was measured; ``"recording"`` where a
-        limit of the plan was measured on the recording instead; ``"run"`` for all else.
+        ``"plan"`` if the plan was measured, and no run; ``"recording"`` if a limit of the plan was
+        measured on the recording instead; else ``"run"``.
 
     Raises
     ------
@@ -197,35 +198,35 @@ class Result:
 
 
 class Change(StrEnum):
-    """Kinds of what changes the motion of a run."""
+    """Kinds of events that change the motion of a run."""
 
-    LIMIT_SWITCH = "limit-switch"  # it cut the supply of a motor
+    LIMIT_SWITCH = "limit-switch"  # a switch cut the supply of a motor
     SATURATION = "saturation"  # the output of a controller was at its clamp
-    LOST_STEPS = "lost-steps"  # a drive was asked for more torque or force than it has
-    HOLD = "hold"  # the rows of the commands stood
+    LOST_STEPS = "lost-steps"  # the torque or force asked of a drive exceeded its limit
+    HOLD = "hold"  # the rows of the commands were held
     LATE = "late"  # rows of the commands came late
     STOPPED = "stopped"  # the run ended early
     FAULT = "fault"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Happening:
-    """Something that changed the motion of a run: no part of its plan.
+class Disturbance:
+    """An event that changed the motion of a run and is not part of its plan.
 
     Parameters
     ----------
     change
-        What kind of thing.
+        Kind of event.
     text
-        What happened, for people, without its place.
+        Description for people, without its place.
     time_s
-        When it was, or began, from the start of the job.
+        When it happened or began, from the start of the job.
     operation, job_line
-        What was under way; None where that is not known.
+        Place in the job; None if unknown.
     axis
-        Whose motion it changed; ``""`` for all.
+        The axis whose motion it changed; ``""`` for all.
     run
-        Number of the first run in which it happened, from 1; None where there was one alone.
+        Number of the first run in which it happened, from 1; None if there was one run only.
     """
 
     change: Change
@@ -237,8 +238,8 @@ class Happening:
     run: int | None = None
 
     @property
-    def told(self) -> str:
-        """What happened and where, for people."""
+    def words(self) -> str:
+        """Description with time and line, for people."""
         where = [
             "" if self.time_s is None else f"at {self.time_s:.3f} s",
             "" if not self.job_line else f"line {self.job_line}",
@@ -258,24 +259,26 @@ class Verdict:
     simulated
         Whether every run was simulated.
     runs
-        How many runs of the machine were judged.
+        Number of judged runs of the machine.
     machines
-        How many other machines within its tolerances were, too.
+        Number of other judged machines within its tolerances.
     wished
-        Share of these machines that has to be in specification; None where every one has to be.
+        Share of these machines that must be in specification; None: every one.
     ends
-        How many machines at the ends of the tolerances of loads and springs were, one run each.
+        Number of judged machines at the ends of the tolerances of loads and springs, one run each.
+    band
+        Number of judged machines with modes all over a band, one run each.
     incomplete
-        How a run ended before its last row; empty where none did.
+        How a run ended before its last row; empty if none did.
     late_ticks
         Ticks of all runs at which a row was due and had not come.
     limits_alone
         Whether only limits and time were judged: the runs are simulated, and the machine file has
         no dynamics.
     recorded
-        Whether recordings were judged, and not runs that were simulated for the verdict.
-    happenings
-        What changed the motion of the runs, in the order of time.
+        Whether recordings were judged, not runs simulated for the verdict.
+    disturbances
+        Events that changed the motion of the runs, in the order of time.
     """
 
     results: tuple[Result, ...]
@@ -284,38 +287,39 @@ class Verdict:
     machines: int = 0
     wished: float | None = None
     ends: int = 0
+    band: int = 0
     incomplete: str = ""
     late_ticks: int = 0
     limits_alone: bool = False
     recorded: bool = False
-    happenings: tuple[Happening, ...] = ()
+    disturbances: tuple[Disturbance, ...] = ()
 
     @property
     def level(self) -> Level:
-        """How far it reaches."""
+        """How far the verdict reaches."""
         if self.limits_alone:
             return Level.LIMITS
         return level_of(self.runs, self.machines, self.wished)
 
     @property
     def tightest(self) -> Result | None:
-        """The result that uses most of its limit; None where no limit above 0 was measured.
+        """The result that uses most of its limit; None if no limit above 0 was measured.
 
-        The machine's own limits do not count: a plan is made to use them.
+        The machine's own limits do not count, since a plan is made to use them.
         """
         held = [r for r in self.results if r.limit and r.measured is not None and not r.hard]
         return max(held, key=_share, default=None)
 
     @property
     def answers(self) -> bool:
-        """Whether anything was measured that has a limit other than the machine's own."""
+        """Whether anything with a limit other than the machine's own was measured."""
         return any(
             r.limit is not None and r.measured is not None and not r.hard for r in self.results
         )
 
     @property
     def passed(self) -> bool:
-        """Nothing failed, everything required was measured, and every run came to its end."""
+        """Nothing failed, every required criterion was measured, and every run was complete."""
         return not self.incomplete and all(
             result.status is not Status.FAILED
             and not (result.required and result.status is Status.NOT_MEASURED)
@@ -323,7 +327,7 @@ class Verdict:
         )
 
     def result(self, name: str, axis: str = "") -> Result:
-        """Return the result of a criterion, of the worst axis where none is named.
+        """Return the result of a criterion, for the worst axis if none is named.
 
         Raises
         ------

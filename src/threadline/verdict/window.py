@@ -1,9 +1,8 @@
-"""The programmed path about the operations under way: all that the judge holds of it.
+"""The part of the programmed path around the current operations, all that the judge holds of it.
 
-The pieces of a trajectory carry the operation that is under way, but a piece may be longer than
-many operations, and a smoothing in time shifts what is under way by as much as it is wide. What
-is sure is the order: after one point the next is passed at the first instant at which the distance
-to it is a minimum.
+The pieces of a trajectory carry their operation, but a piece may span many operations, and
+smoothing in time shifts the operation by up to its width. Only the order is certain: after one
+point the next is passed at the first instant at which the distance to it is a minimum.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ from threadline.motion.timing.types import TrajectoryBlock
 
 @dataclass(frozen=True, slots=True)
 class Remainder:
-    """The part of the path that a recording never came to.
+    """The part of the path that a recording never reached.
 
-    ``distance_m``, (runs,), is that of its farthest vertex from where the machine stands;
-    operation and line, (runs,), and position, (runs, axes), are that vertex'; ``end`` is the
-    (axes,) end of the path, lengths at the tool.
+    ``distance_m``, (runs,), is the distance of its farthest vertex from the machine; operation and
+    line, (runs,), and position, (runs, axes), belong to that vertex; ``end`` is the (axes,) end of
+    the path, lengths at the tool.
     """
 
     distance_m: FloatArray
@@ -36,7 +35,7 @@ class Remainder:
 
 
 def _farther(known: Remainder, fresh: Remainder) -> Remainder:
-    """Return the farther vertex of every run, and the end of what came later."""
+    """Return the farther vertex of every run, and the end of the later part."""
     larger = fresh.distance_m > known.distance_m
     return Remainder(
         np.where(larger, fresh.distance_m, known.distance_m),
@@ -57,13 +56,13 @@ class PathWindow:
     operation, line
         (m,) operation that moves to each vertex, and its job line.
     speed_m_s
-        (m,) programmed speed of the chord into each vertex, at the tool; NaN where there is none.
+        (m,) programmed speed of the chord into each vertex, at the tool; NaN without one.
     radius_m, local
-        Those of the path.
+        As in the path.
     first
-        Number of the first of them since the start of the path.
+        Number of the first vertex since the start of the path.
     ended
-        The last vertex of the path is among them.
+        Whether the last vertex of the path is among them.
     """
 
     def __init__(self, path: ProgrammedPath) -> None:
@@ -83,16 +82,16 @@ class PathWindow:
 
     @property
     def shares(self) -> FloatArray | None:
-        """(m, axes) what a length at each vertex is of one at the largest radii; None: the same."""
+        """(m, axes) ratio of a length at each vertex to one at the largest radii; None: 1."""
         return None if self.local is None else self.local.shares(self.vertices / self.radius_m)
 
     def reach(self, latest: int) -> None:
-        """Read on until every chord of the operation ``latest`` and the one after are held."""
+        """Read on until every chord of the operation ``latest`` and the next one is held."""
         while not self.ended and (not len(self) or self.operation[-1] <= latest):
             self._extend()
 
     def drop(self, chord: int) -> None:
-        """Let go of the vertices before ``chord``, counted from the start of the path."""
+        """Discard the vertices before ``chord``, counted from the start of the path."""
         surplus = min(chord - 1 - self.first, len(self) - 2)
         if surplus > 0:
             self.vertices = self.vertices[surplus:]
@@ -104,23 +103,23 @@ class PathWindow:
     def chords(self, operation: IntArray) -> tuple[IntArray, IntArray]:
         """Return (n,) first and last chord of each operation; chord c ends at vertex c.
 
-        An operation without motion (a dwell, an output) has the chord that led to where it is.
+        An operation without motion (a dwell, an output) has the chord that led to its place.
         """
         left = np.searchsorted(self.operation, operation, side="left")
         last = np.searchsorted(self.operation, operation, side="right") - 1
         most = max(len(self) - 1, 1)
-        # Where the operation has no vertex, its predecessor's chord is where the machine stands.
+        # An operation without a vertex has its predecessor's chord, where the machine stands.
         first = np.minimum(np.maximum(np.minimum(left, last), 1), most)
         return first, np.minimum(np.maximum(last, 1), most)
 
     def remainder(self, point: FloatArray) -> Remainder | None:
-        """Return what of the path lies after the window; reads it to its end, once.
+        """Return the path after the window; reads it to its end, once.
 
         Parameters
         ----------
         point
-            (axes, runs) where the machine stands, lengths at the tool; NaN of an axis that was not
-            recorded, which then counts for nothing.
+            (axes, runs) position of the machine, lengths at the tool; NaN for an axis that was not
+            recorded, which is then ignored.
         """
         if self.ended:
             return self._remainder
@@ -164,25 +163,25 @@ class PathWindow:
         self.line = np.concatenate([self.line, block.line])
 
 
-_NEAR = 0.25  # of the way from point to point: a minimum as near as that is it
+_NEAR = 0.25  # of the distance from point to point: a minimum this near is the passing
 _FAR = 2.0
-"""Of that way and the distance of the point before: so far a nearer one is looked for."""
-_STRIDE = 0.125  # of that way: seldom farther from instant to instant, and never twice as far
+"""Share of that distance, plus the previous point's distance, in which to look for a nearer one."""
+_STRIDE = 0.125  # of that distance: the usual largest step per instant, never exceeded twofold
 _HALVINGS = 60  # of an interval about a minimum: to the last digits of a double
-_FINEST = 1e-9  # of the duration of a piece: strides are no shorter
+_FINEST = 1e-9  # of the duration of a piece: the shortest stride
 _ROUNDING = 1e-15  # of the time
-_SAME_M = 1e-12  # a piece that ends so near to a minimum ends at it
+_SAME_M = 1e-12  # a piece that ends this near to a minimum ends at it
 
 
-class Passing:
+class TrajectoryFollower:
     """Follows a trajectory from point to point.
 
     Parameters
     ----------
     blocks
-        Of the trajectory; pieces that stand still may be left out.
+        Blocks of the trajectory; pieces that stand still may be left out.
     columns, radius
-        (k,) of the axes, and lengths at the tool for each: m per m, or m per rad.
+        (k,) columns of the axes, and lengths at the tool for each: m per m, or m per rad.
     start
         (k,) the point at which it begins, lengths at the tool.
     """
@@ -209,8 +208,8 @@ class Passing:
         Parameters
         ----------
         points
-            (n, k) in order, lengths at the tool. A point equal to the one before it is passed with
-            it; what the trajectory does not come near to any more is passed at its end.
+            (n, k) in order, lengths at the tool. A point equal to its predecessor is passed with
+            it; points that the trajectory does not approach any more are passed at its end.
         """
         points = np.ascontiguousarray(points, dtype=np.float64)
         out = np.full(len(points), self.time_s)
@@ -225,7 +224,7 @@ class Passing:
         else:
             done = len(points)
         self.time_s, self._point = float(out[done - 1]), points[done - 1]
-        # The piece before stays: a minimum at a joint is at its end.
+        # The previous piece stays: a minimum at a joint is at its end.
         first = int(np.searchsorted(self._start_s, self.time_s, side="right")) - 2
         kept = slice(max(first, 0), None)
         self._start_s, self._duration_s = self._start_s[kept], self._duration_s[kept]
@@ -233,7 +232,7 @@ class Passing:
         return out[:done]
 
     def _read(self) -> None:
-        """Add a block to the pieces at hand."""
+        """Append a block to the buffered pieces."""
         block = next(self._blocks, None)
         if block is None:
             self._ended = True
@@ -268,7 +267,7 @@ def _gap(a, b):  # type: ignore[no-untyped-def]
 
 @njit()
 def _nears(at, speed, point):  # type: ignore[no-untyped-def]
-    """Return half the rate of the squared distance to ``point``: negative while it comes nearer."""
+    """Return half the rate of the squared distance to ``point``: negative while approaching."""
     total = 0.0
     for k in range(len(at)):
         total += (at[k] - point[k]) * speed[k]
@@ -277,7 +276,7 @@ def _nears(at, speed, point):  # type: ignore[no-untyped-def]
 
 @njit()
 def _turn(c, start, duration, piece, low, high, point, at, speed):  # type: ignore[no-untyped-def]
-    """Return when ``point`` comes no nearer, between two instants of a piece; by bisection."""
+    """Return when ``point`` is nearest, between two instants of a piece; by bisection."""
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         _place(c, start, duration, piece, middle, at, speed)
@@ -310,7 +309,7 @@ def _step(c, start, duration, piece, t, most, state, to):  # type: ignore[no-unt
 def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: ignore[no-untyped-def]
     """Return when and in which piece a point is passed, from ``t`` on; piece -1: not known yet.
 
-    ``state`` and ``to`` are (2, axes) places and velocities to work with.
+    ``state`` and ``to``, (2, axes), are work arrays for places and velocities.
     """
     _place(c, start, duration, piece, t, state[0], state[1])
     nears = _nears(state[0], state[1], point)
@@ -341,7 +340,7 @@ def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: 
                 if least <= _NEAR * way[0]:
                     return found_s, found
         t, nears = then, after
-        for a in range(state.shape[1]):  # an assignment of the whole takes seconds to compile
+        for a in range(state.shape[1]):  # assigning the whole array takes seconds to compile
             state[0, a], state[1, a] = to[0, a], to[1, a]
         if travelled > way[1] and (nears >= 0.0 or _gap(state[0], point) >= least):
             return found_s, found
@@ -349,10 +348,10 @@ def _find(c, start, duration, ended, piece, t, point, way, state, to):  # type: 
 
 @njit()
 def _end_of(c, start, duration, begin_s, t, piece, state, to):  # type: ignore[no-untyped-def]
-    """Return the instant, and the piece, of a minimum; at the end of a piece where one is so near.
+    """Return the instant and piece of a minimum; the end of the piece if that is very near.
 
-    Motion that ends at a minimum comes to it ever more slowly: it is passed at the end. Where a
-    rest follows, it is the end before the rest.
+    Motion that ends at a minimum approaches it ever more slowly: it is passed at the end. If a rest
+    follows, that is the end before the rest.
     """
     _place(c, start, duration, piece, t, state[0], state[1])
     for k in range(max(piece - 1, 0), piece + 1):
@@ -365,7 +364,7 @@ def _end_of(c, start, duration, begin_s, t, piece, state, to):  # type: ignore[n
 
 @njit()
 def _pass(points, origin, c, start, duration, begin_s, ended, out):  # type: ignore[no-untyped-def]
-    """Fill in when points are passed; return of how many that is known by these pieces."""
+    """Fill in when points are passed; return the number of points that these pieces decide."""
     state, to, way = np.empty((2, c.shape[2])), np.empty((2, c.shape[2])), np.empty(2)
     now, piece, before = begin_s, 0, origin
     while piece + 1 < len(start) and now >= start[piece] + duration[piece]:

@@ -1,4 +1,4 @@
-"""Files of recordings and tick tables, by the ending of their names."""
+"""Readers and writers of recordings and tick tables, chosen by the file extension."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ __all__ = [
 
 
 def read_recording_mcap(path: Path) -> Recording:
-    """Read an MCAP recording; its library is not imported before it is used."""
+    """Read an MCAP recording; imports the MCAP library on the first call."""
     from threadline.files.formats import recording_mcap
 
     return recording_mcap.read_recording_mcap(path)
 
 
 def write_recording_mcap(recording: Recording, path: Path) -> Written:
-    """Write an MCAP recording; its library is not imported before it is used."""
+    """Write an MCAP recording; imports the MCAP library on the first call."""
     from threadline.files.formats import recording_mcap
 
     return recording_mcap.write_recording_mcap(recording, path)
@@ -76,13 +76,13 @@ def _ending(path: Path, among: Mapping[str, object], what: str) -> str:
     ending = path.suffix.lower()
     if ending not in among:
         raise RecordingError(
-            f"{path.name[:80]!r} does not end like a {what}", remedy=f"Known: {', '.join(among)}."
+            f"{path.name[:80]!r} has no extension of a {what}", remedy=f"Known: {', '.join(among)}."
         )
     return ending
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording: ``.npz``, ``.mcap``, ``.csv`` of ours, ``.csv`` from anywhere, ``.plt``.
+    """Read a recording: ``.npz``, ``.mcap``, ``.plt``, ``.csv`` (also of other programs).
 
     Raises
     ------
@@ -98,24 +98,24 @@ def read_recording(path: str | Path) -> Recording:
 def write_recording(
     recording: Recording, path: str | Path, *, plot_every: int | None = None
 ) -> Written:
-    """Write a recording; the ending of ``path`` says how.
+    """Write a recording in the format given by the extension of ``path``.
 
     Only ``.npz`` and ``.mcap`` keep every clock.
 
     Parameters
     ----------
     recording
-        What happened.
+        The recording to write.
     path
-        Where to.
+        Name of the file; its extension gives the format.
     plot_every
-        Ticks from line to line of a ``.plt``, as the operator has set it; by default every
-        sample. The other formats keep all.
+        Ticks from line to line of a ``.plt``; by default every sample. The other formats write all
+        samples.
 
     Raises
     ------
     RecordingError
-        If it cannot be written so, or not there.
+        If the format cannot hold the recording, or the file cannot be written.
     """
     path = Path(path)
     ending = _ending(path, _RECORDING_WRITERS, "recording")

@@ -1,7 +1,7 @@
-"""NumPy's ``.npz``, written and read piece by piece, so that no column has to be in memory.
+"""NumPy's ``.npz``, written and read piece by piece, so that no column must fit into memory.
 
-``numpy.load`` reads these files, too. It is not used here, since it reads whole arrays and
-allocates what a header claims without checking it.
+``numpy.load`` can read these files. This module does not use it, because it reads whole arrays and
+allocates the size that a header claims without checking it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from threadline.files.formats.common import MAX_META_BYTES, parse_json
 META = "meta.json"
 MAX_MEMBERS = 512
 MAX_TOTAL_BYTES = 1 << 40
-_MAX_RATIO = 1100  # deflate packs at most 1032 : 1; a header that claims more is false
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # one date for all files: equal content gives equal files
+_MAX_RATIO = 1100  # deflate packs at most 1032 : 1; a header that claims more is wrong
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # a fixed date, so that equal content gives equal files
 _COPY_BYTES = 1 << 20
 _MAX_HEADER = 1000
 _HEADER = re.compile(
@@ -101,12 +101,12 @@ def _info(name: str) -> zipfile.ZipInfo:
 
 
 class ColumnArchive:
-    """Reads the columns of an archive, a run of rows at a time.
+    """Reads the columns of an archive, some rows at a time.
 
     Raises
     ------
     RecordingError
-        If the file is no archive, or its headers claim more than it can hold.
+        If the file is not an archive, or its headers claim more data than it can hold.
     """
 
     def __init__(self, path: Path) -> None:
@@ -137,7 +137,7 @@ class ColumnArchive:
             raise self._refuse("the archive has repeated names or too many of them")
         for info in infos:
             if info.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
-                raise self._refuse(f"{info.filename[:60]!r} is packed in an unusual way")
+                raise self._refuse(f"{info.filename[:60]!r} has an unknown compression")
             if info.flag_bits & 1:
                 raise self._refuse(f"{info.filename[:60]!r} is encrypted")
             if info.file_size > _MAX_RATIO * (info.compress_size + 64):
@@ -148,16 +148,16 @@ class ColumnArchive:
             raise self._refuse("the archive promises more than it can hold")
 
     def verify(self) -> None:
-        """Read everything once against its check sum, before anything is computed from it.
+        """Read the whole file once and verify its checksums, before any result depends on it.
 
         Raises
         ------
         RecordingError
-            If a check sum is wrong.
+            If a checksum is wrong.
         """
         wrong = self._archive.testzip()
         if wrong is not None:
-            raise self._refuse(f"the file is damaged: the check sum of {wrong[:60]!r} is wrong")
+            raise self._refuse(f"the file is damaged: the checksum of {wrong[:60]!r} is wrong")
 
     def meta(self) -> Any:
         """Return the description."""
@@ -167,14 +167,14 @@ class ColumnArchive:
             raise RecordingError(
                 f"the archive has no {META}",
                 place=Place(str(self._path)),
-                remedy="It was not written by Threadline; give a CSV file with units instead.",
+                remedy="Threadline did not write it; give a CSV file with units instead.",
             ) from error
         if info.file_size > MAX_META_BYTES:
             raise self._refuse(f"{META} has {info.file_size} bytes, limit {MAX_META_BYTES}")
         return parse_json(self._archive.read(info).decode(), Place(str(self._path)))
 
     def column(self, name: str, dtype: str, width: tuple[int, ...] = ()) -> ColumnReader:
-        """Open a column, which must have this type and rows of this shape."""
+        """Open a column and check its type and the shape of its rows."""
         try:
             info = self._archive.getinfo(f"{name}.npy")
         except KeyError as error:
@@ -189,26 +189,26 @@ class ColumnArchive:
         row_bytes = np.dtype(dtype).itemsize * int(np.prod(width, dtype=np.int64))
         rows = shape[0]
         if member.tell() + rows * row_bytes != info.file_size:
-            raise self._refuse(f"column {name!r} promises {rows} rows and holds another number")
+            raise self._refuse(f"column {name!r} claims {rows} rows but holds a different number")
         return ColumnReader(member, np.dtype(dtype), width, rows)
 
     def _header(self, member: IO[bytes], name: str) -> tuple[str, bool, tuple[int, ...]]:
-        """Return type, order and shape; numpy's own reader would run a Python parser on them."""
+        """Return type, order and shape; numpy's reader would run a Python parser on them."""
         magic = member.read(8)
         size_bytes = {b"\x93NUMPY\x01\x00": 2, b"\x93NUMPY\x02\x00": 4}.get(magic)
         if size_bytes is None:
-            raise self._refuse(f"column {name!r} is no array of a known version")
+            raise self._refuse(f"column {name!r} is not an array of a known version")
         size = int.from_bytes(member.read(size_bytes), "little")
         text = member.read(min(size, _MAX_HEADER)).decode("latin-1")
         match = _HEADER.fullmatch(text)
         if match is None or len(text) != size:
-            raise self._refuse(f"column {name!r} has a header that cannot be read")
+            raise self._refuse(f"the header of column {name!r} cannot be read")
         shape = tuple(int(part) for part in match["shape"].split(",") if part.strip())
         return match["descr"], match["order"] == "True", shape
 
 
 class ColumnReader:
-    """One open column: rows come in order."""
+    """An open column; it is read row by row from the start."""
 
     def __init__(
         self, member: IO[bytes], dtype: np.dtype[Any], width: tuple[int, ...], rows: int
@@ -220,7 +220,7 @@ class ColumnReader:
         self._left = rows
 
     def take(self, count: int) -> NDArray[Any]:
-        """Return the next ``count`` rows, or as many as are left."""
+        """Return the next ``count`` rows, or all that remain."""
         count = min(count, self._left)
         size = count * self._dtype.itemsize * int(np.prod(self._width, dtype=np.int64))
         data = self._member.read(size)
@@ -230,6 +230,6 @@ class ColumnReader:
         return np.frombuffer(data, self._dtype).reshape(count, *self._width)
 
     def runs(self, count: int) -> Iterator[NDArray[Any]]:
-        """Yield all rows that are left, ``count`` at a time."""
+        """Yield all remaining rows, ``count`` at a time."""
         while self._left:
             yield self.take(count)

@@ -1,7 +1,7 @@
-"""Rows of counts cut into runs that one line of a trajectory array each can give.
+"""Divide rows of counts into runs, each of which is one line of a trajectory array.
 
-How a line of ``n`` ticks spreads its remainder is told in ``array.py``. Apart from it because few
-processes write arrays, and all that read a recording would load numba for it.
+``trajectory_array.py`` explains how a line of ``n`` ticks spreads its remainder. This is a separate
+file because it loads numba, and few processes write arrays.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from threadline.base.compiled import njit
 
 @njit()
 def _phase(counts: IntArray, begin: int, n: int, axis: int) -> int:
-    """Return a phase for which one line gives ``counts[begin:begin + n, axis]``, or -1."""
+    """Return a phase with which one line gives ``counts[begin:begin + n, axis]``, or -1."""
     total = 0
     for k in range(n):
         total += counts[begin + k, axis]
@@ -23,7 +23,7 @@ def _phase(counts: IntArray, begin: int, n: int, axis: int) -> int:
     lowest, highest = 0, n - 1
     travelled = 0
     for k in range(1, n):
-        # floor((h + k r) / n) must be what was travelled above k times the speed.
+        # floor((h + k r) / n) must equal the travel in excess of k times the speed.
         travelled += counts[begin + k - 1, axis] - speed
         low = n * travelled - k * remainder
         lowest = max(lowest, low)
@@ -45,10 +45,10 @@ def _fits(counts: IntArray, begin: int, n: int, phases: IntArray) -> bool:
 
 @njit()
 def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Cut rows into runs that one line each can give; none reaches over a mark.
+    """Divide rows into runs for one line each; no run extends across a mark.
 
-    A run is the whole way to the next mark where that fits; else it doubles while it fits and
-    then takes the longest of ever smaller additions.
+    A run extends to the next mark if one line can give it. Otherwise its length is doubled while it
+    fits, and then increased by smaller and smaller steps.
     """
     rows, axes = counts.shape
     begins = np.empty(rows, np.int64)
@@ -74,7 +74,7 @@ def runs(counts: IntArray, marks: IntArray) -> tuple[IntArray, IntArray, IntArra
                     step //= 2
                 _fits(counts, begin, span, trial)
             begins[found], spans[found] = begin, span
-            for axis in range(axes):  # an assignment of the row takes seconds to compile
+            for axis in range(axes):  # assigning the whole row takes seconds to compile
                 phases[found, axis] = trial[axis]
             found += 1
             begin += span

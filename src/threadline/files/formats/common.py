@@ -1,4 +1,4 @@
-"""What all file formats of commands and recordings share: instants, units, values."""
+"""Shared parts of the file formats of commands and recordings: instants, units, values."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TIME = "time"
 
 _COLUMN = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[\s*(?P<unit>[^\[\]]*?)\s*\])?\s*")
 _SWITCHED = re.compile(r"(?P<name>[A-Za-z][A-Za-z0-9_-]*)\.(?P<kind>output|input)")
-"""An output or input of the PLC, by its name in the machine file; 0 or 1."""
+"""Column of a PLC output or input, by its name in the machine file; its values are 0 or 1."""
 _POSITIONS = frozenset(
     {
         ChannelKind.COMMANDED,
@@ -45,7 +45,7 @@ _PER_AXIS = tuple(k for k in ChannelKind if k in _POSITIONS or k in _UNITS)
 
 
 def units_of(kind: ChannelKind) -> tuple[str, ...]:
-    """Return the SI units that a channel of ``kind`` may have; none where it has no unit."""
+    """Return the SI units allowed for a channel of ``kind``; empty for a channel without unit."""
     return _UNITS.get(kind, ("m", "rad") if kind in _POSITIONS else ())
 
 
@@ -63,9 +63,9 @@ class Column:
 def parse_column(text: str, place: Place) -> Column:
     """Return the channel that the heading of a column names.
 
-    ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` and the like name another kind
-    of channel; ``operation`` has no unit, nor have ``valve.output`` and ``switch.input``, which
-    are outputs and inputs of a PLC.
+    ``X [mm]`` is the measured position of axis X; ``X.load [mm]`` names another kind of channel.
+    ``operation`` has no unit, and neither have PLC outputs and inputs, such as ``valve.output`` and
+    ``switch.input``.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def parse_column(text: str, place: Place) -> Column:
         raise RecordingError(
             f"unknown column {name[:60]!r}",
             place=place,
-            remedy=f"{nearest(name, among)} Take columns out that are not to be judged.",
+            remedy=f"{nearest(name, among)} Remove columns that are not to be judged.",
         )
     kind = ChannelKind(kind_name) if dot else ChannelKind.MEASURED
     units = units_of(kind)
@@ -140,11 +140,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A file that was written, and its hash.
+    """A written file and its hash.
 
-    ``warnings`` say what was left out or looks suspicious; ``facts`` say what was checked of its
-    content. ``as_run_s`` are two times by the planner of a firmware, of the job as it stands and of
-    the file; None where the planner is not known.
+    ``warnings`` name omissions and suspicious values; ``facts`` name the checks of its content.
+    ``as_run_s`` are two durations by the planner of a firmware: of the original job and of the
+    written file; None where the planner is unknown.
     """
 
     path: Path
@@ -156,10 +156,10 @@ class Written:
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[IO[bytes]]:
-    """Open a file that appears at ``path`` when the block ends well, and not at all otherwise.
+    """Open a file that appears at ``path`` if the block succeeds, and not at all otherwise.
 
     Inside a ``together`` block of ``threadline.base.writing`` it appears when that block ends.
-    Until then its bytes are in the file that the ``name`` of the opened stream gives.
+    Until then its bytes are in the temporary file that the ``name`` of the stream gives.
 
     Raises
     ------
@@ -176,14 +176,14 @@ def atomic_file(path: Path) -> Iterator[IO[bytes]]:
 
 
 def written(path: Path, warnings: tuple[str, ...] = ()) -> Written:
-    """Return ``path`` with the hash of what is in it."""
+    """Return ``path`` with the hash of its content."""
     with content_of(path).open("rb") as file:
         return Written(path, hashlib.file_digest(file, "sha256").hexdigest(), warnings)
 
 
 @contextmanager
 def clear_errors(path: Path) -> Iterator[None]:
-    """Turn every error that a broken file causes into a ``RecordingError`` that names the file."""
+    """Turn every error of a damaged file into a ``RecordingError`` that names the file."""
     try:
         yield
     except ThreadlineError:
@@ -213,17 +213,17 @@ def clear_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(known: KnownFile) -> Iterator[None]:
-    """Do as ``clear_errors`` while a file is read again, and refuse a file that was changed.
+    """Apply ``clear_errors`` while a file is read again, and refuse a file that has changed.
 
     Raises
     ------
     RecordingError
-        If the content is not the one of the first reading.
+        If the content has changed since the first reading.
     """
     with clear_errors(known.path):
         if not known.is_unchanged():
             raise RecordingError(
-                f"the file was changed since it was read; its SHA-256 was {known.sha256[:12]}",
+                f"the file has changed since it was read; its SHA-256 was {known.sha256[:12]}",
                 place=Place(str(known.path)),
                 remedy="Read it again.",
             )
@@ -231,7 +231,7 @@ def reading(known: KnownFile) -> Iterator[None]:
 
 
 def text_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield line numbers, from 1, and lines; a RecordingError refuses binary or endless lines."""
+    """Yield line numbers, from 1, and lines; raise RecordingError for binary or too long lines."""
     with path.open("rb") as file:
         number = 0
         while raw := file.readline(MAX_LINE_BYTES + 1):
@@ -258,14 +258,14 @@ def text_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def meta_lines(title: str, meta: dict[str, Any]) -> Iterator[str]:
-    """Yield the comment lines in which text formats keep what is not in their columns."""
+    """Yield the comment lines of a text format: the data that has no column."""
     yield f"# threadline {title}"
     for key, value in meta.items():
         yield f"# {key}: {json_line(value)}"
 
 
 def parse_meta_lines(lines: Iterable[tuple[int, str]], path: Path) -> dict[str, Any]:
-    """Return what ``meta_lines`` wrote, from its lines after the title."""
+    """Return the data that ``meta_lines`` wrote, from its lines after the title."""
     meta: dict[str, Any] = {}
     for number, line in lines:
         key, colon, value = line.lstrip("# ").partition(":")
@@ -274,7 +274,7 @@ def parse_meta_lines(lines: Iterable[tuple[int, str]], path: Path) -> dict[str, 
                 f"{line[:80]!r} is not a '# key: value' line", place=Place(str(path), number)
             )
         if key in meta:
-            raise RecordingError(f"{key!r} stands twice", place=Place(str(path), number))
+            raise RecordingError(f"{key!r} occurs twice", place=Place(str(path), number))
         meta[key] = parse_json(value, Place(str(path), number))
     return meta
 
@@ -285,7 +285,7 @@ def parse_json(text: str, place: Place) -> Any:
     Raises
     ------
     RecordingError
-        If it is none.
+        If it is not JSON.
     """
     try:
         return json.loads(text)
@@ -294,7 +294,7 @@ def parse_json(text: str, place: Place) -> Any:
 
 
 def checked_meta(adapter: TypeAdapter[T], meta: Any, path: Path) -> T:
-    """Return ``meta`` as the dataclass of ``adapter``, or say which key is wrong."""
+    """Return ``meta`` as the dataclass of ``adapter``; the error names the wrong key."""
     try:
         return adapter.validate_python(meta)
     except ValidationError as error:
@@ -321,8 +321,8 @@ def fraction_text(value: Fraction) -> str:
 
 
 JITTER = 0.05
-"""Largest distance of an instant from the grid, as a share of the period; a trace with a larger one
-is refused and not resampled."""
+"""Largest distance of an instant from the grid, as a share of the period. A trace with a larger
+distance is refused, not resampled."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,7 +337,8 @@ class Grid:
 def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
     """Return the grid of a trace from its line numbers and instants.
 
-    The period is the fraction with the least denominator that is the mean step within a tolerance.
+    The period is the fraction with the smallest denominator that equals the mean step within a
+    tolerance.
 
     Raises
     ------
@@ -351,7 +352,7 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
             raise RecordingError(
                 f"time goes from {last:.9g} s to {time_s:.9g} s, it must increase",
                 place=Place(path, number),
-                remedy="Sort the rows, and take out doubled ones.",
+                remedy="Sort the rows and remove duplicates.",
             )
         if not rows:
             start = time_s
@@ -361,13 +362,13 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
             f"the trace has {rows} row(s), at least 2 are needed", place=Place(path)
         )
     mean_s = (last - start) / (rows - 1)
-    # The grid may miss the last instant by a thousandth of what is allowed, no more.
+    # The grid may miss the last instant by a thousandth of the allowed jitter.
     slack = Fraction(JITTER * mean_s / 1000.0) / (rows - 1)
     period_s = simplest_between(Fraction(mean_s) - slack, Fraction(mean_s) + slack)
     first = round(Fraction(start) / period_s)
     if first < 0 or abs(Fraction(start) / period_s - first) > JITTER:
         raise RecordingError(
-            f"the trace begins at {start:.9g} s, which is not a whole number of its periods "
+            f"the trace begins at {start:.9g} s, which is not a whole number of periods "
             f"of {float(period_s):.9g} s after 0",
             place=Place(path),
             remedy="Let time begin at 0, where the job begins.",
@@ -376,7 +377,7 @@ def find_grid(times_s: Iterable[tuple[int, float]], path: str) -> Grid:
 
 
 def check_on_grid(time_s: float, tick: int, period_s: Fraction, stride: int, place: Place) -> None:
-    """Refuse an instant that is more than ``JITTER`` of a step away from that of ``tick``."""
+    """Refuse an instant whose distance from ``tick`` exceeds ``JITTER`` of a step."""
     step_s = float(period_s) * stride
     expected_s = tick * float(period_s.numerator) / float(period_s.denominator)
     if not abs(time_s - expected_s) <= JITTER * step_s:
@@ -417,7 +418,7 @@ def in_si(recording: Recording, place: Place) -> Recording:
     """Return ``recording`` with every channel in the SI unit of its kind.
 
     A file may give positions in mm or deg, voltages in mV and currents in mA; such samples are
-    multiplied while they are read. A recording in SI units is returned as it is.
+    converted during reading. A recording in SI units is returned unchanged.
 
     Raises
     ------
@@ -456,7 +457,7 @@ def _si(channel: Channel, place: Place) -> tuple[str, float]:
         f"channel {channel.name!r} is of kind {channel.kind.value} and in {channel.unit!r}, "
         f"which is not a unit like {' or '.join(units)}",
         place=place,
-        remedy="Give its samples in such a unit, and name it.",
+        remedy="Convert its samples to such a unit.",
     )
 
 

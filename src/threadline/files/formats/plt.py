@@ -1,8 +1,8 @@
-"""``.PLT``: the trace of the 1994 controller, a line of positions for every recorded tick.
+"""``.PLT``: the trace format of the 1994 controller, a line of positions per recorded tick.
 
-The thesis describes the file (section 9.9, appendix A) and prints none. A first line is added
-here that names columns, units and rate, so that a spreadsheet shows headings and the file can be
-judged on its own.
+The thesis describes the file (section 9.9, appendix A) but prints no example. Threadline adds a
+first line with columns, units and rate, so that a spreadsheet shows headings and the file can be
+judged without other files.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from threadline.files.stream import Stream
 from threadline.units import parse_exact_time_s, unit_factor
 
 LINES_1994 = 5000
-"""Lines that the plot file of 1994 could hold."""
+"""Largest number of lines of the plot file in 1994."""
 
 _ORDER = ("X", "Y", "A", "Z", "B", "C")
 _UNITS = {"m": "mm", "rad": "deg"}
@@ -50,29 +50,29 @@ def write_plt(
     kind: ChannelKind = ChannelKind.MEASURED,
     limit_lines: int | None = None,
 ) -> Written:
-    """Write the positions of X, Y, A (then Z, B, C where there are any), in mm and degrees.
+    """Write the positions of X, Y, A, Z, B and C, as far as they exist, in mm and degrees.
 
     Parameters
     ----------
     recording
-        What happened.
+        The recording to write.
     every
         Ticks from one line to the next; by default every sample.
     kind
-        Kind of the positions; by default those that the encoders read.
+        Kind of the positions; by default the encoder positions.
     limit_lines
-        Largest number of lines (``LINES_1994`` in 1994); a warning says that the rest was left out.
-        None writes all.
+        Largest number of lines (``LINES_1994`` in 1994); a warning reports omitted lines. None
+        writes all.
 
     Raises
     ------
     RecordingError
-        If there are no such channels, or ``every`` does not fall on the samples.
+        If there are no such channels, or ``every`` is not a multiple of their stride.
     """
     channels = [c for axis in _ORDER if (c := recording.find(kind, axis)) is not None]
     if not channels:
         raise RecordingError(
-            f"the recording has no {kind.value} position, which .plt is made of",
+            f"the recording has no {kind.value} position, which .plt needs",
             remedy="Write it as .csv or .npz.",
         )
     strange = [c for c in channels if c.unit not in _UNITS]
@@ -86,7 +86,7 @@ def write_plt(
     every = stride if every is None else every
     if every < 1 or every % stride:
         raise RecordingError(
-            f"a line every {every} ticks was asked for, samples are {stride} ticks apart",
+            f"a line every {every} ticks is impossible: samples are {stride} ticks apart",
             remedy=f"Give a multiple of {stride}.",
         )
     left = limit_lines
@@ -135,7 +135,7 @@ def _rows(recording: Recording, channels: list[Channel], every: int) -> Iterator
 
 
 def read_plt(path: Path) -> Recording:
-    """Read what ``write_plt`` wrote, as measured positions.
+    """Read a file of ``write_plt`` as measured positions.
 
     Raises
     ------
@@ -149,7 +149,7 @@ def read_plt(path: Path) -> Recording:
         match = _RATE.fullmatch(rate.strip())
         if match is None or not names:
             raise RecordingError(
-                f"the first line is {head[:60]!r}, it must name columns, units and rate",
+                f"the first line {head[:60]!r} does not give columns, units and rate",
                 place=place,
                 remedy='Begin with "X [mm]", "Y [mm]", "A [deg]", "every 20 ticks of 5 ms", '
                 "with tabs in between.",
@@ -158,7 +158,7 @@ def read_plt(path: Path) -> Recording:
         if any(c.axis not in AXES or c.unit not in _UNITS for c in columns):
             raise RecordingError("every column must be the position of an axis", place=place)
         if len({c.name for c in columns}) < len(names):
-            raise RecordingError("a column stands twice", place=place)
+            raise RecordingError("a column occurs twice", place=place)
         clock = Clock("recording", _period(match["period"], place))
         channels = tuple(
             Channel(
@@ -180,7 +180,7 @@ def read_plt(path: Path) -> Recording:
             simulated=False,
         )
         for _ in recording:
-            pass  # every line is read once, so that no wrong one turns up half-way
+            pass  # read every line now, so that a wrong one is found before the recording is used
     return recording
 
 
@@ -216,7 +216,7 @@ def _blocks(
             cells = line.split("\t")
             if len(cells) != len(channels):
                 raise RecordingError(
-                    f"the line has {len(cells)} numbers, its columns are {len(channels)}",
+                    f"the line has {len(cells)} numbers, but there are {len(channels)} columns",
                     place=place,
                     remedy="The file may have been cut off.",
                 )

@@ -1,4 +1,4 @@
-"""Recordings in ``.csv`` files: complete ones that Threadline writes, and traces from elsewhere."""
+"""Recordings in ``.csv`` files: of Threadline, or traces of other programs."""
 
 from __future__ import annotations
 
@@ -51,25 +51,25 @@ _TIME_COLUMN = f"{TIME} [s]"
 
 
 def write_recording_csv(recording: Recording, path: Path) -> Written:
-    """Write ``recording`` as text: one line per instant, after comment lines with the rest.
+    """Write ``recording`` as text: comment lines with its description, then one line per instant.
 
     Raises
     ------
     RecordingError
-        If its channels are not all on one clock and stride, or samples are missing in between.
+        If its channels differ in clock or stride, or there is a gap between samples.
     """
     channels = recording.channels
     grids = {(c.clock, c.stride) for c in channels}
     if len(grids) != 1:
         raise RecordingError(
             f"the channels of the recording lie on {len(grids)} clocks or strides; "
-            "a table has one time for all",
+            "a table has one time column for all channels",
             remedy="Write it as .npz.",
         )
     for channel in channels:
         if set(channel.name + channel.unit) & set(',"\r\n[]'):
             raise RecordingError(
-                f"channel {channel.name!r} cannot head a column", remedy="Write it as .npz."
+                f"{channel.name!r} cannot be the heading of a column", remedy="Write it as .npz."
             )
     clock, stride = next(iter(grids))
     with atomic_file(path) as file:
@@ -108,22 +108,21 @@ def _head(channel: Channel) -> str:
 def read_recording_csv(path: Path) -> Recording:
     """Read a recording from text.
 
-    A file that Threadline wrote gives back everything. Any other begins, after comment lines
-    with ``#``, with a line that names its columns and their units, ``time [s],X [mm],A [deg]``,
-    separated by commas, semicolons or tabs; its instants must lie on an even grid, within
-    ``files.grid.JITTER`` of a period. The whole file is checked before the first sample is
-    given out.
+    A file of Threadline is read without loss. Any other file begins, after comment lines with
+    ``#``, with a line of columns and units, ``time [s],X [mm],A [deg]``, separated by commas,
+    semicolons or tabs. Its instants must lie on an even grid within ``JITTER`` of a period. The
+    whole file is checked before the first sample is returned.
 
     Raises
     ------
     RecordingError
-        With the line, if the file is neither a recording nor such a trace.
+        If the file is neither a recording nor such a trace; names the line.
     """
     with clear_errors(path):
         own = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
         recording = _own(path) if own else _foreign(path)
         for _ in recording:
-            pass  # every line is read once, so that no wrong one turns up half-way
+            pass  # read every line now, so that a wrong one is found before the recording is used
     return recording
 
 
@@ -179,10 +178,10 @@ def _foreign(path: Path) -> Recording:
     names = [column.name for column in columns]
     for name in names:
         if names.count(name) > 1:
-            raise RecordingError(f"column {name!r} stands twice", place=place)
+            raise RecordingError(f"column {name!r} occurs twice", place=place)
     if TIME not in names or len(names) < 2:
         raise RecordingError(
-            "the trace needs a column of time and one of positions at least",
+            "the trace needs a column of time and at least one column of positions",
             place=place,
             remedy='Begin with a line like "time [s],X [mm],Y [mm],A [deg]".',
         )
@@ -215,13 +214,13 @@ def _channel(column: Column, clock: Clock) -> Channel:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Layout:
-    """How the cells of a line are to be read: time first, then the channels."""
+    """Layout of a line: its separator, factors to SI, and the column of time and each channel."""
 
     separator: str
     factors: tuple[float, ...]
     order: tuple[int, ...]
     own: bool
-    first: int | None = None  # tick of the first row; None: the first time tells
+    first: int | None = None  # tick of the first row; None: from its time
 
 
 def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[float], list[Event]]]:
@@ -240,12 +239,12 @@ def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[fl
         if not line.strip() and not layout.own:
             continue
         if layout.own and ended:
-            raise RecordingError("the table goes on after its end", place=place)
+            raise RecordingError("rows follow the end of the table", place=place)
         cells = line.split(layout.separator, width if layout.own else -1)
         found = len(cells) - layout.own
         if found != width:
             raise RecordingError(
-                f"the line has {found} cells, its columns are {width}",
+                f"the line has {found} cells, but there are {width} columns",
                 place=place,
                 remedy="The file may have been cut off.",
             )
@@ -265,7 +264,7 @@ def _rows(path: Path, head: int, layout: _Layout) -> Iterator[tuple[int, list[fl
 
 
 def parse_number(cell: str, place: Place, *, nan: bool = False) -> float:
-    """Return the number in ``cell``; ``nan`` allows one that is not finite, as in our own files."""
+    """Return the number in ``cell``; ``nan`` allows infinity and NaN, as in Threadline's files."""
     value: float | None = None
     if cell.isascii() and "_" not in cell:
         with suppress(ValueError):

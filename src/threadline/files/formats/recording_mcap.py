@@ -1,10 +1,10 @@
 """Recordings in MCAP files, written block by block and readable after a crash of the writer.
 
 MCAP (mcap.dev) is a container of messages. The schema holds the channels, their clocks and the
-hashes of job and machine. Each block is one message in a chunk of its own, which is complete in the
-file, with its checksum, as soon as it has been written. The end of the file has a checksum of all
-chunks together, and one of the index behind them. A file is refused where a checksum fails, and
-where it has none, since damage to it could not be told.
+hashes of job and machine. Each block is one message in one chunk, complete in the file with its
+checksum as soon as it is written. The end of the file holds a checksum of all chunks and a checksum
+of the index behind them. A file with a wrong checksum is refused. A file without checksums is
+refused, too, because damage would go unnoticed.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ from threadline.files.formats.recording_meta import (
 from threadline.files.recording import Channel, ChannelKind, Recording, RecordingBlock
 
 ENCODING = "threadline-block-1"
-BROKEN_OFF = "the trace breaks off: the program that wrote it ended before the run did"
+BROKEN_OFF = "the trace breaks off: the program that wrote it ended before the run ended"
 _MOST_RECORD_BYTES = 1 << 28
-_MOST_BLOCK_BYTES = _MOST_RECORD_BYTES - (2 << 20)  # with the description in the same chunk
+_MOST_BLOCK_BYTES = _MOST_RECORD_BYTES - (2 << 20)  # leaves room for the description in the chunk
 _LENGTH = struct.Struct("<I")
 _RECORD = struct.Struct("<BQ")  # kind and length
 _CRC = struct.Struct("<I")
@@ -71,19 +71,19 @@ _UNREAD: dict[int, Any] = {
     Opcode.ATTACHMENT: records.Attachment,
     Opcode.METADATA: records.Metadata,
 }
-"""Kinds of records that may stand among the data, and of which nothing is used."""
-_ENDING = len(_FOOTER) + 8 + 8 + _CRC.size + len(_MAGIC)  # bytes of a footer and what is behind it
+"""Kinds of records that are allowed in the data section and ignored."""
+_ENDING = len(_FOOTER) + 8 + 8 + _CRC.size + len(_MAGIC)  # bytes of a footer and the magic after it
 
 
 class TraceWriter:
-    """Writes a recording while it is being made; each block is flushed to the file at once.
+    """Writes a recording during the run; each block is flushed to the file at once.
 
     Parameters
     ----------
     file
         A file opened for writing; the caller closes it.
     recording
-        Description of the recording: its channels and origin are written, its blocks are not read.
+        Description of the recording; its channels and origin are written, its blocks are not read.
     """
 
     def __init__(self, file: IO[bytes], recording: Recording) -> None:
@@ -126,7 +126,7 @@ class TraceWriter:
         self._count += 1
 
     def finish(self) -> None:
-        """Write the end of the file; a file without it is read as one that breaks off."""
+        """Write the end of the file; a file without it counts as broken off."""
         self._writer.finish()  # type: ignore[no-untyped-call]  # the library leaves out "-> None"
         self._file.flush()
 
@@ -142,12 +142,12 @@ def write_recording_mcap(recording: Recording, path: Path) -> Written:
 
 
 def read_recording_mcap(path: Path) -> Recording:
-    """Read what ``TraceWriter`` wrote; a file that breaks off gets a final event of kind ``fault``.
+    """Read a file of ``TraceWriter``; a file that breaks off gets a final event of kind ``fault``.
 
     Raises
     ------
     RecordingError
-        If it is damaged before its end, has no checksums, or is something else.
+        If it is damaged before its end, has no checksums, or is not a recording.
     """
     with clear_errors(path), path.open("rb") as file:
         schema = next((r for r, _ in _records(file, path) if isinstance(r, Schema)), None)
@@ -159,7 +159,7 @@ def read_recording_mcap(path: Path) -> Recording:
             )
         if schema is None or schema.encoding != ENCODING:
             raise RecordingError(
-                "the MCAP file holds no recording of Threadline",
+                "the MCAP file does not hold a recording of Threadline",
                 place=Place(str(path)),
                 remedy="Write its channels as CSV.",
             )
@@ -169,7 +169,7 @@ def read_recording_mcap(path: Path) -> Recording:
                 "the file does not hold a recording of a known version", place=Place(str(path))
             )
         recording = recording_from(meta, path, _blocks)
-        for _ in recording:  # damage is found now, and not in the middle of a judgement
+        for _ in recording:  # find damage now, before the recording is judged
             pass
     return in_si(recording, Place(str(path)))
 
@@ -177,12 +177,12 @@ def read_recording_mcap(path: Path) -> Recording:
 def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
     """Yield schemas and messages of the data section, then None and True at its regular end.
 
-    A record that is not complete is the last: the program that wrote the file ended there. What a
-    checksum does not confirm is refused, at the latest with the last record.
+    An incomplete record is the last one: the program that wrote the file ended there. Data that no
+    checksum confirms is refused, at the latest after the last record.
     """
     magic = file.read(len(_MAGIC))
     if not _MAGIC.startswith(magic):
-        raise RecordingError("the file is no MCAP file", place=Place(str(path)))
+        raise RecordingError("the file is not an MCAP file", place=Place(str(path)))
     crc, bare = zlib.crc32(_MAGIC), False
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
         kind, length = _RECORD.unpack(head)
@@ -197,7 +197,7 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
             yield None, True
             return
         if kind == Opcode.FOOTER:
-            raise _damaged("its records do not have the end that its last bytes promise", path)
+            raise _damaged("a footer follows its records without an end of the data", path)
         crc = zlib.crc32(content, zlib.crc32(head, crc))
         found, checked = _records_of(kind, content, path)
         bare = bare or (bool(found) and not checked)
@@ -207,7 +207,7 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
 
 
 def _is_of_a_run(file: IO[bytes]) -> bool:
-    """Say whether a file begins as one of ``TraceWriter``, or nothing was written to it yet."""
+    """Return whether a file begins like one of ``TraceWriter``, or is still empty."""
     file.seek(0)
     head = file.read(len(_MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
     return _MAGIC.startswith(head) or head.endswith(_PROFILE.encode())
@@ -221,9 +221,9 @@ def _damaged(why: str, path: Path) -> RecordingError:
 
 def _unconfirmed(path: Path) -> RecordingError:
     return RecordingError(
-        "the MCAP file carries no checksums, so that damage to it could not be told",
+        "the MCAP file has no checksums, so damage would go unnoticed",
         place=Place(str(path)),
-        remedy="Record it again; or trust it as it is, and pack it anew with checksums: "
+        remedy="Record it again; or, if you trust it, add checksums: "
         f"mcap recover {path.name} -o checked.mcap",
     )
 
@@ -231,22 +231,22 @@ def _unconfirmed(path: Path) -> RecordingError:
 def _check_length(length: int, path: Path) -> None:
     if length > _MOST_RECORD_BYTES:
         raise RecordingError(
-            f"a record promises {length} bytes, limit {_MOST_RECORD_BYTES}",
+            f"a record claims {length} bytes, limit {_MOST_RECORD_BYTES}",
             place=Place(str(path)),
             remedy="The file is damaged.",
         )
 
 
 def _check_crc(told: int, found: int, what: str, path: Path) -> None:
-    """Refuse bytes that do not have their checksum; 0 is a checksum that was not written."""
+    """Refuse bytes with a wrong checksum; 0 means that none was written."""
     if told not in {0, found}:
-        raise _damaged(f"{what} has the checksum {found:08x}, written with it is {told:08x}", path)
+        raise _damaged(f"the checksum of {what} is {found:08x}, the file says {told:08x}", path)
 
 
 def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
-    """Check the bytes of the whole data section by the checksum that its last record has."""
+    """Check the whole data section against the checksum in its last record."""
     if len(content) != _CRC.size:
-        raise _damaged("the end of its data has no checksum", path)
+        raise _damaged("the end of its data section has no checksum", path)
     (told,) = _CRC.unpack(content)
     _check_crc(told, crc, "its data", path)
     if bare and not told:
@@ -254,23 +254,23 @@ def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
 
 
 def _check_summary(rest: bytes, path: Path) -> None:
-    """Check what stands behind the data: an index, which a writer that was ended leaves unfinished.
+    """Check the index behind the data; an interrupted writer leaves it unfinished.
 
-    No figure depends on it.
+    No result depends on the index.
     """
     ending = rest[-_ENDING:]
     whole = ending.startswith(_FOOTER), rest.endswith(_MAGIC)
     if not any(whole):
         return
     if not all(whole):
-        raise _damaged("its last record or its last bytes are not those of an MCAP file", path)
+        raise _damaged("its footer or its last bytes are missing", path)
     body = rest[: -len(_MAGIC) - _CRC.size]
     (told,) = _CRC.unpack_from(rest, len(body))
     _check_crc(told, zlib.crc32(body), "its index", path)
 
 
 def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
-    """Refuse a last record whose length is not the one that the chunk in it says: it is damaged."""
+    """Refuse an incomplete last record whose length disagrees with the chunk in it."""
     if kind != Opcode.CHUNK or len(content) < _CHUNK_HEAD.size:
         return
     at = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1]
@@ -278,12 +278,12 @@ def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
         at + _SIZE.size + _SIZE.unpack_from(content, at)[0]
     ):
         raise _damaged(
-            f"a record promises {length} bytes, and the chunk in it another number", path
+            f"a record claims {length} bytes, but the chunk in it a different number", path
         )
 
 
 def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
-    """Refuse a file that has its last bytes, though its records ended before them."""
+    """Refuse a file that has its last bytes although its records ended before them."""
     file.seek(max(file.seek(0, 2) - len(_MAGIC), 0))
     if file.read() == _MAGIC and file.tell() > len(_MAGIC):
         raise _damaged("its records do not lead to its end", path)
@@ -292,9 +292,9 @@ def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
 
 
 def _records_of(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]:
-    """Return a record that is a schema or a message, or those that a chunk holds.
+    """Return the schemas and messages in a record, or in the chunk that it holds.
 
-    The second is whether a checksum of their own confirms them.
+    The second value tells whether a checksum of their own confirms them.
     """
     stream = ReadDataStream(BytesIO(content))
     found: list[Any] = []
@@ -311,12 +311,12 @@ def _records_of(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]
             _check_crc(chunk.uncompressed_crc, zlib.crc32(data), "a chunk", path)
             found = breakup_chunk(replace(chunk, compression="", data=data))
             checked = chunk.uncompressed_crc != 0
-        elif kind in _UNREAD:  # what is in it is not used, and yet it has to be one
+        elif kind in _UNREAD:  # its content is ignored, but it must be valid
             _UNREAD[kind].read(stream)
         else:
-            raise _damaged(f"a record of kind {kind} stands among its data", path)
+            raise _damaged(f"its data section contains a record of kind {kind}", path)
         if stream.count != len(content):
-            raise McapError(f"it has {len(content)} bytes, and says what fits into {stream.count}")
+            raise McapError(f"it has {len(content)} bytes, but its content fills {stream.count}")
     except (struct.error, McapError, zstandard.ZstdError) as error:
         raise RecordingError(
             f"a record is damaged: {str(error)[:200] or type(error).__name__}",
@@ -330,7 +330,7 @@ def _records_of(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]
 
 
 def _unpacked(chunk: Chunk) -> bytes:
-    """Return the decompressed bytes of a chunk, at most as many as its header gives."""
+    """Return the decompressed bytes of a chunk, at most as many as its header claims."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
         reader = zstandard.ZstdDecompressor().stream_reader(chunk.data)
@@ -338,11 +338,11 @@ def _unpacked(chunk: Chunk) -> bytes:
     elif chunk.compression == "lz4":
         data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, size + 1)
     elif chunk.compression:
-        raise McapError(f"a chunk is packed by {chunk.compression[:40]!r}")
+        raise McapError(f"a chunk has the unknown compression {chunk.compression[:40]!r}")
     else:
         data = chunk.data
     if len(data) != size:
-        raise McapError(f"a chunk says that it holds {size} bytes, and holds another number")
+        raise McapError(f"a chunk claims {size} bytes but holds a different number")
     return bytes(data)
 
 
@@ -354,7 +354,7 @@ def _blocks(known: KnownFile, channels: tuple[Channel, ...]) -> Iterator[Recordi
         for record, ended in _records(file, known.path):
             if isinstance(record, Message):
                 if record.sequence != number % (1 << 32):
-                    raise _damaged(f"block {number} is missing between two others", known.path)
+                    raise _damaged(f"block {number} is missing", known.path)
                 number += 1
                 block = _block(bytes(record.data), channels, place)
                 last = block.first_tick
@@ -380,20 +380,20 @@ def _block(data: bytes, channels: tuple[Channel, ...], place: Place) -> Recordin
         lengths = [int(n) for n in head["lengths"]]
         items = list(head["events"])
     except (TypeError, KeyError, AttributeError, ValueError) as error:
-        raise damaged("its head is none") from error
+        raise damaged("its head cannot be read") from error
     clocks = {channel.clock.name for channel in channels}
     rest = len(data) - _LENGTH.size - size
     if set(first) != clocks or min(lengths, default=0) < 0 or len(lengths) != len(channels):
-        raise damaged("it has other clocks or channels than the file")
+        raise damaged("its clocks or channels differ from those of the file")
     if rest != 8 * sum(lengths) or min(first.values()) < 0:
-        raise damaged(f"it has {rest} bytes of samples, promised are {8 * sum(lengths)}")
+        raise damaged(f"it has {rest} bytes of samples, its head claims {8 * sum(lengths)}")
     samples = {}
     at = _LENGTH.size + size
     for channel, n in zip(channels, lengths, strict=True):
         values = np.frombuffer(data, "<f8", n, at).astype(np.float64)
         at += 8 * n
         if not np.isfinite(values).all():
-            raise damaged(f"channel {channel.name!r} has samples that are no numbers")
+            raise damaged(f"channel {channel.name!r} has samples that are not finite numbers")
         if channel.kind is ChannelKind.OPERATION:
             for value in np.unique(values).tolist():
                 if (fault := operation_fault(value)) is not None:

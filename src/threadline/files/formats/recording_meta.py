@@ -1,4 +1,4 @@
-"""What a recording's file holds beside the samples: its description and its events."""
+"""Parts of a recording's file beside the samples: its description and its events."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ from threadline.files.stream import Stream
 
 TITLE = "recording 1"
 OPERATION_REMEDY = (
-    "Write the number of the operation that is under way, or leave the column out: "
-    "see docs/files.md."
+    "Write the number of the operation in progress, or leave the column out: see docs/files.md."
 )
 _MOST_OPERATIONS = float(2**53)
 _STRICT = ConfigDict(extra="forbid")
@@ -41,7 +40,7 @@ _STRICT = ConfigDict(extra="forbid")
 
 @dataclass(frozen=True, config=_STRICT)
 class ChannelMeta:
-    """A channel as it stands in a file."""
+    """A channel in a file."""
 
     name: Label
     kind: ChannelKind
@@ -53,7 +52,7 @@ class ChannelMeta:
 
 @dataclass(frozen=True, config=_STRICT)
 class RecordingMeta:
-    """The description of a recording as it stands in a file."""
+    """The description of a recording in a file."""
 
     version: Label
     clocks: dict[Label, FractionText]
@@ -73,7 +72,7 @@ def recording_meta(recording: Recording) -> dict[str, Any]:
     Raises
     ------
     RecordingError
-        If channels share a name, or clocks of different periods do.
+        If two channels, or two clocks with different periods, have the same name.
     """
     clocks: dict[str, str] = {}
     names: set[str] = set()
@@ -106,13 +105,13 @@ def recording_meta(recording: Recording) -> dict[str, Any]:
 
 
 def operation_fault(value: float) -> str | None:
-    """Return what is wrong with a sample of a channel of operations, or None.
+    """Return the fault of a sample in a channel of operations, or None.
 
     Operations are counted from 0; -1 stands for none.
     """
     if -1.0 <= value <= _MOST_OPERATIONS and value.is_integer():
         return None
-    return f"the operation {value:.12g} is no whole number from 0 on, nor -1 for none"
+    return f"the operation {value:.12g} is neither a whole number from 0 on nor -1 for none"
 
 
 def recording_from(
@@ -123,7 +122,7 @@ def recording_from(
     Parameters
     ----------
     meta
-        The description, as it was read.
+        The description from the file.
     path
         The file.
     samples
@@ -142,7 +141,7 @@ def recording_from(
     for channel in found.channels:
         if channel.clock not in clocks:
             raise RecordingError(
-                f"channel {channel.name!r} is on the clock {channel.clock!r}, which is not given",
+                f"channel {channel.name!r} names the unknown clock {channel.clock!r}",
                 place=place,
             )
         channels.append(
@@ -185,7 +184,7 @@ def events_cell(events: Iterable[Event], *, ticks: bool = False) -> str:
     events
         Events of the row, in order.
     ticks
-        Write the tick of each; otherwise the row tells it.
+        Write the tick of each event; otherwise it is the tick of the row.
     """
     items = [event_item(e) if ticks else event_item(e)[:-1] for e in events]
     if not items:
@@ -195,23 +194,23 @@ def events_cell(events: Iterable[Event], *, ticks: bool = False) -> str:
 
 
 def event_item(event: Event) -> list[Any]:
-    """Return an event as it stands in files: kind, operation, name, value, tick."""
+    """Return an event in the order of files: kind, operation, name, value, tick."""
     return [event.kind, event.operation, event.name, event.value, event.tick]
 
 
 def event_from(item: Any, place: Place) -> Event:
-    """Return the event that ``event_item`` wrote.
+    """Return the event from a list of ``event_item``.
 
     Raises
     ------
     RecordingError
-        If it is none.
+        If it is not an event.
     """
     return _event(item, None, place)
 
 
 def parse_events_cell(cell: str, tick: int | None, place: Place) -> list[Event]:
-    """Return the events that ``events_cell`` wrote, with ticks if ``tick`` is None."""
+    """Return the events of a cell of ``events_cell``, with ticks if ``tick`` is None."""
     if not cell:
         return []
     if not (len(cell) > 1 and cell[0] == cell[-1] == '"'):
@@ -251,7 +250,7 @@ def _event(item: Any, tick: int | None, place: Place) -> Event:
 
 def _check_numbers(operation: int, value: float, place: Place) -> None:
     if abs(operation) > MAX_COUNTS or not abs(value) < float("inf"):
-        raise RecordingError(f"an event has the value {value} of {operation}", place=place)
+        raise RecordingError(f"an event has value {value}, operation {operation}", place=place)
 
 
 class EventSpool:
@@ -276,7 +275,7 @@ class EventSpool:
 
     @property
     def names(self) -> list[str]:
-        """The names that the column ``event_name`` counts."""
+        """The names to which the column ``event_name`` is an index."""
         return list(self._names)
 
 
@@ -294,7 +293,7 @@ class EventColumns:
         self.left = self._columns["event_tick"].rows
 
     def take(self, count: int) -> list[Event]:
-        """Return the next ``count`` events, or as many as are left."""
+        """Return the next ``count`` events, or all that remain."""
         count = min(count, self.left)
         self.left -= count
         columns = [self._columns[name].take(count).tolist() for name in _COLUMNS]

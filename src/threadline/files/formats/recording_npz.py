@@ -39,7 +39,7 @@ _TAKEN = {"blocks", "event_tick", "event_kind", "event_operation", "event_name",
 
 
 def _column_names(channels: tuple[Channel, ...]) -> list[str]:
-    """Return the column of each channel: its own name where that can be the name of a file."""
+    """Return a column name for each channel: the channel's name where it is a valid file name."""
     return [
         c.name
         if _PLAIN.fullmatch(c.name) and c.name not in _TAKEN and not c.name.startswith("channel-")
@@ -84,12 +84,12 @@ def write_recording_npz(recording: Recording, path: Path) -> Written:
 
 
 def read_recording_npz(path: Path) -> Recording:
-    """Read what ``write_recording_npz`` wrote; the samples stay in the file until wanted.
+    """Read a file of ``write_recording_npz``; samples stay in the file until they are used.
 
     Raises
     ------
     RecordingError
-        If it is damaged or something else.
+        If it is damaged or not a recording.
     """
     with clear_errors(path), ColumnArchive(path) as archive:
         meta = archive.meta()
@@ -151,8 +151,7 @@ def _samples(
     }
     for channel in channels:
         if channel.kind is ChannelKind.OPERATION:
-            # Each operation lasts many samples: a few distinct values are all that has to be
-            # checked.
+            # Each operation lasts many samples, so only a few distinct values need a check.
             for value in np.unique(samples[channel.name]).tolist():
                 if (fault := operation_fault(value)) is not None:
                     raise RecordingError(fault, place=Place(str(path)), remedy=OPERATION_REMEDY)
@@ -160,11 +159,11 @@ def _samples(
 
 
 def _check_block(lengths: Any, left: Any, path: Path) -> None:
-    # Each length is at most what is left in the file, so that their sum cannot overflow.
+    # No length exceeds the rows left in the file, so that their sum cannot overflow.
     if (lengths >= 0).all() and (lengths <= left).all() and lengths.sum() <= MAX_BLOCK_SAMPLES:
         return
     raise RecordingError(
-        f"a block promises {lengths.tolist()} samples; {left.tolist()} are left, "
+        f"a block claims {lengths.tolist()} samples; {left.tolist()} are left, "
         f"limit {MAX_BLOCK_SAMPLES} at once",
         place=Place(str(path)),
         remedy="The file is damaged.",

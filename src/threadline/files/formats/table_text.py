@@ -1,4 +1,4 @@
-"""Reading of tick tables in CSV, and of the lines that all text formats of them share."""
+"""Reader of tick tables in CSV, and of the lines common to all text formats of tick tables."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _LAST = 200  # bytes at the end of a file that hold its last line
 
 
 def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
-    """Return description, line number and text of the line that names the columns.
+    """Return the description, and the number and text of the line of column names.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
         raise RecordingError(
             f"the file begins with {first[:60]!r}, expected '# threadline {title}'",
             place=Place(str(path), 1),
-            remedy="Give a table that Threadline wrote.",
+            remedy="Give a table written by Threadline.",
         )
     columns: list[tuple[int, str]] = []
 
@@ -69,7 +69,7 @@ def read_head(path: Path, title: str) -> tuple[dict[str, Any], int, str]:
 
 
 def check_columns(found: str, expected: list[str], place: Place) -> None:
-    """Refuse a line of column names that is not as expected, naming the first unknown column."""
+    """Refuse unexpected column names; the error names the first unknown column."""
     names = found.split(",")
     for name in names:
         if name not in expected:
@@ -83,14 +83,13 @@ def check_columns(found: str, expected: list[str], place: Place) -> None:
 
 
 def read_table_csv(path: Path) -> TickTable:
-    """Read what ``write_table_csv`` wrote; the rows stay in the file until they are wanted.
+    """Read a file of ``write_table_csv``; the rows stay in the file until they are used.
 
     Raises
     ------
     RecordingError
-        If it is something else, a row is wrong, or the rows are not those that were written. A
-        table of an older version has no hash of its rows: a wrong row of it is found only while it
-        is read.
+        If it is not a tick table, a row is wrong, or the rows disagree with their hash. A table of
+        an older version has no hash: a wrong row is found only while reading.
     """
     return read_text_table(path, TITLE, csv_columns, _blocks)
 
@@ -101,22 +100,22 @@ def read_text_table(
     columns_of: Callable[[Sequence[str], bool], list[str]],
     blocks: Callable[..., Iterator[TickBlock]],
 ) -> TickTable:
-    """Read a tick table from lines of text; the rows stay in the file until they are wanted.
+    """Read a tick table from lines of text; the rows stay in the file until they are used.
 
     Parameters
     ----------
     title
         Name and version of the format, on the first line.
     columns_of
-        Returns the columns that a table of these axes has, with those of the needle or without.
+        Returns the column names for these axes, with or without the columns of the needle.
     blocks
-        Called for each reading with the file and its hash, the number of axes, the number of the
-        line that names the columns, and how many columns the needle has; it yields the blocks.
+        Called for each reading with the file and its hash, the number of axes, the line number of
+        the column names, and the number of needle columns; it yields the blocks.
 
     Raises
     ------
     RecordingError
-        As ``read_table_csv`` and ``read_array`` raise it.
+        As in ``read_table_csv`` and ``read_array``.
     """
     with clear_errors(path):
         meta, number, columns = read_head(path, title)
@@ -127,7 +126,7 @@ def read_text_table(
 
 
 def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
-    """Yield the blocks; of the ``beside`` columns of the needle only their number is read."""
+    """Yield the blocks; the ``beside`` columns of the needle are counted but not read."""
     path = known.path
     with reading(known):
         rows: list[list[int]] = []
@@ -150,7 +149,7 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
             tick = whole_number(cells[0], place)
             if not any(cells[1:-1]):
                 if tick < first + len(rows):
-                    raise RecordingError(f"tick {tick} stands twice", place=place)
+                    raise RecordingError(f"tick {tick} occurs twice", place=place)
                 here = parse_events_cell(cells[-1], tick, place)
                 if not here:
                     raise RecordingError("the line has no counts and no events", place=place)
@@ -176,19 +175,19 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 
 def body_lines(path: Path, head: int) -> Iterator[tuple[int, str]]:
-    """Yield the lines after line ``head``, up to the line that ends the table.
+    """Yield the lines after line ``head``, up to and including the end line of the table.
 
     Raises
     ------
     RecordingError
-        If lines follow the end of the table, or the file has no such end.
+        If lines follow the end line, or there is no end line.
     """
     ended, number = False, head
     for number, line in text_lines(path):
         if number <= head:
             continue
         if ended:
-            raise RecordingError("the table goes on after its end", place=Place(str(path), number))
+            raise RecordingError("rows follow the end of the table", place=Place(str(path), number))
         ended = line.startswith(END)
         yield number, line
     if not ended:
@@ -204,12 +203,12 @@ def _cut_off(place: Place) -> RecordingError:
 
 
 def told_end(path: Path) -> int:
-    """Return the number of ticks that the last line of a table gives, without reading the others.
+    """Return the number of ticks that the end line of a table states; reads only that line.
 
     Raises
     ------
     RecordingError
-        If the last line is not the one that ends a table.
+        If the last line is not an end line.
     """
     place = Place(str(path))
     with path.open("rb") as file:
@@ -221,7 +220,7 @@ def told_end(path: Path) -> int:
 
 
 def check_end(line: str, ticks: int, place: Place) -> None:
-    """Refuse an end line that counts another number of ticks than there were."""
+    """Refuse an end line whose number of ticks differs from ``ticks``."""
     if whole_number(line.removeprefix(END), place) != ticks:
         raise RecordingError(
             f"the table has {ticks} ticks, its end says {line.removeprefix(END)[:20]}",
@@ -242,7 +241,7 @@ def whole_number(cell: str, place: Place) -> int:
     Raises
     ------
     RecordingError
-        If it is none, or beyond what is exact.
+        If it is not a whole number, or larger than ``MAX_COUNTS``.
     """
     digits = cell[1:] if cell[:1] == "-" else cell
     if not (digits.isascii() and digits.isdigit() and len(digits) <= 18):

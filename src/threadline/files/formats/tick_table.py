@@ -1,4 +1,4 @@
-"""What stands beside the rows of a seam's table: the needle, and the thread."""
+"""Tick tables in files: description, ``.npz`` and CSV, and the needle columns of a seam."""
 
 from __future__ import annotations
 
@@ -39,19 +39,20 @@ from threadline.files.formats.recording_meta import EventColumns, EventSpool, ev
 from threadline.files.stream import Stream
 
 NEEDLE_COLUMNS = ("needle_down [s]", "needle_up", "trim")
-"""Columns of text: time from the tick to needle-down, whether the needle must be up, trim."""
+"""Needle columns in text: time from the tick to needle-down, whether the needle must be up,
+trim."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NeedleRows:
-    """The needle beside the rows of a block.
+    """Needle and thread trimmer for the rows of a block.
 
     Parameters
     ----------
     row
-        (k,) rows in which the needle goes down, in order; one may be named twice.
+        (k,) rows in which the needle goes down, in order; a row may occur twice.
     after_s
-        (k,) how long after its tick.
+        (k,) time of needle-down after the tick of its row.
     up
         (rows,) whether the needle must be up.
     trim
@@ -64,19 +65,19 @@ class NeedleRows:
     trim: NDArray[np.bool_]
 
     def changes(self) -> IntArray:
-        """Return the rows at which ``up`` or ``trim`` are not what they were in the row before."""
+        """Return the rows at which ``up`` or ``trim`` changes."""
         changed = (self.up[1:] != self.up[:-1]) | (self.trim[1:] != self.trim[:-1])
         return np.flatnonzero(changed) + 1
 
     def cells(self, begin: int, end: int, period_s: float) -> str:
-        """Return the cells of rows that are one line of text, joined by commas.
+        """Return the needle cells of rows that share one line of text, joined by commas.
 
         Parameters
         ----------
         begin, end
-            Rows, in all of which ``up`` and ``trim`` are the same.
+            Range of rows with constant ``up`` and ``trim``.
         period_s
-            Of a row; a needle-down is told by its time after the first one.
+            Period of a row; needle-down times are counted from the first row.
         """
         first, last = np.searchsorted(self.row, (begin, end))
         times_s = self.after_s[first:last] + (self.row[first:last] - begin) * period_s
@@ -85,10 +86,10 @@ class NeedleRows:
 
 
 class Beside(Protocol):
-    """Tells the needle beside every row."""
+    """Source of the needle columns of a table."""
 
     def rows(self, block: TickBlock) -> NeedleRows:
-        """Return what stands beside the rows of the next block."""
+        """Return the needle columns of the next block."""
         ...
 
 
@@ -96,7 +97,7 @@ READ_ROWS = 1 << 16
 MAX_AXES = 64
 TITLE = "tick-table 1"
 END = "# end after ticks: "
-"""Begins the last line of a text table: without it a file that was cut off could pass."""
+"""Start of the last line of a text table; a file without this line was cut off."""
 
 
 _NEEDLE_ARRAYS = (
@@ -108,7 +109,7 @@ _UNIT: Final = "count/m of a linear axis, count/rad of a rotary one"
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class TableMeta:
-    """The description of a tick table as it stands in a file."""
+    """The description of a tick table in a file."""
 
     clock: tuple[Label, FractionText]
     axes: Annotated[tuple[Label, ...], Field(min_length=1, max_length=MAX_AXES)]
@@ -139,12 +140,12 @@ def table_meta(table: TickTable) -> dict[str, Any]:
 def table_from(
     meta: Any, path: Path, rows: Callable[..., Iterator[TickBlock]], *given: object
 ) -> TickTable:
-    """Return the table of a file's description and rows.
+    """Return the table with a file's description and rows.
 
     Parameters
     ----------
     meta
-        The description, as it was read.
+        The description from the file.
     path
         The file.
     rows
@@ -178,14 +179,14 @@ def table_from(
 
 
 def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
-    """Return ``table`` after a check of its rows against their hash in ``meta``.
+    """Return ``table`` after checking its rows against their hash in ``meta``.
 
-    A table of an older version has no hash of its rows and is not checked.
+    A table of an older version has no hash and is not checked.
 
     Raises
     ------
     RecordingError
-        If the hash is another one, or a row cannot be read.
+        If the hash differs, or a row cannot be read.
     """
     told = meta.get("rows_sha256")
     if told is None:
@@ -193,7 +194,7 @@ def checked_rows(table: TickTable, meta: Any, path: Path) -> TickTable:
     found = table.rows_sha256()
     if found != told:
         raise RecordingError(
-            f"the rows are not those that were written: their SHA-256 is {found[:12]}..., the "
+            f"the rows were changed after writing: their SHA-256 is {found[:12]}..., the "
             f"file says {told[:12]}...",
             place=Place(str(path)),
             remedy="Write or fetch it again.",
@@ -210,8 +211,7 @@ def write_table_npz(table: TickTable, path: Path, needle: Beside | None = None) 
     ----------
     needle
         Columns of the needle, for a seam: ``needle_down_tick`` and ``needle_down_s`` after that
-        tick, a row for each time that it goes down; ``needle_up`` and ``trim``, a row for each
-        tick.
+        tick, a row per needle-down; ``needle_up`` and ``trim``, a row per tick.
     """
     with atomic_file(path) as file, ColumnSpool(Path(file.name).parent) as spool:
         spool.column("counts", "<i8", (len(table.axes),))
@@ -236,17 +236,17 @@ def write_table_npz(table: TickTable, path: Path, needle: Beside | None = None) 
 
 
 def read_table_npz(path: Path) -> TickTable:
-    """Read what ``write_table_npz`` wrote; the rows stay in the file until they are wanted.
+    """Read a file of ``write_table_npz``; the rows stay in the file until they are used.
 
     Raises
     ------
     RecordingError
-        If it is damaged or something else.
+        If it is damaged or not a tick table.
     """
     with clear_errors(path), ColumnArchive(path) as archive:
         meta, names = _split_npz_meta(archive.meta(), path)
         table = table_from(meta, path, _npz_blocks, tuple(names))
-        # Open every column once, so that a wrong one is found now and not half-way.
+        # Open every column once, so that a wrong one is found before the table is used.
         _open_npz(archive, names, len(table.axes), path)
         archive.verify()
         return checked_rows(table, meta, path)
@@ -348,7 +348,7 @@ def write_text(
 ) -> Written:
     """Write ``table`` as text: its description, the columns, the lines of each block, the end.
 
-    The hash of the rows is written into the description last, when all rows have been read.
+    The hash of the rows is written into the description last, after all rows.
     """
     with atomic_file(path) as file:
         for line in meta_lines(title, {**table_meta(table), "rows_sha256": "0" * 64}):

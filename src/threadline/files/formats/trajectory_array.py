@@ -1,9 +1,9 @@
 """The trajectory array of the 1994 controller: travel ticks, and counts per tick of every axis.
 
-Each line holds a constant speed for some ticks. Speeds are whole counts per tick plus a
-remainder, which is spread evenly: with ``n`` ticks, remainder ``r`` and phase ``h``, tick k
-travels ``v + floor((h + (k + 1) r) / n) - floor((h + k r) / n)``. That gives back every row of
-the table from which the array was made.
+Each line holds a constant speed for some ticks. Speeds are whole counts per tick plus a remainder,
+which is spread evenly: with ``n`` ticks, remainder ``r`` and phase ``h``, tick k travels ``v +
+floor((h + (k + 1) r) / n) - floor((h + k r) / n)``. This reproduces every row of the original
+table.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from threadline.files.formats.tick_table import (
 )
 
 TITLE = "trajectory-array 1"
-MAX_TICKS = 1 << 31  # of one line: products with a remainder stay exact in 64 bits
+MAX_TICKS = 1 << 31  # per line: products with a remainder stay exact in 64 bits
 
 
 def _columns(axes: Sequence[str], needle: bool) -> list[str]:
@@ -53,8 +53,8 @@ def write_array(table: TickTable, path: Path, needle: Beside | None = None) -> W
     Parameters
     ----------
     needle
-        Columns of the needle, for a seam; a line ends where the needle has to come up, or the
-        trimming begins or ends.
+        Columns of the needle, for a seam; a line ends where the needle must come up, or trimming
+        begins or ends.
     """
     columns = _columns(table.axes, needle is not None)
     period_s = float(table.clock.period_s)
@@ -95,20 +95,19 @@ def _lines(needle: Beside | None, period_s: float, block: TickBlock, axes: int) 
 
 
 def read_array(path: Path) -> TickTable:
-    """Read what ``write_array`` wrote; the lines stay in the file until they are wanted.
+    """Read a file of ``write_array``; the lines stay in the file until they are used.
 
     Raises
     ------
     RecordingError
-        If it is something else, a line is wrong, or the rows are not those that were written. A
-        table of an older version has no hash of its rows: a wrong row of it is found only while it
-        is read.
+        If it is not a trajectory array, a line is wrong, or the rows disagree with their hash. A
+        table of an older version has no hash: a wrong row is found only while reading.
     """
     return read_text_table(path, TITLE, _columns, _blocks)
 
 
 def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[TickBlock]:
-    """Yield the blocks; of the ``beside`` columns of the needle only their number is read."""
+    """Yield the blocks; the ``beside`` columns of the needle are counted but not read."""
     path = known.path
     first, ready = 0, 0  # tick of the next block, rows in hand
     counts: list[IntArray] = []
@@ -162,18 +161,18 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 
 def _check_within(end: int, path: Path, place: Place) -> None:
-    """Refuse a long line beyond the end that the table tells, before its rows are made."""
+    """Refuse a line beyond the stated end of the table, before making its rows."""
     told = told_end(path)
     if end > told:
         raise RecordingError(
-            f"the line goes on until tick {end}, and the table ends after {told}",
+            f"the line extends to tick {end}, but the table ends after {told}",
             place=place,
             remedy="Write or fetch it again.",
         )
 
 
 def _rows(cells: list[str], span: int, path: Path, place: Place) -> Iterator[IntArray]:
-    """Yield the rows of one line, in parts of bounded length."""
+    """Yield the rows of one line in parts of limited length."""
     numbers = np.array([whole_number(cell, place) for cell in cells], dtype=np.int64)
     speed, remainder, phase = numbers[0::3], numbers[1::3], numbers[2::3]
     if ((remainder < 0) | (remainder >= span) | (phase < 0) | (phase >= span)).any():

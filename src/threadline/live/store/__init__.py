@@ -1,1 +1,1 @@
-"""Runs that were executed: a folder for each of them, and one index."""
+"""Executed runs: a folder for each, and one index."""

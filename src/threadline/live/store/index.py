@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 from threadline.errors import StoreError
 
-# SQLAlchemy takes a fifth of a second to load, which is spent where an index is opened.
+# SQLAlchemy takes a fifth of a second to load: it is imported only to open an index.
 if TYPE_CHECKING:
     from sqlalchemy import Table
     from sqlalchemy.engine import Engine, RowMapping
 
 RUNNING = "running"
-"""``ended`` of a run that goes on, or whose program was killed before it could write the end."""
+"""``ended`` of a run that is going on, or whose program was killed before it wrote the end."""
 
 REFUSED = "refused"
 """``ended`` of a run that was refused before anything moved: there is nothing to judge."""
@@ -40,14 +40,14 @@ class RunRecord:
         Names of the job, of the machine and of the link to it, and the speed as a multiple of real
         time.
     ended, text
-        How the run ended, and why; ``ended`` is ``RUNNING`` until then, and ``REFUSED`` where
-        nothing has moved.
+        How the run ended, and why; ``ended`` is ``RUNNING`` until then, and ``REFUSED`` if nothing
+        has moved.
     passed
-        Whether its recording was within the specification; None while there is no verdict.
+        Whether its recording is within the specification; None while there is no verdict.
     late_ticks
         Number of ticks that came more than half a period late.
     level, proof_passed, override
-        Level of the proof, whether it passed, and the operator's reason to run without that.
+        Level of the proof, whether it passed, and the operator's reason to run without a pass.
     job_sha256, machine_sha256, commands_sha256, proof_sha256, threadline
         Hashes of the files and commands that were run, and the version of the program.
     """
@@ -77,7 +77,7 @@ _NAME = re.compile(r"[A-Za-z0-9._-]{1,200}")
 
 @cache
 def _table() -> Table:
-    """Return the table of the runs, as a database is told of it."""
+    """Return the table of the runs, as defined in the database."""
     from sqlalchemy import Boolean, Column, Float, Integer, MetaData, String, Table
 
     types = {"speed": Float, "proof_passed": Boolean, "passed": Boolean, "late_ticks": Integer}
@@ -113,11 +113,11 @@ class RunIndex:
 
         self._told = str(where).rpartition("@")[2] if isinstance(where, str) else str(where)
         with self._clear():
-            # As text a path would be read as a URL: what follows its first "?" is no name there.
+            # As text a path would be parsed as a URL, and cut at its first "?".
             url = URL.create("sqlite", database=str(where)) if isinstance(where, Path) else where
-            # A connection lasts for one use: none is left open where a store is let go of.
+            # A connection lasts for one use, so that an abandoned store leaves none open.
             self._engine: Engine = create_engine(url, poolclass=NullPool)
-            with self._engine.begin() as connection:  # another program may be making it, too
+            with self._engine.begin() as connection:  # another program may create it, too
                 connection.execute(CreateTable(_table(), if_not_exists=True))
 
     def add(self, record: RunRecord) -> None:
@@ -136,7 +136,7 @@ class RunIndex:
             )
 
     def record(self, run: str) -> RunRecord:
-        """Return the row of a run, which there must be."""
+        """Return the row of a run, which must exist."""
         return next(one for one in self.runs() if one.run == run)
 
     def runs(self) -> Sequence[RunRecord]:
@@ -146,7 +146,7 @@ class RunIndex:
         return sorted(found, key=lambda one: (_instant(one.started), one.run), reverse=True)
 
     def _record(self, row: RowMapping) -> RunRecord:
-        """Return the run of a row, checked: SQLite holds any type in any column."""
+        """Return the run of a row, checked: SQLite accepts any type in any column."""
         wrong = [name for name, value in row.items() if not _fits(str(name), value)]
         if wrong:
             raise StoreError(
@@ -192,7 +192,7 @@ def _fits(name: str, value: object) -> bool:
 
 
 def _instant(started: str) -> float:
-    """Return the time of a start in s since 1970; not a number where it is none."""
+    """Return the time of a start in s since 1970; NaN if it is invalid."""
     try:
         return datetime.fromisoformat(started).timestamp()
     except ValueError:

@@ -2,10 +2,10 @@
 
 A run is written while it happens. Its folder and its row in the index exist before anything moves;
 every block of the recording and every change of state is written at once, so that a run whose
-program is killed keeps all up to then.
+program is killed keeps everything up to then.
 
-The index knows only whether a run has passed. Whether one that has not is out of specification or
-not proven is in its folder.
+The index only knows whether a run has passed. The folder of a run that has not passed tells whether
+it is out of specification or not proven.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ INDEX, PROOF, INPUTS, SENT, TRACE, EVENTS, VERDICT = (
     "index.sqlite", "proof.json", "inputs", "sent", "trace.mcap", "events.jsonl", "verdict.json",
 )  # fmt: skip
 SYNC_S = 0.5
-"""Time in s from one order to the disk to take up the trace to the next."""
+"""Interval in s at which the trace is flushed to disk."""
 INDEX_URL = "index.url"
-"""File of a store whose index is a database elsewhere: its URL, as SQLAlchemy writes it."""
+"""File of a store whose index is a database elsewhere: its URL, in SQLAlchemy's form."""
 _NAME = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -49,10 +49,10 @@ class RunStore:
     Parameters
     ----------
     folder
-        It is made where it does not exist.
+        Created if it does not exist.
     url
-        Database URL of the index; None is the one in the folder's file ``index.url``, and without
-        that the file ``index.sqlite`` in the folder.
+        Database URL of the index; None: the one in the folder's file ``index.url``, else the file
+        ``index.sqlite`` in the folder.
 
     Raises
     ------
@@ -69,7 +69,7 @@ class RunStore:
                 f"cannot keep runs in {str(folder)!r}: {error.strerror or error}",
                 remedy="Give another folder with --store.",
             ) from error
-        self.index = RunIndex(url or _told_url(folder) or folder / INDEX)
+        self.index = RunIndex(url or _index_url(folder) or folder / INDEX)
 
     def begin(
         self,
@@ -85,28 +85,28 @@ class RunStore:
         Parameters
         ----------
         proof
-            The names in its copy lead to the same files as before.
+            The file names in its copy still lead to the same files.
         told
             Entries of the recording's origin besides the options of the plan: ``link``, and
-            ``override`` where the proof did not pass.
+            ``override`` if the proof did not pass.
         speed
             Speed of the run as a multiple of real time.
         inputs
-            Files that the run is made from, of which copies are kept.
+            Input files of the run, to be copied.
         sent
-            Files by name of what the machine is sent besides the rows of the plan.
+            Files by name that are sent to the machine besides the rows of the plan.
         """
         now = datetime.now().astimezone()
         stem = _NAME.sub("-", Path(plan.job.name).stem)[:40] or "run"
         path = self._made(f"{now:%Y%m%d-%H%M%S}-{stem}")
         try:
             return self._begun(path, plan, proof, told, speed, inputs, sent or {}, now)
-        except BaseException:  # nothing has moved, and there is no row of it
+        except BaseException:  # nothing has moved, and there is no row for it
             shutil.rmtree(path, ignore_errors=True)
             raise
 
     def _made(self, name: str) -> Path:
-        """Return a new folder of that name, or with a number behind it."""
+        """Return a new folder with that name, or with a number appended."""
         number = 1
         while True:
             path = self.folder / (name if number == 1 else f"{name}-{number}")
@@ -126,7 +126,7 @@ class RunStore:
         sent: Mapping[str, bytes],
         now: datetime,
     ) -> OpenRun:
-        """Fill the folder of a run, and make its row; see ``begin``."""
+        """Fill the folder of a run, and add its row; see ``begin``."""
         kept = copy_proof(proof, path / PROOF)
         for file in inputs:
             _copy(file, _free(path / INPUTS, file.name))
@@ -159,9 +159,9 @@ class RunStore:
         return run
 
     def catch_up(self) -> None:
-        """Tell the index of verdicts that it could not be told: somebody else was writing into it.
+        """Enter verdicts into the index that it missed while another program was writing.
 
-        Where it is still locked, or a verdict cannot be read, nothing changes.
+        If it is still locked, or a verdict cannot be read, nothing changes.
         """
         for record in self.index.runs():
             file = self.folder / record.run / VERDICT
@@ -169,7 +169,7 @@ class RunStore:
                 continue
             with suppress(StoreError, OSError, ValueError, KeyError, TypeError):
                 content = json.loads(file.read_bytes())
-                if "late_ticks" in content:  # of a run that was judged
+                if "late_ticks" in content:  # the run was judged
                     _tell(self.index, record.run, {**content, "text": record.text})
 
     def find(self, run: str) -> Path:
@@ -202,8 +202,8 @@ def _tell(index: RunIndex, run: str, content: Mapping[str, Any]) -> None:
     )
 
 
-def _told_url(folder: Path) -> str | None:
-    """Return the URL of the index that the folder names; None where it names none.
+def _index_url(folder: Path) -> str | None:
+    """Return the URL of the index that the folder names; None if it names none.
 
     Raises
     ------
@@ -211,7 +211,7 @@ def _told_url(folder: Path) -> str | None:
         If the file cannot be read, or holds no URL.
     """
     file = folder / INDEX_URL
-    if not os.path.lexists(file):  # a link that leads nowhere is no store of its own
+    if not os.path.lexists(file):  # a dangling link must not create a new store
         return None
     try:
         refuse_special(file)
@@ -219,7 +219,7 @@ def _told_url(folder: Path) -> str | None:
     except (OSError, UnicodeDecodeError) as error:
         raise StoreError(
             f"{str(file)!r} cannot be read",
-            remedy="It holds the URL of the index, or is not there.",
+            remedy="It must hold the URL of the index, or not exist.",
         ) from error
     if "://" not in url or len(url.split()) != 1:
         raise StoreError(
@@ -230,7 +230,7 @@ def _told_url(folder: Path) -> str | None:
 
 
 def _free(folder: Path, name: str) -> Path:
-    """Return a path in ``folder`` that nothing has: ``name``, or with a number before it."""
+    """Return an unused path in ``folder``: ``name``, or with a number before it."""
     folder.mkdir(exist_ok=True)
     number = 1
     while (path := folder / (name if number == 1 else f"{number}-{name}")).exists():
@@ -239,13 +239,13 @@ def _free(folder: Path, name: str) -> Path:
 
 
 def _copy(file: Path, to: Path) -> None:
-    """Copy an input; where the copy cannot be written, the error names the copy."""
+    """Copy an input; if the copy cannot be written, the error names the copy."""
     with file.open("rb") as source, naming(to, to), to.open("wb") as target:
         shutil.copyfileobj(source, target)
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse what is no folder, and could not become one; nothing is made.
+    """Refuse a path that is not a folder, and could not become one; nothing is made.
 
     Raises
     ------
@@ -261,7 +261,7 @@ def check_folder(folder: Path) -> None:
 
 
 def opened(folder: Path) -> RunStore | None:
-    """Return the store in ``folder``, or None where there are no runs; nothing is made.
+    """Return the store in ``folder``, or None if there are no runs; nothing is made.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def opened(folder: Path) -> RunStore | None:
 
 
 class OpenRun:
-    """A run that is being written, into which an executor puts what happens.
+    """A run that is being written; an executor uses it as its sink.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ class OpenRun:
         self._events.close()
 
     def begin(self, channels: tuple[Channel, ...], simulated: bool) -> None:
-        """Write the head of the recording: its channels, and what it is a recording of."""
+        """Write the head of the recording: its channels and its origin."""
         plan = self._plan
         described = Recording(
             channels=channels,
@@ -327,7 +327,7 @@ class OpenRun:
         self._order_to_disk()
 
     def _order_to_disk(self) -> None:
-        """Order the disk to take up the trace, beside the run: a loss of power leaves it then."""
+        """Flush the trace to disk in the background, so that it survives a loss of power."""
         now_s = time.monotonic()
         waits = self._syncing is not None and not self._syncing.done()
         if not waits and now_s >= self._synced_s + SYNC_S:
@@ -356,13 +356,13 @@ class OpenRun:
                 try:
                     file.close()
                 except OSError:
-                    if error is None:  # else that error is the one to tell
+                    if error is None:  # else that error has priority
                         raise
         if error is not None:
             self._broken_off(error)
 
     def _broken_off(self, error: BaseException) -> None:
-        """Write into the index which error ended the run; a run that was refused has a verdict."""
+        """Write into the index which error ended the run; a refused run gets a verdict."""
         text, ended = "the program was ended", "fault"
         if isinstance(error, ThreadlineError):
             text = error.message
@@ -371,11 +371,11 @@ class OpenRun:
         if isinstance(error, InputError):  # by the executor, at the start: nothing has moved
             self.unjudged(REFUSED, text)
         else:
-            with suppress(StoreError):  # the error that ended it is the one to tell
+            with suppress(StoreError):  # the error that ended the run has priority
                 self.over(ended, text)
 
     def over(self, ended: str, text: str) -> None:
-        """Write into the index how a run ended, before it is judged: that may be broken off."""
+        """Write into the index how a run ended, before judging, which may be interrupted."""
         self._index.end(self.path.name, ended=ended, text=text, late_ticks=0, passed=None)
 
     def unjudged(self, ended: str, text: str) -> None:
@@ -386,7 +386,7 @@ class OpenRun:
         self.over(ended, text)
 
     def _write(self, content: Mapping[str, Any]) -> None:
-        """Write the verdict beside its place, and move it there: it is whole, or it is not."""
+        """Write the verdict to a temporary file, and move it into place: all or nothing."""
         line = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
         place, made = self.path / VERDICT, self.path / f".{VERDICT}"
         try:
@@ -404,8 +404,8 @@ class OpenRun:
         Returns
         -------
         str
-            Why the index could not be told, and what tells it later; empty where it was told. The
-            run is kept all the same.
+            Why the index could not be updated, and what will update it; empty if it was. The run is
+            kept in any case.
         """
         self._write(content)
         try:
@@ -422,7 +422,7 @@ NOT_JUDGED = "not judged"
 
 
 def verdict_of_run(record: RunRecord, folder: Path) -> str:
-    """Return the verdict of a run in a word or two; ``folder`` is that of the run."""
+    """Return the verdict of a run in a word or two; ``folder`` is the run's."""
     if record.ended == REFUSED:
         return REFUSED
     if record.passed is None:
@@ -436,7 +436,7 @@ def verdict_of_proof(record: RunRecord, folder: Path) -> str:
 
 
 def _word(file: Path, passed: bool) -> str:
-    """Return the word of what a file holds, or of what the index says where it cannot be read."""
+    """Return the verdict in a file in a word; if it cannot be read, the index's."""
     try:
         content: Mapping[str, Any] = json.loads(file.read_bytes())
         told = content.get("verdict", content)  # a proof has a verdict, and its level beside it

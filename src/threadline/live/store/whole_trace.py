@@ -1,7 +1,7 @@
-"""Runs of a store whose rest can be done: broken off before the end of their job.
+"""Unfinished runs of a store, and the recording of a run joined with the runs that it continues.
 
-A continued run begins from rest where the work began again. What the run before it did behind that
-place was done again, and is left out: the recording goes on at once with the continued run.
+A continued run begins from rest where the work begins again. Work of the previous run after that
+place was repeated, and is left out: the recording goes on at once with the continued run.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def unfinished_run(store: Path, run: str) -> tuple[Path, RunRecord]:
     Raises
     ------
     StoreError
-        If there is no such run, or it came to its end.
+        If there is no such run, or it is complete.
     """
     kept = opened(store)
     if kept is None:
@@ -52,22 +52,22 @@ def unfinished_run(store: Path, run: str) -> tuple[Path, RunRecord]:
 
 
 def refuse_other_rows(record: RunRecord, plan: Plan) -> None:
-    """Refuse a plan whose commands are not those of a run, to the row.
+    """Refuse a plan whose commands differ from a run's in any row.
 
     Raises
     ------
     StoreError
-        If they are others.
+        If they differ.
     """
     if plan.commands.rows_sha256() != record.commands_sha256:
         raise StoreError(
-            f"run {record.run} was of other rows than these: another job, machine or options",
+            f"run {record.run} had other rows than these: another job, machine or options",
             remedy="Give the files and options of that run; its proof.json names them.",
         )
 
 
 def trace_of(folder: Path, record: RunRecord) -> Path:
-    """Return the trace of a run, which tells what was executed of it.
+    """Return the trace of a run, which shows what was executed.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def trace_of(folder: Path, record: RunRecord) -> Path:
         record.run, record.job_sha256, record.machine_sha256,
     ):  # fmt: skip
         raise StoreError(
-            f"{str(trace)!r} is the trace of another run ({run[:60]!r}): it does not tell what was "
+            f"{str(trace)!r} is the trace of another run ({run[:60]!r}): it does not show what was "
             "executed of this one",
             remedy="Put its own trace there, or run the job anew.",
         )
@@ -91,7 +91,7 @@ def trace_of(folder: Path, record: RunRecord) -> Path:
 
 
 CONTINUES = "continues"
-"""Key of the origin of a continued run: the name of the run that it continues."""
+"""Key of a continued run's origin: the name of the run that it continues."""
 _ENDS = frozenset(("completed", "stopped", "fault"))
 
 
@@ -101,12 +101,12 @@ def joined_with(trace: Path) -> tuple[str, ...]:
 
 
 def as_one(names: Sequence[str]) -> str:
-    """Return what is said of a verdict of several runs together."""
+    """Return a note on a verdict over several runs together."""
     return f"Judged as one with what {' and '.join(names)} did before the work began again"
 
 
 def _chain(trace: Path, rest: Recording) -> list[tuple[str, Recording]]:
-    """Return the runs that a trace goes on with, as far as they are there and fit each other."""
+    """Return the runs that a trace continues, as far as they exist and fit each other."""
     found: list[tuple[str, Recording]] = []
     name, seen = rest.origin.get(CONTINUES), {trace.parent.name}
     while name and name == Path(name).name and name not in seen:
@@ -115,7 +115,7 @@ def _chain(trace: Path, rest: Recording) -> list[tuple[str, Recording]]:
         if not file.is_file():
             break
         before = read_recording(file)
-        if _fitting(before, rest) is not None:  # else it began behind the place already
+        if _fitting(before, rest) is not None:  # else it began after the place already
             found.append((name, before))
             rest = before
         name = before.origin.get(CONTINUES)
@@ -123,9 +123,9 @@ def _chain(trace: Path, rest: Recording) -> list[tuple[str, Recording]]:
 
 
 def whole_recording(trace: Path) -> Recording:
-    """Return the recording of a trace, with what the runs that it continues did before it.
+    """Return the recording of a trace, joined with the runs that it continues.
 
-    A trace that continues none, or whose runs are not beside it any more, is read as it is.
+    A trace that continues none, or whose runs are not beside it any more, is returned alone.
 
     Raises
     ------
@@ -139,9 +139,9 @@ def whole_recording(trace: Path) -> Recording:
 
 
 def _fitting(before: Recording, rest: Recording) -> tuple[int, int] | None:
-    """Return the tick of ``before`` at which ``rest`` goes on, and how many that is earlier.
+    """Return the tick of ``before`` at which ``rest`` continues, and how many ticks earlier it is.
 
-    None where they are of other jobs or channels, or ``before`` never came there.
+    None if they have other jobs or channels, or ``before`` never reached that place.
     """
     operation = rest.find(ChannelKind.OPERATION)
     alike = (before.channels, before.job_sha256) == (rest.channels, rest.job_sha256)
@@ -155,7 +155,7 @@ def _fitting(before: Recording, rest: Recording) -> tuple[int, int] | None:
 
 
 def _joined(before: Recording, rest: Recording) -> Recording:
-    """Return a recording up to where the work of another began again, and that one behind it."""
+    """Return a recording up to where the work of another began again, followed by that one."""
     fitting = _fitting(before, rest)
     if fitting is None:
         return rest
@@ -167,13 +167,13 @@ def _joined(before: Recording, rest: Recording) -> Recording:
 def _begins_again(
     before: Recording, begins: RecordingBlock, operation: Channel, rest: Recording
 ) -> int | None:
-    """Return the tick of ``before`` at which the work began that ``rest`` begins with again.
+    """Return the tick of ``before`` at which the work began that ``rest`` repeats first.
 
     ``begins`` is the block of ``rest`` with its first samples.
 
-    It is the first sample of that operation, or a later one where axes were told the same places:
-    the work may begin again at a rest within an operation. None where ``before`` begins behind it,
-    or never came there.
+    It is the first sample of that operation, or a later one with the same commanded positions: the
+    work may begin again at a rest within an operation. None if ``before`` begins after it, or never
+    reached it.
     """
     told = [channel.name for channel in rest.channels if channel.kind is ChannelKind.COMMANDED]
     of = float(begins.samples[operation.name][0])
@@ -206,7 +206,7 @@ def _blocks(
     Parameters
     ----------
     earlier
-        Ticks by which what ``rest`` tells comes later in the whole than it says itself.
+        Ticks by which events of ``rest`` come later in the joined recording.
     """
     tells = False
     for block in before:
@@ -222,12 +222,12 @@ def _blocks(
     nothing = {channel.name: np.empty(0) for channel in rest.channels}
     resumed = replace(held, kind="resume", name="continued")
     joint = [held, resumed]
-    if tells:  # where the work began again is its own place in the plan, however late that is
+    if tells:  # the place where the work began again defines the plan's time
         joint.append(replace(held, kind="plan", name="", value=clock.time_s(at - earlier)))
     worked = False
     for block in rest:
         if not worked and not max(map(len, block.samples.values()), default=0):
-            # Of a way there by the program itself, all that counts is what came late on it.
+            # On the program's way to that place, only late ticks count.
             joint += [replace(event, tick=at) for event in block.events if event.kind == "late"]
             continue
         if not worked:

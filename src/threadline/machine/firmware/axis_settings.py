@@ -1,4 +1,4 @@
-"""Settings of the axes and of the motion planner of a firmware, whichever it is."""
+"""Settings of the axes and the motion planner, common to all firmwares."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import dataclass, field
 
 from threadline.errors import MachineError, Place
 
-_LEAST, _MOST = 1e-6, 1e9  # of any sense: less is a slip of the pen, and no travel
+_LEAST, _MOST = 1e-6, 1e9  # plausible range: anything outside is a typing error
 
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """A number of a settings file.
+    """A number in a settings file.
 
     Parameters
     ----------
     value
-        In the unit in which ``AxisSettings`` or the planner has it.
+        In the unit of the field in ``AxisSettings`` or of the planner.
     place
         File and line.
     name
-        What the file calls it: ``$110``, ``M203 X``.
+        Its name in the file: ``$110``, ``M203 X``.
     typed
-        The number as the file has it.
+        The number as typed in the file.
     """
 
     value: float
@@ -40,7 +40,7 @@ class Said:
 
 @dataclass(slots=True)
 class AxisSettings:
-    """Settings of an axis in the firmware's units; None for those that the file does not give.
+    """Settings of an axis in the firmware's units; None where the file gives none.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class AxisSettings:
     travel
         Distance from the lowest to the highest position, in mm (degrees).
     microsteps
-        Microsteps of its driver in a full step.
+        Microsteps per full step of its driver.
     """
 
     steps: Said | None = None
@@ -74,21 +74,21 @@ class Settings:
     file
         Path of the settings file.
     form
-        Which of several forms of these settings the file has; empty where there is one.
+        Variant of the settings format; empty where there is only one.
     axes
         Settings of the axes by letter, in the firmware's order.
     planner
         Settings of the motion planner, by the keys of ``[planner]`` in a machine file, in mm and
-        degrees; ``jump.X`` is that of axis X.
+        degrees; ``jump.X`` is the jump of axis X.
     turning
-        Whether an axis turns, where the settings say so.
+        Axis -> whether it is rotary, as far as the settings say so.
     coupled
-        What the file calls kinematics in which a motor moves more than one axis, where the limits
-        are those of the axes all the same; empty for a motor for each axis.
+        The file's name of kinematics in which a motor moves more than one axis but the limits apply
+        to axes; empty for one motor per axis.
     unheeded
-        What the file says that changes the motion and is not in a machine file, a sentence each.
+        Settings that change the motion but have no place in a machine file, a sentence each.
     notes
-        What was assumed in reading, a sentence each.
+        Assumptions made in reading, a sentence each.
     """
 
     firmware: str
@@ -104,14 +104,14 @@ class Settings:
     def say(
         self, axis: str, what: str, text: str, place: Place, name: str, typed: str | None = None
     ) -> None:
-        """Add a number ``text`` of an axis, for its setting ``what``; ``name`` is the file's word.
+        """Set ``what`` of an axis to the number ``text``; ``name`` is its name in the file.
 
         ``typed`` is what the file has, where ``text`` was converted from it.
 
         Raises
         ------
         MachineError
-            If it is not a number from 1e-6 to 1e9, or differs from one given before.
+            If it is not a number from 1e-6 to 1e9, or contradicts an earlier line.
         """
         if typed is not None:
             self.number(typed, place, name)
@@ -131,15 +131,15 @@ class Settings:
         zero: bool = True,
         typed: str | None = None,
     ) -> None:
-        """Add a number ``text`` of the motion planner; ``name`` is the file's word for it.
+        """Set ``key`` of the planner to the number ``text``; ``name`` is its name in the file.
 
         ``typed`` is what the file has, where ``text`` was converted from it.
 
         Raises
         ------
         MachineError
-            If it is not a number from 1e-6 to 1e9, or 0 where ``zero`` allows it, or differs from
-            one given before.
+            If it is not a number from 1e-6 to 1e9 (nor 0, if ``zero`` allows it), or contradicts an
+            earlier line.
         """
         value = self._number(text, place, name, zero=zero, typed=typed)
         said = Said(value, place, name, (typed or text).strip())
@@ -147,11 +147,11 @@ class Settings:
         self.planner[key] = said
 
     def leave_out(self, said: str, does: str, place: Place) -> None:
-        """Record a setting that changes the motion and is not planned, by the file's words."""
-        self.unheeded.append(f"{place}: {said} {does}; what is planned is planned without it")
+        """Record a setting that changes the motion but that the planner ignores."""
+        self.unheeded.append(f"{place}: {said} {does}; the planner ignores it")
 
     def shapes(self, name: str, place: Place) -> None:
-        """Record that the firmware's own input shaper is on, by the file's word for it."""
+        """Record that the firmware's input shaper is on; ``name`` is its name in the file."""
         self.leave_out(name, "shapes the motion", place)
 
     def refuse_inches(self, place: Place) -> None:
@@ -165,11 +165,11 @@ class Settings:
         raise MachineError(
             "G20: these lengths are in inches",
             place=place,
-            remedy="Send G21, and dump the settings anew.",
+            remedy="Send G21 and dump the settings again.",
         )
 
     def refuse_kinematics(self, said: str, place: Place) -> None:
-        """Refuse a machine in which a motor moves more than its own axis.
+        """Refuse a machine in which a motor moves more than one axis.
 
         Raises
         ------
@@ -177,13 +177,13 @@ class Settings:
             Always.
         """
         raise MachineError(
-            f"{said}: only machines with a motor for each axis are made from settings",
+            f"{said}: settings can be read only for machines with one motor per axis",
             place=place,
-            remedy="Write the machine file by hand: docs/machines.md says how.",
+            remedy="Write the machine file by hand; see docs/machines.md.",
         )
 
     def number(self, text: str, place: Place, name: str) -> float:
-        """Return a number of the file as it is typed.
+        """Return a number typed in the file.
 
         Raises
         ------
@@ -201,7 +201,7 @@ class Settings:
                 f"{name} is {(typed or text).strip()[:40]!r}; it must be "
                 f"{'0, or ' if zero else ''}a number from 10^-6 up to 10^9",
                 place=place,
-                remedy="Dump the settings anew, or correct that line.",
+                remedy="Dump the settings again, or correct that line.",
             )
         return value
 
@@ -210,7 +210,7 @@ class Settings:
             raise MachineError(
                 f"{said.name} is {said.typed} here and {before.typed} on {_line(before, said)}",
                 place=said.place,
-                remedy="Keep the line that is in force.",
+                remedy="Keep only the valid line.",
             )
 
 
@@ -221,7 +221,7 @@ def _line(before: Said, here: Said) -> str:
 
 
 def number_or_nan(text: str) -> float:
-    """Return the number that ``text`` is, not a number where it is none."""
+    """Return ``text`` as a number, NaN if it is not one."""
     try:
         return float(text)
     except ValueError:
@@ -229,7 +229,7 @@ def number_or_nan(text: str) -> float:
 
 
 def times(text: str, factor: float) -> str:
-    """Return the number ``text`` times ``factor``; a text that is none as it stands."""
+    """Return the number ``text`` times ``factor``; any other text unchanged."""
     try:
         return repr(float(text) * factor)
     except ValueError:
@@ -237,9 +237,9 @@ def times(text: str, factor: float) -> str:
 
 
 def unknown(line: str, place: Place, form: str) -> MachineError:
-    """Return the error of a line that cannot be read, by an example of a right one."""
+    """Return the error for an unreadable line, with an example of a valid one."""
     return MachineError(
-        f"{line.strip()[:60]!r} is no line of these settings",
+        f"{line.strip()[:60]!r} is not a line of these settings",
         place=place,
         remedy=f"Lines are like {form}",
     )

@@ -1,8 +1,8 @@
-"""Settings in a ``config.g`` of RepRapFirmware: what its M codes say of axes and planner.
+"""Reader of a ``config.g`` of RepRapFirmware: settings of axes and planner in its M codes.
 
 Sources: docs.duet3d.com, "Gcode dictionary": M92, M201, M203, M204, M205, M208, M350, M425, M556,
-M566, M579, M584, M593, M595; RepRapFirmware, ``GCodes2.cpp``: M350 keeps the way of a full step,
-and ``DDARing.cpp``: M595 makes the ring of moves larger and never smaller.
+M566, M579, M584, M593, M595; RepRapFirmware, ``GCodes2.cpp``: M350 keeps the travel per full step,
+and ``DDARing.cpp``: M595 enlarges the queue of moves but never shrinks it.
 """
 
 from __future__ import annotations
@@ -21,26 +21,26 @@ _LETTERS = "XYZABCUVW"
 _READ = {203: "rate", 201: "acceleration"}
 _OTHERS = (92, 204, 205, 208, 350, 566, 595)
 Steps = tuple[float, str, Place]
-_MICROSTEPS = 16.0  # of a driver that M350 has not set
-_RING = 60  # what M595 P may enlarge
+_MICROSTEPS = 16.0  # default of a driver without M350
+_RING = 60  # smallest queue of moves; M595 P can only enlarge it
 _CODE = re.compile(r"M(\d{1,4})(?![\d.])(.*)$")
-_COMMANDS = re.compile(r"(?<=\s)(?=[GM]\d)")  # the firmware obeys each command of a line
+_COMMANDS = re.compile(r"(?<=\s)(?=[GM]\d)")  # a line may hold several commands
 _CONDITION = re.compile(r"\s*(?:if|elif|else|while)\b", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*(-?[0-9.]+(?::-?[0-9.]+)*)(?=\s|[A-Z]|$)")
 
 
 @dataclass(slots=True)
 class _Read:
-    """What the commands read so far have set.
+    """Settings from the commands read so far.
 
     Attributes
     ----------
     steps
-        Steps of each axis in a mm or degree, and the line that set them last.
+        Steps of each axis per mm or degree, and the last line that set them.
     micro
-        Microsteps of each axis, and the line of M350; ``_MICROSTEPS`` where none was.
+        Microsteps of each axis, and the line of M350; ``_MICROSTEPS`` without M350.
     ends
-        Lowest and highest place of each axis, with their lines.
+        Lowest and highest position of each axis, with their lines.
     """
 
     settings: Settings
@@ -50,7 +50,7 @@ class _Read:
 
 
 def is_config_g(lines: Sequence[str]) -> bool:
-    """Return whether lines hold commands that RepRapFirmware alone has."""
+    """Return whether lines hold commands that only RepRapFirmware has."""
     return any(_OWN.match(line) for line in lines)
 
 
@@ -60,11 +60,11 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
     Raises
     ------
     MachineError
-        If a line of those that count cannot be read, or stands under a condition.
+        If a relevant line cannot be read, or is inside a condition.
     """
     settings = Settings("reprapfirmware", file)
     read = _Read(settings)
-    under = -1  # indentation of the condition that the lines stand under
+    under = -1  # indentation of the enclosing condition
     for number, line in enumerate(lines, start=1):
         place = Place(file, number)
         plain = _plain(line)
@@ -84,16 +84,16 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
                 continue
             if under >= 0:
                 raise MachineError(
-                    f"M{code} stands under a condition, which is not known here",
+                    f"M{code} is inside a condition, whose value is unknown",
                     place=place,
-                    remedy="Give the lines that hold, without the condition.",
+                    remedy="Give only the valid lines, without the condition.",
                 )
             words = dict(_WORD.findall(match[2]))
             if _WORD.sub("", match[2]).strip():
                 raise MachineError(
-                    f"{command.strip()[:60]!r} is no line of these settings",
+                    f"{command.strip()[:60]!r} is not a line of these settings",
                     place=place,
-                    remedy=f"Lines are like M{code} X80 Y80, with numbers alone.",
+                    remedy=f"Lines are like M{code} X80 Y80, with numbers only.",
                 )
             _take(read, code, words, place)
     for letter, found in read.ends.items():
@@ -109,13 +109,13 @@ def read_config_g(lines: Sequence[str], file: str) -> Settings:
 
 
 def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
-    """Take in a command with the words of its axes."""
+    """Apply a command with its words."""
     settings = read.settings
     for letter, text in words.items():
         name = f"M{code} {letter}"
         if code == 595 and letter == "P":
             settings.say_of_planner("blocks", text, place, name, zero=False)
-            if settings.planner["blocks"].value < _RING:  # the ring is never made smaller
+            if settings.planner["blocks"].value < _RING:  # the queue never shrinks
                 del settings.planner["blocks"]
         elif code == 566 and letter == "P":
             settings.say_of_planner("policy", text, place, name)
@@ -130,12 +130,12 @@ def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
             _end(read.ends, letter, text, words, place)
         elif code == 92:
             value = settings.number(text, place, name)
-            if "S" in words:  # counted in these microsteps
+            if "S" in words:  # S: microsteps for which this value holds
                 value *= _micro(read, letter) / settings.number(words["S"], place, "M92 S")
             read.steps[letter] = value, text, place
         elif code == 350:
             value, before = settings.number(text, place, name), _micro(read, letter)
-            if letter in read.steps:  # the firmware keeps the way of a full step
+            if letter in read.steps:  # the firmware keeps the travel per full step
                 steps, typed, at = read.steps[letter]
                 read.steps[letter] = steps * value / before, typed, at
             read.micro[letter] = value, text, place
@@ -148,7 +148,7 @@ def _micro(read: _Read, letter: str) -> float:
 
 
 def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
-    """Refuse what makes the numbers others, and record what else changes the motion."""
+    """Refuse commands that change the meaning of numbers; record others that change the motion."""
     if re.match(r"G20\b", plain):
         settings.refuse_inches(place)
     kinematics = re.match(r"M669\b.*?\bK\s*(\d+)", plain)
@@ -162,20 +162,19 @@ def _heed(settings: Settings, plain: str, line: str, place: Place) -> None:
     runs = re.match(r"(M98|M501)\b", plain)
     if runs is not None:
         settings.unheeded.append(
-            f"{place}: the file that {runs[1]} runs is not read; put what it sets of the axes in "
-            "its place"
+            f"{place}: the file run by {runs[1]} is not read; put its settings of axes in its place"
         )
     words = {letter: number_or_nan(text) for letter, text in _WORD.findall(plain[4:])}
     of_axes = {letter: number for letter, number in words.items() if letter in _LETTERS}
     told = plain.strip()
     if re.match(r"M579\b", plain) and any(number != 1.0 for number in of_axes.values()):
         raise MachineError(
-            f"{told} scales the places of an axis, so that no length is what it says",
+            f"{told} scales the positions of an axis, so that all its lengths are wrong",
             place=place,
-            remedy="Put the scale into the steps of M92 and take M579 out, on the machine too.",
+            remedy="Include the scale in the steps of M92 and remove M579, on the machine too.",
         )
     if re.match(r"M556\b", plain) and any(of_axes.values()):
-        settings.leave_out(told, "moves an axis by a share of another's way (skew)", place)
+        settings.leave_out(told, "moves an axis in proportion to another (skew)", place)
     if re.match(r"M425\b", plain) and any(of_axes.values()):
         settings.leave_out(told, "adds a motion of the motor at reversals (backlash)", place)
     if re.match(r"(?:M375\b|G29\b.*\bS\s*1\b|M376\b.*\bH\s*0*[1-9])", plain):
@@ -198,7 +197,7 @@ def _end(
     words: dict[str, str],
     place: Place,
 ) -> None:
-    """Take in an end of an axis: ``X0:600``, or ``X600`` with ``S1`` where it is the lower."""
+    """Record an end of an axis: ``X0:600``, or ``X600`` with ``S1`` for the lower end."""
     try:
         numbers = [float(part) for part in text.split(":")]
     except ValueError:
@@ -209,7 +208,7 @@ def _end(
         said = {"low" if words.get("S") == "1" else "high": numbers[0]}
     else:
         raise MachineError(
-            f"M208 {letter} is {text[:40]!r}; it must be a number, or two with a colon between",
+            f"M208 {letter} is {text[:40]!r}; it must be a number, or two numbers with a colon",
             place=place,
             remedy="Write it like M208 X0:600.",
         )

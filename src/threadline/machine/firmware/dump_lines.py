@@ -1,8 +1,8 @@
-"""Lines of settings: a log without its prompts, the dump in force, and files that are included.
+"""Lines of settings: strip prompts from a log, find the last dump, and find included files.
 
-What a firmware answers to ``$$`` or ``M503`` is copied from terminals and logs of senders, of which
-each writes something before the answer: ``> $$``, ``< $0=10``, ``Recv: echo:  M92 X80.00``,
-``22:24:55.009 : echo:``, ``[12:31:07] $0=10``, ``Config:  M92 X80``.
+Users copy the answers of a firmware to ``$$`` or ``M503`` from terminals and logs of senders, which
+add prefixes: ``> $$``, ``< $0=10``, ``Recv: echo: M92 X80.00``, ``22:24:55.009 : echo:``,
+``[12:31:07] $0=10``, ``Config: M92 X80``.
 """
 
 from __future__ import annotations
@@ -33,9 +33,7 @@ class DumpLine:
     Parameters
     ----------
     place
-        Where it stands.
-    text
-        The line without what terminals write before it.
+        File and line. text The line without prefixes of terminals.
     """
 
     place: Place
@@ -44,12 +42,12 @@ class DumpLine:
 
 @dataclass(frozen=True, slots=True)
 class Saying:
-    """A setting and its value, as one line of a log has them.
+    """A setting and its value in one line of a log.
 
     Parameters
     ----------
     order
-        Place of the setting in a dump: firmwares list their settings in one order.
+        Rank of the setting in a dump: firmwares list their settings in a fixed order.
     key
         The setting.
     text
@@ -78,18 +76,18 @@ def dump_lines(lines: Sequence[str], file: str) -> list[DumpLine]:
 def in_force(
     sayings: Sequence[Saying], same: Callable[[str, str], bool]
 ) -> tuple[list[Saying], str]:
-    """Return the settings of the last whole dump among ``sayings``, and a note; empty without one.
+    """Return the settings of the last complete dump among ``sayings``, and a note or "".
 
-    Settings that nowhere contradict each other are one dump. Otherwise a dump begins where the
-    order of the settings begins anew, and whole are those that say as much as any. What comes after
-    the last whole one is given out behind it: where that contradicts, the caller refuses it.
+    Settings without contradictions are one dump. Otherwise a new dump begins where the order of the
+    settings restarts, and dumps with the most settings are complete. Settings after the last
+    complete dump are appended; the caller refuses contradictions.
 
     Parameters
     ----------
     sayings
         In the order of the log.
     same
-        Whether two texts are the same value.
+        Returns whether two texts mean the same value.
     """
     first: dict[str, Saying] = {}
     if all(same(first.setdefault(one.key, one).text, one.text) for one in sayings):
@@ -106,14 +104,14 @@ def in_force(
     note = ""
     if len(whole) > 1:
         note = (
-            f"{kept[0].place}: the last of {len(whole)} whole dumps in this file is read, lines "
+            f"{kept[0].place}: the last of {len(whole)} complete dumps in this file is read, lines "
             f"{kept[0].place.line} to {kept[-1].place.line}"
         )
     return [one for dump in dumps[last:] for one in dump], note
 
 
 def files_beside(pattern: str, folder: Path) -> list[Path]:
-    """Return the files that ``pattern`` names in ``folder`` and below it; none anywhere else."""
+    """Return the files that match ``pattern`` in ``folder`` or below; none outside of it."""
     try:
         found = sorted(folder.glob(pattern)) if pattern.strip("/") else []
     except (NotImplementedError, ValueError, IndexError):

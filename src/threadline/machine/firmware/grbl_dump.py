@@ -1,4 +1,4 @@
-"""What grbl answers to ``$$`` and ``$I``, and the YAML of FluidNC, which plans as grbl does.
+"""Reader of grbl's answers to ``$$`` and ``$I``, and of FluidNC's YAML (same motion planner).
 
 Sources: grbl 1.1 wiki, "Configuring Grbl" ($11, $100 to $135) and "Grbl v1.1 Interface"
 (``[OPT:]``, whose C is CoreXY; ``[AXS:]`` of grbl-Mega-5X and grblHAL names the axes); grbl 0.8,
@@ -20,13 +20,13 @@ _GRBL_AXES = "XYZABC"
 _DEVIATION = 11
 _GRBL = {100: "steps", 110: "rate", 120: "acceleration", 130: "travel"}
 _SETTING = re.compile(r"\$(\d{1,3})\s*=\s*([^\s(;,>]*)")
-_ALONE = re.compile(r"\$\d{1,3}$")  # what grblHAL is asked for one setting
+_ALONE = re.compile(r"\$\d{1,3}$")  # query of a single setting in grblHAL
 _COMMENT = re.compile(r"\s*(?:[A-Za-z(;,>|/#<\[-].*)?$")
 _AMID = re.compile(r"(?<![\w$])\$1[0-3]\d\s*=")
 _OPTIONS = re.compile(r"\[OPT:([A-Z+0-9]*)")
 _AXES = re.compile(r"\[AXS:\d:([A-Z]{1,9})\]")
 _OLD = re.compile(r"\$[0-2]\s*=\s*[\d.]+\s*\(\s*[xyz]\W.*step")
-_NONE_IS_ZERO = "0 stands for none"
+_NONE_IS_ZERO = "0 means none"
 _FLUIDNC = {
     "steps_per_mm": "steps", "max_rate_mm_per_min": "rate",
     "acceleration_mm_per_sec2": "acceleration", "max_travel_mm": "travel",
@@ -35,17 +35,17 @@ _OF_TERMINAL = re.compile(r"(?:\[|<|>|\$|ok\b|\.\.\.$|---)")
 
 
 def is_grbl(lines: Sequence[str]) -> bool:
-    """Return whether lines hold settings as grbl lists them."""
+    """Return whether lines hold settings in grbl's form."""
     return any(re.search(r"(?<![\w$])\$1[0-3]\d\s*=", line) or _OLD.search(line) for line in lines)
 
 
 def read_grbl(lines: Sequence[str], file: str) -> Settings:
-    """Return the settings of axes and planner in what grbl answers to ``$$``.
+    """Return the settings of axes and planner in grbl's answer to ``$$``.
 
     Raises
     ------
     MachineError
-        If a setting cannot be read, has two values, or is numbered as grbl 0.8 did.
+        If a setting cannot be read, has two values, or has the numbering of grbl 0.8.
     """
     settings = Settings("grbl", file)
     letters = _GRBL_AXES
@@ -61,9 +61,9 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
             settings.refuse_kinematics(f"{options[0]}...]: C is CoreXY", line.place)
         if _OLD.match(text):
             raise MachineError(
-                f"{text[:50]!r}: grbl 0.8 and older number their settings so",
+                f"{text[:50]!r} is a setting of grbl 0.8 or older",
                 place=line.place,
-                remedy="Give what grbl 0.9 or later answers to $$: $100 and on.",
+                remedy="Give the answer of grbl 0.9 or later to $$, with $100 and following.",
             )
         sayings += _settings_of(line)
     kept, note = in_force(sayings, lambda a, b: number_or_nan(a) == number_or_nan(b))
@@ -82,7 +82,7 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
         if letter in absent or letter not in _LETTERS:
             continue
         what = _GRBL[one.order - one.order % 10]
-        if _zero(one.text):  # of an axis that is there
+        if _zero(one.text):  # the axis exists
             settings.axes.setdefault(letter, AxisSettings())
             settings.notes.append(f"{one.place}: {name}={one.text}: {_NONE_IS_ZERO} ({what})")
             continue
@@ -97,7 +97,7 @@ def _zero(text: str) -> bool:
 
 
 def _settings_of(line: DumpLine) -> list[Saying]:
-    """Return the settings of axes and planner in a line; several may stand in one."""
+    """Return the settings of axes and planner in a line, which may hold several."""
     text = line.text
     if text[:1] in ";(%":
         return []
@@ -120,17 +120,17 @@ def _settings_of(line: DumpLine) -> list[Saying]:
 
 
 def is_fluidnc(lines: Sequence[str]) -> bool:
-    """Return whether lines are a YAML with axes, as FluidNC has it."""
+    """Return whether lines are a YAML with axes in FluidNC's form."""
     return any(re.match(r"axes\s*:", line, re.IGNORECASE) for line in lines)
 
 
 def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
-    """Return the settings of axes and planner in a YAML of FluidNC; its keys have no case.
+    """Return the settings of axes and planner in a YAML of FluidNC; keys ignore case.
 
     Raises
     ------
     MachineError
-        If a line cannot be read, an axis stands elsewhere, or a motor moves more than its axis.
+        If a line cannot be read, an axis is in another file, or a motor moves several axes.
     """
     settings = Settings("fluidnc", file)
     path: list[tuple[int, str]] = []
@@ -142,7 +142,7 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
         indent = len(code) - len(code.lstrip())
         if "\t" in code[:indent]:
             raise MachineError(
-                "a tab before a key: YAML takes blanks alone", place=place, remedy="Write blanks."
+                "a tab before a key: YAML allows only blanks", place=place, remedy="Write blanks."
             )
         typed, colon, value = (part.strip() for part in code.strip().partition(":"))
         key = typed.lower()
@@ -168,17 +168,17 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
 
 
 def _refuse_elsewhere(typed: str, key: str, value: str, above: list[str], place: Place) -> None:
-    """Refuse what stands in another file or form: an axis would be lost without a word."""
+    """Refuse includes and inline forms, because an axis would be lost without a warning."""
     if key == "include" or value.startswith(("!", "&", "*")):
         raise MachineError(
             f"{typed[:40]}: {value[:40]} is not followed",
             place=place,
-            remedy="Put the text that it stands for in its place.",
+            remedy="Replace it by its text.",
         )
     table = key == "axes" if not above else above == ["axes"] and key.upper() in _LETTERS
     if value and table:
         raise MachineError(
-            f"{typed[:40]}: {value[:40]!r}: an axis has its settings on lines of their own",
+            f"{typed[:40]}: {value[:40]!r}: each setting of an axis needs a separate line",
             place=place,
-            remedy="Write them as FluidNC's documents do: steps_per_mm: 80.000 and so on.",
+            remedy="Write them as in FluidNC's documents: steps_per_mm: 80.000 and so on.",
         )

@@ -1,8 +1,8 @@
-"""Settings in LinuxCNC's INI: limits of axes and joints, and the path mode that it starts in.
+"""Reader of LinuxCNC's INI: limits of axes and joints, and the initial path mode.
 
 Source: linuxcnc.org/docs, "INI Configuration": [KINS], [TRAJ], [AXIS_<letter>], [JOINT_<number>],
-[RS274NGC] RS274NGC_STARTUP_CODE, [HAL] HALFILE; of version 2.7 and before, where [AXIS_<number>] is
-what [JOINT_<number>] has been since; "G Codes", G61 and G64.
+[RS274NGC] RS274NGC_STARTUP_CODE, [HAL] HALFILE; in version 2.7 and before, [AXIS_<number>] has the
+meaning of today's [JOINT_<number>]; "G Codes", G61 and G64.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ _LIMITS = {
 }  # fmt: skip
 _SCALES = ("STEP_SCALE", "SCALE", "OUTPUT_SCALE", "INPUT_SCALE")
 _MOST_BYTES = 1_000_000
-_ENDLESS = 1e9  # a limit as good as none, and what INI files have for it
+_ENDLESS = 1e9  # INI files write this for "no limit"
 
 Keys = dict[str, tuple[str, Place]]
 
 
 def is_linuxcnc(lines: Sequence[str]) -> bool:
-    """Return whether lines hold sections that an INI of LinuxCNC has."""
+    """Return whether lines hold at least two sections of a LinuxCNC INI."""
     return sum(_OWN.match(line) is not None for line in lines) > 1
 
 
@@ -54,7 +54,7 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
     Raises
     ------
     MachineError
-        If a line cannot be read, or a joint moves more than its own axis.
+        If a line cannot be read, or a joint moves more than one axis.
     """
     settings = Settings("linuxcnc", file)
     sections = _sections(lines, file)
@@ -83,7 +83,7 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
 
 
 def _sections(lines: Sequence[str], file: str) -> dict[str, Keys]:
-    """Return the sections by name, in capitals; a key that comes again has a mark behind it."""
+    """Return the sections by name, in capitals; repeated keys get an apostrophe each time."""
     sections: dict[str, Keys] = {}
     section: Keys | None = None
     for place, code in _joined(lines, (Path(file).resolve(),)):
@@ -104,7 +104,7 @@ def _sections(lines: Sequence[str], file: str) -> dict[str, Keys]:
 
 
 def _joined(lines: Sequence[str], within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
-    """Yield the lines with their places: continued ones in one, and those of included files."""
+    """Yield the lines with their places, with continued lines joined and includes replaced."""
     begun, begins = "", Place(str(within[-1]))
     for number, line in enumerate(lines, start=1):
         place = Place(str(within[-1]), number)
@@ -126,13 +126,13 @@ def _joined(lines: Sequence[str], within: tuple[Path, ...]) -> Iterator[tuple[Pl
 
 
 def _included(name: str, place: Place, within: tuple[Path, ...]) -> Iterator[tuple[Place, str]]:
-    """Yield the lines of a file that lies beside, or below."""
+    """Yield the lines of an included file in the same folder or below."""
     found = files_beside(name, within[-1].parent)
     if len(found) != 1 or found[0] in within:
         raise MachineError(
-            f"#INCLUDE {name[:60]}: no such file lies beside this one, or it includes itself",
+            f"#INCLUDE {name[:60]}: no such file beside this one, or it includes itself",
             place=place,
-            remedy="Put it there, or its text in the place of this line.",
+            remedy="Put the file there, or replace this line by its text.",
         )
     text = read_text(found[0], _MOST_BYTES, MachineError, "INI")
     yield from _joined(text.splitlines(), (*within, found[0]))
@@ -161,7 +161,7 @@ def _letters(kins: Keys, traj: Keys, whole: Place) -> str:
 
 
 def _units(traj: Keys) -> tuple[float, float]:
-    """Return mm in a unit of length, and degrees in one of angle."""
+    """Return mm per unit of length and degrees per unit of angle."""
     text, place = traj.get("LINEAR_UNITS", ("mm", Place("")))
     word = text.lower()
     if word not in _INCHES + _MILLIMETRES and number_or_nan(text) != 1.0:
@@ -188,7 +188,7 @@ def _turns(letter: str, *sections: Keys) -> bool:
 
 
 def _say_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: float) -> None:
-    """Say the limits of an axis: the lesser of those of its axis and its joint."""
+    """Set the limits of an axis: the smaller of its [AXIS_] and [JOINT_] limits."""
     for key, (what, a_minute) in _LIMITS.items():
         given = [(keys[key], keys is joint) for keys in (axis, joint) if key in keys]
         if not given:
@@ -217,7 +217,7 @@ def _say_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: 
 
 def _sized(text: str) -> float:
     number = number_or_nan(text)
-    return -1.0 if math.isnan(number) else number  # what is no number is refused where it is said
+    return -1.0 if math.isnan(number) else number  # ``say`` refuses other texts
 
 
 def _end(key: str, *sections: Keys) -> tuple[str, Place] | None:
@@ -225,7 +225,7 @@ def _end(key: str, *sections: Keys) -> tuple[str, Place] | None:
 
 
 def _most_of_path(settings: Settings, traj: Mapping[str, tuple[str, Place]], length: float) -> None:
-    """Note a limit of the speed along the path, where it is below an axis' own."""
+    """Apply the limit of path speed to axes with a higher limit."""
     said = traj.get("MAX_LINEAR_VELOCITY", traj.get("MAX_VELOCITY"))
     if said is None:
         return
@@ -240,13 +240,13 @@ def _most_of_path(settings: Settings, traj: Mapping[str, tuple[str, Place]], len
         settings.say(axis, "rate", repr(most), said[1], "[TRAJ] MAX_LINEAR_VELOCITY", said[0])
     if slower:
         settings.notes.append(
-            f"{said[1]}: the greatest speed of the path is below the limit of "
-            f"{', '.join(slower)}: it is taken for the limit of each"
+            f"{said[1]}: the largest path speed is below the limit of "
+            f"{', '.join(slower)} and is used as the limit of each"
         )
 
 
 def _path_mode(settings: Settings, interpreter: Keys, length: float) -> None:
-    """Say the path mode of RS274NGC_STARTUP_CODE; LinuxCNC starts in G64 without P."""
+    """Set the path mode from RS274NGC_STARTUP_CODE; LinuxCNC starts in G64 without P."""
     text, place = interpreter.get("RS274NGC_STARTUP_CODE", ("", Place(settings.file)))
     code = text.upper()
     factor = 25.4 if re.search(r"\bG20\b", code) else 1.0 if "G21" in code else length
@@ -255,7 +255,7 @@ def _path_mode(settings: Settings, interpreter: Keys, length: float) -> None:
         return
     blend = re.search(r"\bG64\s*(?:P\s*([\d.]+))?\s*(?:Q\s*([\d.]+))?", code)
     if blend is None:
-        settings.notes.append("G64 without P: the INI starts in no other path mode")
+        settings.notes.append("G64 without P: the INI sets no other path mode")
         return
     for key, number, letter in (("tolerance", blend[1], "P"), ("cam_tolerance", blend[2], "Q")):
         if number is not None:

@@ -1,4 +1,4 @@
-"""Numbers of a machine that its firmware's settings lack, for which its owner is asked by name."""
+"""Write a machine file from firmware settings, and ask the owner for the missing numbers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ASKED: dict[str, tuple[str, str]] = {
     "inertia": ("that a rotary axis turns", "4e-3 kg m^2"),
     "radius": ("at which a rotary axis acts: of the mandrel or workpiece", "50 mm"),
 }
-"""Name of each question, with its meaning and an example of an answer."""
+"""Name of each question, its meaning, and an example of an answer."""
 OPTIONAL: dict[str, tuple[str, str]] = {
     "steps": ("per mm, where the settings have none", "80 count/mm"),
     "travel": ("from end to end, where the settings have none", "600 mm"),
@@ -39,20 +39,20 @@ _OF_AN_AXIS = frozenset(ASKED) - {"rotary"} | frozenset(OPTIONAL)
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """The answers of an owner, by name or by name and axis (``mass.X``)."""
+    """The owner's answers, by name, or by name and axis (``mass.X``)."""
 
     given: dict[str, str]
 
     @property
     def rotary(self) -> str:
-        """Letters of the rotary axes; empty where there are none."""
+        """Letters of the rotary axes; empty if there are none."""
         said = self.given.get("rotary", "")
         if said.lower() in _NONE:
             return ""
         return "".join(c for c in said.upper() if c.isalpha())
 
     def of(self, name: str, axis: str) -> str | None:
-        """Return the answer for an axis, or the one for all axes; None without either."""
+        """Return the answer for an axis, else the answer for all axes, else None."""
         return self.given.get(f"{name}.{axis}", self.given.get(name))
 
 
@@ -62,7 +62,7 @@ def parse_answers(texts: Sequence[str]) -> Answers:
     Raises
     ------
     OptionError
-        If one has no such form, an unknown name, or is given twice.
+        If an answer has another form or an unknown name, or is given twice.
     """
     given: dict[str, str] = {}
     known = {**ASKED, **OPTIONAL}
@@ -74,7 +74,7 @@ def parse_answers(texts: Sequence[str]) -> Answers:
             close = difflib.get_close_matches(base, known, n=1)
             hint = f"Did you mean {close[0]}? " if close and close[0] != base else ""
             raise OptionError(
-                f"--set {text[:60]!r} answers nothing that is asked",
+                f"--set {text[:60]!r} does not answer any question",
                 remedy=f'{hint}Write it like --set "mass=1.2 kg"; names: {", ".join(known)}.',
             )
         key = f"{base}.{axis.upper()}" if dot else base
@@ -126,16 +126,16 @@ _TURNING = {"travel": "rad", "rate": "rad/s", "acceleration": "rad/s^2", "steps"
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """A number that the settings lack and the owner has not said.
+    """A number that neither the settings nor the owner have given.
 
     Parameters
     ----------
     key
-        What ``--set`` calls it: ``mass``, ``travel.X``.
+        Its name in ``--set``: ``mass``, ``travel.X``.
     what
-        What it is, in words.
+        Its meaning.
     example
-        A value that would do.
+        A valid value.
     """
 
     key: str
@@ -144,13 +144,13 @@ class Missing:
 
 
 def missing_answers(settings: Settings, answers: Answers, *, limits_only: bool) -> list[Missing]:
-    """Return what the owner is still to say, each once, in the order in which it is asked."""
+    """Return the missing numbers without repetition, in the order of the questions."""
     found = dict.fromkeys(_missing(settings, answers, limits_only))
     return [Missing(key, what, example) for key, (what, example) in found]
 
 
 def turning_axes(settings: Settings, answers: Answers) -> str:
-    """Return the letters of the axes that turn: by the settings, else by their owner."""
+    """Return the letters of the rotary axes, from the owner if given, else from the settings."""
     if "rotary" in answers.given:
         return answers.rotary
     return "".join(axis for axis in settings.axes if settings.turning.get(axis, False))
@@ -161,8 +161,8 @@ def machine_text(
 ) -> str:
     """Return the machine file of axes with steppers, from firmware settings and answers.
 
-    Every axis is rigid: its load is added to the inertia of its motor. Limits of speed and
-    acceleration are those of the firmware.
+    Every axis is rigid: its load is added to the inertia of its motor. Speed and acceleration have
+    the firmware's limits.
 
     Parameters
     ----------
@@ -172,9 +172,9 @@ def machine_text(
     Raises
     ------
     OptionError
-        If numbers are missing (all of them are named, each with an example), or an answer is of an
-        axis that does not exist, in a wrong unit, or of dynamics that are left out; or if motors
-        are asked for that do not move an axis each.
+        If numbers are missing (the error names all of them, with examples); if an answer names an
+        unknown axis, has a wrong unit, or concerns dynamics that ``limits_only`` omits; or if a
+        motor moves several axes and ``limits_only`` is False.
     MachineError
         If the settings lack limits that Klipper requires.
     """
@@ -186,13 +186,13 @@ def machine_text(
         raise OptionError(
             f"{Place(settings.file)}: {settings.coupled}: a motor moves more than one axis, so "
             "motors and masses cannot be described axis by axis",
-            remedy="Add --limits-only: the limits are those of the axes.",
+            remedy="Add --limits-only: limits apply to axes.",
         )
     missing = missing_answers(settings, answers, limits_only=limits_only)
     if missing:
         asked = "; ".join(f'--set "{one.key}={one.example}" ({one.what})' for one in missing)
         raise OptionError(
-            f"{Place(settings.file)} does not say all that a machine is, the rest is yours to say",
+            f"{Place(settings.file)} does not give all numbers of the machine",
             remedy=f"Add: {asked}.",
         )
     dialect = _DIALECTS.get(settings.firmware, settings.firmware)
@@ -222,12 +222,12 @@ def machine_text(
 
 
 def check_answers(settings: Settings, answers: Answers) -> None:
-    """Refuse an answer of an axis that is not there, or in a wrong unit.
+    """Refuse an answer for an unknown axis, or in a wrong unit.
 
     Raises
     ------
     OptionError
-        If there is one.
+        If there is such an answer.
     """
     turning = turning_axes(settings, answers)
     named = [key.partition(".")[2] for key in answers.given if "." in key]
@@ -248,14 +248,20 @@ def check_answers(settings: Settings, answers: Answers) -> None:
         base, _, axis = key.partition(".")
         if base == "rotary":
             continue
-        turns = bool(axis) and axis in turning  # without an axis: of those along a line
+        turns = bool(axis) and axis in turning  # without an axis letter: linear axes
+        if turns and base == "travel":
+            raise OptionError(
+                f"--set {key}={text[:40]!r}: axis {axis} turns without end, it has no travel",
+                remedy="Leave it out, or name the letters that do turn with rotary.",
+            )
         unit = _UNITS[base] if base in _UNITS else (_TURNING if turns else _STRAIGHT)[base]
         try:
             positive = parse_quantity(text, unit) > 0
         except UnitError as error:
+            asked = {**ASKED, **OPTIONAL, **(_TURNS if turns else {})}
             raise OptionError(
                 f"--set {key}={text!r}: {error.message}",
-                remedy=f'Write it like "{key}={ {**ASKED, **OPTIONAL}[base][1] }".',
+                remedy=f'Write it like "{key}={asked[base][1]}".',
             ) from error
         if not positive:
             raise OptionError(f"--set {key}={text!r} must be greater than 0")
@@ -265,7 +271,7 @@ def _refuse_dynamics(answers: Answers) -> None:
     for key in answers.given:
         if key.partition(".")[0] in _OF_DYNAMICS:
             raise OptionError(
-                f"--set {key} is of motors and masses, which --limits-only leaves out",
+                f"--set {key} concerns motors and masses, which --limits-only omits",
                 remedy="Leave one of them out.",
             )
 
@@ -279,7 +285,7 @@ def _missing(
     turning = turning_axes(settings, answers)
     if may_turn and "rotary" not in answers.given:
         what, _ = ASKED["rotary"]
-        turning += "".join(may_turn)  # so that all the examples together would do
+        turning += "".join(may_turn)  # so that the examples together are complete
         yield "rotary", (what, turning)
     for axis, said in settings.axes.items():
         turns = axis in turning
@@ -343,14 +349,14 @@ def _planner(settings: Settings, turning: str) -> Iterator[str]:
             yield f'{key} = "{_of_planner(said[key], unit, firmware)}"'
         elif firmware == "klipper":
             raise MachineError(
-                f"[printer] does not say {_KLIPPER_WORDS[key]}",
+                f"[printer] does not give {_KLIPPER_WORDS[key]}",
                 place=Place(settings.file),
-                remedy="Give the printer.cfg whole: Klipper itself asks for it.",
+                remedy="Give the complete printer.cfg: Klipper itself requires this value.",
             )
 
 
 def _printable(text: str) -> str:
-    """Return a sentence as it may stand between the quotes of a machine file."""
+    """Return a sentence escaped for the quotes of a machine file."""
     return plain(text).replace("\\", "/").replace('"', "'")
 
 
@@ -362,9 +368,9 @@ def _check_jumps(settings: Settings) -> None:
     for axis in settings.axes:
         if f"jump.{axis}" not in settings.planner:
             raise MachineError(
-                f"the settings do not say the jump of speed of axis {axis}",
+                f"the settings do not give the speed jump of axis {axis}",
                 place=Place(settings.file),
-                remedy=f"Add what the firmware answers to M566, like M566 {axis}900 (mm/min).",
+                remedy=f"Add the firmware's answer to M566, like M566 {axis}900 (mm/min).",
             )
 
 
@@ -422,7 +428,7 @@ def _stepper(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> It
 
 
 def _steps(axis: str, said: AxisSettings, answers: Answers, turns: bool) -> float:
-    """Return the steps of an axis in a mm or degree."""
+    """Return the steps of an axis per mm or degree."""
     if said.steps is not None:
         return said.steps.value
     own = answers.given.get(f"steps.{axis}") if turns else answers.of("steps", axis)
@@ -452,7 +458,7 @@ def _limits_of(
     way = answers.of("travel", axis)
     if said.travel is not None:
         way = f"{said.travel.value!r} mm"
-    # A job may begin anywhere between the ends, from where it moves at most by the whole travel.
+    # A job may begin anywhere between the ends, so it moves at most by the full stroke.
     yield (
         f'travel = ["-{way} exact, assumed: no further than from end to end", '
         f'"{way} exact, assumed: likewise"]'

@@ -1,6 +1,6 @@
-"""What Marlin answers to ``M503``, in each of the forms that it has had.
+"""Reader of Marlin's answer to ``M503``, in each of its historical forms.
 
-``M204`` and ``M205`` have changed their letters, and a letter its meaning:
+``M204`` and ``M205`` changed their letters, and some letters changed their meaning:
 
 ===================== ============== ===================================== =======================
 form                  acceleration   least speeds and time of a move       jerk
@@ -48,16 +48,16 @@ _LATER_JERK = {"X": "10", "Y": "10", "Z": "0.3"}
 
 @dataclass(slots=True)
 class _Evidence:
-    """What the comments and letters of a dump say of its form."""
+    """Evidence for the form of a dump, from its comments and letters."""
 
     kimbra: bool = False
     first: bool = False
     later: bool = False
-    of_both: bool = False  # the jerk of X, by a comment, is that of Y too
-    stealth: bool = False  # lines of a second mode of motors follow, as Prusa's firmware has them
+    of_both: bool = False  # a comment says that the jerk of X also applies to Y
+    stealth: bool = False  # lines of Prusa's second motor mode follow
 
     def note(self, text: str) -> None:
-        """Take in a line that is no command, in lower case."""
+        """Use a line that is not a command, in lower case."""
         if "acceleration" in text and "retract" in text:
             self.kimbra |= "v=travel" in text or " v<" in text
             self.first |= "s=acceleration" in text
@@ -71,7 +71,7 @@ class _Evidence:
 
 
 def is_marlin(lines: Sequence[str]) -> bool:
-    """Return whether lines hold limits or steps as Marlin lists them."""
+    """Return whether lines hold limits or steps in Marlin's form."""
     return any(
         (match := _CODE.match(line.text)) is not None and int(match[2]) in _LIMITS
         for line in dump_lines(lines, "")
@@ -80,13 +80,13 @@ def is_marlin(lines: Sequence[str]) -> bool:
 
 
 def read_marlin(lines: Sequence[str], file: str) -> Settings:
-    """Return the settings of axes and planner in what Marlin answers to ``M503``.
+    """Return the settings of axes and planner in Marlin's answer to ``M503``.
 
     Raises
     ------
     MachineError
-        If a line that counts cannot be read, has two values, or is of a machine without a motor
-        for each axis.
+        If a relevant line cannot be read, has two values, or belongs to a machine in which a motor
+        moves several axes.
     """
     settings = Settings("marlin", file)
     evidence = _Evidence()
@@ -114,17 +114,17 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
     kept, note = in_force(sayings, lambda a, b: number_or_nan(a) == number_or_nan(b))
     settings.notes += [note] if note else []
     for (code, text), place in besides.items():
-        if not note or place.line > kept[0].place.line:  # of the dump in force
+        if not note or place.line > kept[0].place.line:  # in the valid dump
             _heed(settings, code, text, place)
     _interpret(settings, evidence, kept)
     settings.notes.append(
-        "a motor for each axis is assumed: M503 does not say whether the machine is a CoreXY"
+        "assumed one motor per axis: M503 does not tell whether the machine is a CoreXY"
     )
     return settings
 
 
 def _prose(text: str, place: Place, evidence: _Evidence) -> None:
-    """Take in a line that is no command; one with a command in its middle is refused."""
+    """Use a line that is not a command; refuse a line with a command in its middle."""
     bare = re.split(r"[;#]", text, maxsplit=1)[0]
     if _COUNTS.search(bare) is not None and not text.lower().startswith("unknown command"):
         raise unknown(text, place, "echo:  M92 X80.00 Y80.00, with nothing before the M")
@@ -132,12 +132,12 @@ def _prose(text: str, place: Place, evidence: _Evidence) -> None:
 
 
 def _words(text: str) -> tuple[dict[str, str], str]:
-    """Return the words of a command, letters doubled with marks, and what is left of the line."""
+    """Return the words of a command (repeated letters get an apostrophe) and the rest."""
     found: dict[str, str] = {}
     at = 0
     while (match := _WORD.match(text, at)) is not None:
         letter = match[1]
-        while letter in found:  # told apart, so that two values of a letter are not one
+        while letter in found:  # keeps two values of a letter apart
             letter += "'"
         found[letter] = match[2]
         at = match.end()
@@ -145,7 +145,7 @@ def _words(text: str) -> tuple[dict[str, str], str]:
 
 
 def _sayings(code: int, words: dict[str, str], place: Place, evidence: _Evidence) -> list[Saying]:
-    """Return the settings of a command, but those of extruders and tools."""
+    """Return the settings of a command, except settings of extruders and tools."""
     order = _ORDER.index(code) if code in _ORDER else len(_ORDER)
     letters = {letter.rstrip("'") for letter in words}
     if "E" in letters and letters <= {"T", "E"}:
@@ -165,7 +165,7 @@ def _sayings(code: int, words: dict[str, str], place: Place, evidence: _Evidence
 
 
 def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) -> None:
-    """Say what the kept settings are, by the form that the dump has."""
+    """Set the axis and planner settings, according to the form of the dump."""
     keys = {one.key for one in kept}
     doubtful = "M204 S" in keys and "M204 T" in keys and not (evidence.first or evidence.later)
     if evidence.kimbra:
@@ -177,7 +177,7 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) 
     settings.form = form
     if doubtful:
         settings.notes.append(
-            "M204 S T is taken for Marlin 1.0's: S acceleration, T that of retracting"
+            "M204 S T is read as in Marlin 1.0: S acceleration, T acceleration of retracting"
         )
     tells = {FIRST: "S", KIMBRA: "V", LATER: "T"}
     travel = {tells[form]} | ({"S"} if form == LATER and "M204 T" not in keys else set())
@@ -194,7 +194,7 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) 
         elif code == 201 and letter == "F" and number_or_nan(one.text) != 0.0:
             settings.leave_out(one.key, "slows X and Y in short zigzags (frequency)", one.place)
         elif code == 205 and letter == "S" and number_or_nan(one.text) != 0.0:
-            settings.notes.append(f"{one.place}: M205 S{one.text}: of moves with extrusion alone")
+            settings.notes.append(f"{one.place}: M205 S{one.text}: only for moves with extrusion")
         elif code == 204 and letter in travel:
             settings.say_of_planner("acceleration", one.text, one.place, one.key, zero=False)
         elif code == 205 and letter == "J":
@@ -216,25 +216,25 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) 
             settings.say(letter, "travel", repr(way), place, f"M211 {letter}", text)
     if "acceleration" not in settings.planner and "M204 P" in keys:
         settings.notes.append(
-            f"M204 {tells[form]} is not said: moves without extrusion have the axes' M201 alone"
+            f"M204 {tells[form]} is missing: moves without extrusion are limited only by M201"
         )
     _corners(settings, evidence, form, keys)
 
 
 def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str]) -> None:
-    """Give every axis its jerk, where corners are taken by jerk."""
+    """Give every axis its jerk, if corner speed is limited by jerk."""
     said = settings.planner
     if "junction_deviation" in said:
         return
     by_jerk = any(key.startswith("jump.") for key in said)
     if not by_jerk and form == LATER:
-        return  # by junction deviation, with its default
+        return  # by junction deviation, with its default value
     whole = evidence.of_both or form == FIRST or "M205 Z" in keys
     if "jump.X" in said and "jump.Y" not in said and "Y" in settings.axes and whole:
         said["jump.Y"] = said["jump.X"]
         settings.notes.append(
-            f"{said['jump.X'].place}: M205 X is the jerk of X and Y together; each has it by "
-            "itself here, so that a diagonal corner may be passed faster than on the machine"
+            f"{said['jump.X'].place}: M205 X is the common jerk of X and Y; here each axis has "
+            "it alone, so a diagonal corner may be planned faster than on the machine"
         )
     for axis in settings.axes:
         default = _DEFAULT_JERK.get(form, _LATER_JERK).get(axis)
@@ -242,23 +242,23 @@ def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str])
             continue
         if default is None:
             raise MachineError(
-                f"the settings do not say the jerk of axis {axis}",
+                f"the settings do not give the jerk of axis {axis}",
                 place=Place(settings.file),
                 remedy=f"Add it to M205, like M205 {axis}5.",
             )
         settings.say_of_planner(f"jump.{axis}", default, Place(settings.file), _ASSUMED)
-        settings.notes.append(f"the jerk of {axis} is not said: {default} mm/s, as {form} has it")
+        settings.notes.append(f"no jerk of {axis}: {default} mm/s, the default of {form}")
 
 
 def _heed(settings: Settings, code: int, text: str, place: Place) -> None:
-    """Refuse kinematics that move more than an axis; record what else changes the motion."""
+    """Refuse kinematics that move several axes; record other settings that change the motion."""
     words = dict(re.findall(r"([A-Z])(-?[\d.]*)", text))
     on = {letter for letter, number in words.items() if number_or_nan(number) != 0.0}
     told = f"M{code} " + " ".join(f"{letter}{number}" for letter, number in words.items())
-    if code == 665:  # deltas and SCARA arms alone have it
+    if code == 665:  # only delta and SCARA machines have it
         settings.refuse_kinematics("M665", place)
     elif code == 852 and on & set("IJKS"):
-        settings.leave_out(told, "moves an axis by a share of another's way (skew)", place)
+        settings.leave_out(told, "moves an axis in proportion to another (skew)", place)
     elif code == 425 and "F" in on and on - set("FS"):
         settings.leave_out(told, "adds a motion of the motor at reversals (backlash)", place)
     elif code == 420 and "S" in on:
@@ -269,5 +269,5 @@ def _heed(settings: Settings, code: int, text: str, place: Place) -> None:
         settings.shapes("M593", place)
     elif code in (206, 666) and on:
         settings.notes.append(
-            f"{place}: {told} moves where zero is after homing, and no motion of a job"
+            f"{place}: {told} shifts zero after homing and does not change the motion of a job"
         )

@@ -1,9 +1,9 @@
-"""Settings in Klipper's ``printer.cfg``: its sections, and the steppers of axes beside X, Y and Z.
+"""Reader of Klipper's ``printer.cfg``: sections, and manual steppers as additional axes.
 
 Sources: Klipper, docs/Config_Reference.md, [include], [stepper], [manual_stepper], [printer],
-[input_shaper], [bed_mesh], [skew_correction]; docs/Config_Changes.md, 20240313 (what
-max_accel_to_decel was); docs/G-Codes.md, MANUAL_STEPPER; klippy/extras/manual_stepper.py for its
-defaults; klippy/kinematics/corexy.py and its likes, whose limits are of X, Y and Z.
+[input_shaper], [bed_mesh], [skew_correction]; docs/Config_Changes.md, 20240313 (meaning of
+max_accel_to_decel); docs/G-Codes.md, MANUAL_STEPPER; klippy/extras/manual_stepper.py for its
+defaults; klippy/kinematics/corexy.py and similar files, whose limits apply to X, Y and Z.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _CHANGES_MOTION = {
     "bed_tilt": "moves Z by the tilt of the bed",
     "z_thermal_adjust": "moves Z by the temperature of the frame",
     "axis_twist_compensation": "moves Z along X",
-    "skew_correction": "moves an axis by a share of another's way, once a profile is loaded",
+    "skew_correction": "moves an axis in proportion to another, once a profile is loaded",
     "dual_carriage": "gives an axis a second carriage",
 }
 _OWN = re.compile(r"\[(?:stepper_[a-z]\d*|manual_stepper \w+|printer)\]")
@@ -54,7 +54,7 @@ Keys = dict[str, tuple[str, Place]]
 
 @dataclass(slots=True)
 class _File:
-    """Sections of the file, by name, and its commands that make a stepper an axis of programs."""
+    """Sections by name, the commands that turn a stepper into an axis, and the axes in use."""
 
     sections: dict[str, Keys] = field(default_factory=dict)
     axes: dict[str, list[tuple[dict[str, str], Place]]] = field(default_factory=dict)
@@ -72,8 +72,8 @@ def read_printer_cfg(lines: Sequence[str], file: str) -> Settings:
     Raises
     ------
     MachineError
-        If a line that counts cannot be read, or the machine's kinematics are others than a motor
-        for each axis and those of which the limits are the axes'.
+        If a relevant line cannot be read, or the kinematics have neither one motor per axis nor
+        limits that apply to axes.
     """
     settings = Settings("klipper", file)
     read = _sections(_logged(lines), file, settings)
@@ -83,7 +83,7 @@ def read_printer_cfg(lines: Sequence[str], file: str) -> Settings:
     kinematics, at = printer.get("kinematics", ("cartesian", whole))
     if kinematics in _COUPLED:
         settings.coupled = f"kinematics: {kinematics}"
-        settings.notes.append(f"{at}: {settings.coupled}: its limits are those of X, Y and Z")
+        settings.notes.append(f"{at}: {settings.coupled}: its limits apply to X, Y and Z")
     elif kinematics not in ("cartesian", "none"):
         settings.refuse_kinematics(f"kinematics: {kinematics}", at)
     told: set[str] = set()
@@ -109,14 +109,14 @@ def read_printer_cfg(lines: Sequence[str], file: str) -> Settings:
 
 
 def _shapes(keys: Keys) -> bool:
-    """Return whether an axis has the frequency of a shaper; 0 turns it off."""
+    """Return whether an axis has a shaper frequency; 0 switches the shaper off."""
     return any(
         key.startswith("shaper_freq") and text.strip("0. ") for key, (text, _) in keys.items()
     )
 
 
 def _braking(settings: Settings, printer: Keys) -> None:
-    """Say the least cruise that ``max_accel_to_decel`` stood for until 2024."""
+    """Set the minimum cruise ratio from ``max_accel_to_decel``, its form until 2024."""
     if "max_accel_to_decel" not in printer or "minimum_cruise_ratio" in printer:
         return
     text, place = printer["max_accel_to_decel"]
@@ -124,17 +124,17 @@ def _braking(settings: Settings, printer: Keys) -> None:
     slow = settings.number(text, place, name)
     most = settings.planner.get("acceleration")
     if most is None:
-        return  # without max_accel the file is not whole
+        return  # without max_accel the file is incomplete
     ratio = 1.0 - min(1.0, slow / most.value)
     settings.say_of_planner("minimum_cruise_ratio", repr(ratio), place, name, typed=text)
     settings.notes.append(
-        f"{place}: max_accel_to_decel is deprecated: it is minimum_cruise_ratio = 1 - "
+        f"{place}: max_accel_to_decel is deprecated; used minimum_cruise_ratio = 1 - "
         f"max_accel_to_decel / max_accel = {ratio:g}"
     )
 
 
 def _logged(lines: Sequence[str]) -> Sequence[str]:
-    """Return the lines of the last configuration in a ``klippy.log``; all where it is none."""
+    """Return the lines of the last configuration in a ``klippy.log``; all lines of other files."""
     begins = [at for at, line in enumerate(lines) if _LOG.match(line)]
     if not begins:
         return lines
@@ -156,7 +156,7 @@ def _take_lines(
     section: Keys | None = None
     for number, whole in enumerate(lines, start=1):
         place = Place(file, number)
-        # What SAVE_CONFIG has added is in force, behind a mark that makes it a comment elsewhere.
+        # Lines that SAVE_CONFIG added are valid; elsewhere their mark would make them comments.
         saved = whole.startswith("#*#")
         line = whole.removeprefix("#*#").strip() if saved else whole
         code = _COMMENT.sub("", line).rstrip()
@@ -174,13 +174,13 @@ def _take_lines(
             section = read.sections.setdefault(name, {})
             continue
         if saved and (section is None or "=" not in code):
-            continue  # its heading
+            continue  # heading of the SAVE_CONFIG block
         if section is None:
             raise unknown(line, place, "[stepper_x]")
         _note_axis(settings, read, code, place)
         if re.search(r"\bSET_VELOCITY_LIMIT\b", code, re.IGNORECASE):
             settings.notes.append(f"{place}: SET_VELOCITY_LIMIT of a macro is not followed")
-        if code[0] in " \t":  # the value of the key before it goes on, as Klipper reads it
+        if code[0] in " \t":  # Klipper appends an indented line to the preceding value
             if (last := next(reversed(section), None)) is not None:
                 section[last] = f"{section[last][0]} {code.strip()}".strip(), section[last][1]
             continue
@@ -193,24 +193,24 @@ def _take_lines(
 def _included(
     pattern: str, place: Place, settings: Settings, within: tuple[Path, ...]
 ) -> Iterator[Path]:
-    """Yield the files that ``[include pattern]`` names, where they lie beside; else note it."""
+    """Yield the files of ``[include pattern]`` in this folder or below; note a missing file."""
     found = files_beside(pattern, within[-1].parent)
     if not found:
         settings.notes.append(
-            f"{place}: [include {pattern}] is not read: no such file lies beside this one"
+            f"{place}: [include {pattern}] is not read: no such file beside this one"
         )
     for path in found:
         if path in within:
             raise MachineError(
-                f"[include {pattern}] includes the file that it stands in",
+                f"[include {pattern}] includes its own file",
                 place=place,
-                remedy="Take it out, as Klipper asks for.",
+                remedy="Remove it; Klipper refuses it, too.",
             )
         yield path
 
 
 def _note_axis(settings: Settings, read: _File, code: str, place: Place) -> None:
-    """Note a command MANUAL_STEPPER, of a macro, that makes a stepper an axis of programs."""
+    """Record a macro's MANUAL_STEPPER command that turns a stepper into an axis of programs."""
     command = re.search(r"\bMANUAL_STEPPER\b([^;]*)", code.upper())
     letters = None if command is None else re.search(r"\bGCODE_AXIS=(\S*)", command[1])
     if command is None or letters is None:
@@ -218,12 +218,11 @@ def _note_axis(settings: Settings, read: _File, code: str, place: Place) -> None
     words = dict(_WORD.findall(command[1]))
     if not letters[1]:
         settings.unheeded.append(
-            f"{place}: GCODE_AXIS= takes the axis away again; programs are "
-            "planned for the time while it is one"
+            f"{place}: GCODE_AXIS= removes the axis again; programs are planned for the time before"
         )
     elif len(letters[1]) > 1:
         raise MachineError(
-            f"GCODE_AXIS={letters[1][:40]} is no axis: it must be one letter",
+            f"GCODE_AXIS={letters[1][:40]} is not an axis: it must be one letter",
             place=place,
             remedy="Write it like GCODE_AXIS=A.",
         )
@@ -244,9 +243,10 @@ def _of_kinematics(settings: Settings, axis: str, keys: Keys, section: str, prin
 
 
 def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
-    """Take a [manual_stepper] as an axis, by the command that makes it one, else by its name.
+    """Read a [manual_stepper] as an axis, named by its MANUAL_STEPPER command, else by its name.
 
-    Its ``velocity`` is of MANUAL_STEPPER MOVE alone; ``accel`` holds in moves without X, Y and Z.
+    Its ``velocity`` applies only to MANUAL_STEPPER MOVE; ``accel`` applies to moves without X, Y
+    and Z.
     """
     name = section.partition(" ")[2].upper()
     line = min(
@@ -264,14 +264,14 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
             )
         example = f"MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS=A LIMIT_VELOCITY=..."
         settings.unheeded.append(
-            f"{line}: [{section}] is left out: no macro of this file makes "
+            f"{line}: [{section}] is omitted: no macro of this file makes "
             f"it an axis of programs, as {example} would"
         )
         return
     if not commands:
         settings.unheeded.append(
-            f"{line}: [{section}] is taken for the axis {axis}, which it is "
-            f"after MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS={axis}"
+            f"{line}: [{section}] is read as the axis {axis}, assuming "
+            f"MANUAL_STEPPER STEPPER={name.lower()} GCODE_AXIS={axis}"
         )
     own = commands[0][1] if commands else line
     if axis in read.taken:
@@ -285,7 +285,7 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
     _steps(settings, axis, keys, section)
     if "accel" in keys:
         text, number = keys["accel"]
-        if text.strip("0. "):  # 0 stands for none
+        if text.strip("0. "):  # 0 means none
             settings.say_of_planner(f"alone.{axis}", text, number, f"[{section}] accel")
     for words, number in commands:
         if words["GCODE_AXIS"] != axis:
@@ -338,7 +338,7 @@ def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:
                 f"{keys['microsteps'][0]} on line {keys['microsteps'][1].line}: {steps:g} steps "
                 f"per mm or degree; they must be from {_LEAST_STEPS:g} to {_MOST_STEPS:g}",
                 place=line,
-                remedy="Correct the one that is wrong.",
+                remedy="Correct the wrong one.",
             )
         settings.say(axis, "steps", repr(steps), line, f"[{section}] rotation_distance", typed)
         settings.say(axis, "microsteps", *keys["microsteps"], f"[{section}] microsteps")

@@ -1,4 +1,4 @@
-"""The choice of the reader of a settings file, by its content."""
+"""Choose the reader of a settings file by its content."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
         ``printer.cfg``, RepRapFirmware's ``config.g`` or LinuxCNC's INI; logs of terminals may
         have prompts and time stamps around the answer.
     firmware
-        Whose settings they are, as their owner says: ``reprapfirmware`` for commands that Marlin
-        has, too, with other units; empty for what the content says.
+        Firmware named by the owner: ``reprapfirmware`` for commands that Marlin also has, in other
+        units; empty to decide by the content.
 
     Raises
     ------
     MachineError
-        If it is none of these, has a line that cannot be read, or has no axis.
+        If it is none of these files, has a line that cannot be read, or has no axis.
     """
     path = Path(path)
     text = read_text(path, _MOST_BYTES, MachineError, "settings file", _encoding(path))
@@ -52,29 +52,29 @@ def read_settings(path: str | Path, firmware: str = "") -> Settings:
             settings = (read_config_g if told else read)(lines, str(path))
             if not settings.axes:
                 raise MachineError(
-                    f"the settings say nothing of any axis ({settings.firmware})",
+                    f"the settings contain no axis ({settings.firmware})",
                     place=Place(str(path)),
-                    remedy="Give all of what the firmware lists.",
+                    remedy="Give the complete list of the firmware.",
                 )
             _assume(settings)
             return settings
     eeprom = next((at for at, line in enumerate(lines, 1) if "EPR:" in line), 0)
     if eeprom:
         raise MachineError(
-            "EPR: lines are of Repetier-Firmware, whose planner is not known here",
+            "EPR: lines belong to Repetier-Firmware, whose planner Threadline does not know",
             place=Place(str(path), eeprom),
-            remedy="Write the machine file by hand: docs/machines.md says how.",
+            remedy="Write the machine file by hand; see docs/machines.md.",
         )
     raise MachineError(
-        "these are no settings that are known",
+        "the settings of this file are of no known firmware",
         place=Place(str(path)),
-        remedy="Give what grbl answers to $$, Marlin to M503, a FluidNC YAML, a printer.cfg, a "
-        "config.g or an INI of LinuxCNC.",
+        remedy="Give grbl's answer to $$, Marlin's to M503, a FluidNC YAML, a printer.cfg, a "
+        "config.g or a LinuxCNC INI.",
     )
 
 
 def _assume(settings: Settings) -> None:
-    """Give the planner what the settings do not say, as the firmware has it by default."""
+    """Fill in missing planner settings with the firmware's defaults."""
     by_jerk = any(key.startswith("jump.") for key in settings.planner)
     for key, number in _DEFAULTS.get(settings.firmware, {}).items():
         if key not in settings.planner and not (by_jerk and key == "junction_deviation"):
@@ -83,8 +83,8 @@ def _assume(settings: Settings) -> None:
 
 
 def _encoding(path: Path) -> str:
-    """Return how the text is written: UTF-8, or UTF-16 by its mark."""
-    if not path.is_file():  # refused where it is read
+    """Return the encoding of the text: UTF-8, or UTF-16 if it has its byte order mark."""
+    if not path.is_file():  # the reader refuses it
         return "utf-8-sig"
     try:
         with path.open("rb") as file:
@@ -103,4 +103,4 @@ _READERS: tuple[
     (is_config_g, read_config_g),
     (is_marlin, read_marlin),
 )
-"""Of which firmware a file is, in this order: macros of Klipper have Marlin's commands."""
+"""Tests and readers of the firmwares, in this order: macros of Klipper hold Marlin's commands."""

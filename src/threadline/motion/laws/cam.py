@@ -2,7 +2,7 @@
 
 A follower that swings stands at the angle phi between the sides b and c of a triangle whose third
 side is the measured distance h: cos(phi) = (b^2 + c^2 - h^2) / (2 b c). A follower that slides
-stands at h itself, and no triangle is given.
+stands at h itself, without a triangle.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Triangle:
     b_m, c_m
         Lengths of the sides.
     roller_m
-        Added to every measured distance, which is that of an edge of the groove: the radius of the
+        Added to every measured distance, which ends at an edge of the groove: the radius of the
         roller for the inner edge, its negative for the outer one. It is added along the radius of
         the cam and not along the normal of its edge.
 
@@ -59,9 +59,9 @@ class Triangle:
                 raise OptionError(f"cam: side {side} must be positive, got {value:g} m")
 
     def angle_rad(self, h_m: FloatArray) -> FloatArray:
-        """Return phi for distances (n,) to the edge; NaN where the triangle cannot close."""
+        """Return phi for distances (n,) to the edge; NaN if the triangle cannot close."""
         side = h_m + self.roller_m
-        # What is too long for a number does not close a triangle either.
+        # A distance that overflows does not close a triangle either.
         with np.errstate(invalid="ignore", over="ignore"):
             cosine = (self.b_m**2 + self.c_m**2 - side**2) / (2.0 * self.b_m * self.c_m)
             return np.asarray(np.where(side > 0.0, np.arccos(cosine), np.nan))
@@ -79,7 +79,7 @@ class Triangle:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Flag:
-    """A row whose printed follower angle differs from the one that its distance gives."""
+    """A row whose printed follower angle contradicts its distance."""
 
     row: int
     line: int
@@ -89,7 +89,7 @@ class Flag:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeasuredCam(Locked):
-    """A cam as it was measured.
+    """A measured cam.
 
     Parameters
     ----------
@@ -102,13 +102,13 @@ class MeasuredCam(Locked):
     flags
         Rows whose printed follower angle is off by more than one unit of its last decimal.
     triangle
-        Geometry of a swinging follower; None where the follower slides.
+        Geometry of a swinging follower; None for a sliding one.
     follower
         (n,) position of the follower: phi in rad, or without a triangle the distance in m.
     follower_slope
-        (n,) derivative of that position by distance; 1 without a triangle.
+        (n,) derivative of that position with respect to distance; 1 without a triangle.
     rounding_m
-        Standard deviation of the rounding of the distances to the digits that are written.
+        Standard deviation of the rounding of the distances to their printed digits.
     """
 
     file: str
@@ -138,13 +138,13 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
     """Read a CSV table with the columns alpha, h and optionally phi, the printed follower angle.
 
     The first line that is no comment (``#``) names the columns with their units: ``alpha [deg],
-    h [mm], phi [deg]``. Angles are in degrees and distances in millimetres where none is named.
+    h [mm], phi [deg]``. The default units are degrees and millimetres.
 
     Raises
     ------
     OptionError
-        With the line: if a row is no row of numbers, an angle repeats or falls, the triangle cannot
-        close, or there are fewer than six rows.
+        Names the line: if it is not a row of numbers, an angle repeats or falls, the triangle
+        cannot close, or there are fewer than six rows.
     """
     text = read_text(file, _MOST_BYTES, OptionError, "table of a cam", "utf-8-sig")
     header: list[tuple[str, float]] = []
@@ -196,7 +196,7 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
             flags = [
                 Flag(row=k, line=lines[k], printed_rad=float(printed), checked_rad=float(checked))
                 for k, (printed, checked) in enumerate(zip(columns["phi"], follower, strict=True))
-                # One unit of the last printed decimal: half for its rounding, half for that of h.
+                # One unit of the last printed decimal: half for its rounding, half for h's.
                 if abs(printed - checked) > 10.0 ** -decimals[k] * unit
             ]
     return MeasuredCam(
@@ -207,7 +207,7 @@ def read_cam(file: Path, triangle: Triangle | None = None) -> MeasuredCam:
 
 
 def _exponent(cell: str) -> int:
-    """Return the power of ten of the last digit of a number as it is written."""
+    """Return the power of ten of the last written digit of a number."""
     exponent = Decimal(cell.replace("_", "")).as_tuple().exponent
     return max(exponent, -_MOST_DIGITS) if isinstance(exponent, int) else 0
 

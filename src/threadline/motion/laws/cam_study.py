@@ -1,4 +1,4 @@
-"""From a measured cam to a law: noise, rise, ways of fairing, and the uncertainty of the peaks."""
+"""From a measured cam to a law: noise, rise, fairing methods, and the uncertainty of the peaks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _LOOKS = 16  # samples in each interval between rows
 
 
 class Fairing(StrEnum):
-    """Ways to take the measuring error out of a cam."""
+    """Methods that remove the measuring error from a cam."""
 
     NONE = "none"
     DIFFERENCES = "differences"
@@ -46,12 +46,12 @@ class Fairing(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Faired:
-    """A cam as one way of fairing corrects it.
+    """A cam faired by one method.
 
     Parameters
     ----------
     fairing
-        The way of fairing.
+        The fairing method.
     distances_m
         (n,) corrected distances of the rows.
     moved_m
@@ -59,8 +59,8 @@ class Faired:
     second_m
         Largest second difference of neighbouring rows, scaled to the median spacing.
     peaks, spread
-        (3,) Cv, Ca and Cj of the law, and their standard deviations over draws of the noise. Where
-        the law is a spline through the rows, Ca and Cj are large with the noise left in them.
+        (3,) Cv, Ca and Cj of the law, and their standard deviations over draws of the noise. If
+        the law is a spline through the rows, the remaining noise makes Ca and Cj large.
     monotone
         Whether the rise never goes back.
     """
@@ -98,9 +98,9 @@ class CamStudy:
     scaled
         (n,) residuals of the rows from the smoothing spline, divided by the noise.
     rebounded
-        The rebound, with the number of its passes and the reason of its end.
+        The rebound, with its number of passes and the reason of its end.
     warnings
-        What is suspicious about the cam or the law, a line for each.
+        Suspicious facts about the cam or the law, a line for each.
     """
 
     cam: MeasuredCam
@@ -116,7 +116,7 @@ class CamStudy:
     warnings: tuple[str, ...]
 
     def faired(self, fairing: Fairing) -> Faired | None:
-        """Return the cam as ``fairing`` corrects it; None where its rows do not allow it."""
+        """Return the cam faired by ``fairing``; None if its rows do not allow it."""
         return next((each for each in self.fairings if each.fairing is fairing), None)
 
 
@@ -131,7 +131,7 @@ def study_cam(
     most_passes: int = MOST_PASSES,
     draws: int = DRAWS,
 ) -> CamStudy:
-    """Return the law of a measured cam, with every way of fairing beside it.
+    """Return the law of a measured cam, together with every fairing.
 
     Parameters
     ----------
@@ -140,15 +140,15 @@ def study_cam(
     start_rad, end_rad
         Cam angles at which the rise starts and ends; found from the dwells when None.
     epsilon_m, most_passes
-        Of the rebound: see :func:`threadline.motion.laws.fairing.rebound`.
+        Parameters of the rebound: see :func:`threadline.motion.laws.fairing.rebound`.
     draws
-        Of the noise, for the spread of the peaks; the same ones each time.
+        Number of noise draws for the spread of the peaks; the same ones each time.
 
     Raises
     ------
     OptionError
         If a number is not positive, the noise cannot be estimated, there is no rise, or the law
-        of the fairing that was asked for cannot be made.
+        of the chosen fairing cannot be made.
     """
     for what, value in (("noise", noise_m), ("epsilon", epsilon_m), ("passes", most_passes)):
         if value is not None and not 0.0 < value < np.inf:
@@ -167,8 +167,8 @@ def study_cam(
     rise = rise_of(alpha, h, noise, cam.follower, own, start_rad, end_rad)
     t = (alpha - rise.start_rad) / (rise.end_rad - rise.start_rad)
     inside = (t >= -1e-12) & (t <= 1.0 + 1e-12)
-    gentle = (rise.start_found or start_rad is not None, rise.end_found or end_rad is not None)
-    smoother = Smoother(t, own, gentle)
+    smooth_ends = (rise.start_found or start_rad is not None, rise.end_found or end_rad is not None)
+    smoother = Smoother(t, own, smooth_ends)
     weight = smoother.weight_for(cam.follower)
     smooth = smoother.fit(cam.follower, weight)
     bounced = rebound(alpha, h, noise, epsilon=epsilon_m, most_passes=most_passes)
@@ -205,7 +205,7 @@ def study_cam(
         )
     if fairing is not Fairing.SPLINE:
         law = _through(t, cam.follower_of(chosen.distances_m), inside)
-    outliers, scaled = _outliers(t, own, gentle, cam.follower, weight)
+    outliers, scaled = _outliers(t, own, smooth_ends, cam.follower, weight)
     return CamStudy(
         cam=cam, noise_m=noise, noise_given=noise_m is not None, rise=rise,
         fairings=tuple(table), chosen=fairing, law=law, outliers=outliers,
@@ -215,7 +215,11 @@ def study_cam(
 
 
 def _outliers(
-    t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool], follower: FloatArray, weight: float
+    t: FloatArray,
+    noise: FloatArray,
+    smooth_ends: tuple[bool, bool],
+    follower: FloatArray,
+    weight: float,
 ) -> tuple[tuple[int, ...], FloatArray]:
     """Return the outliers among the rows, and (n,) residuals divided by the noise.
 
@@ -226,7 +230,7 @@ def _outliers(
     doubted = noise.copy()
     scaled = np.zeros_like(noise)
     for _ in range(len(t) // 10 + 1):
-        fit = Smoother(t, doubted, gentle).fit(follower, weight)
+        fit = Smoother(t, doubted, smooth_ends).fit(follower, weight)
         now = np.abs(fit.scaled)
         now[found] = 0.0
         scaled = np.where(doubted > noise, (follower - fit.values) / noise, fit.scaled)
@@ -261,7 +265,7 @@ def _normalised(
 
 
 def _spline_peaks(t: FloatArray, follower: FloatArray, inside: NDArray[np.bool_]) -> FloatArray:
-    """Return Cv, Ca and Cj of the clamped cubic spline through rows; Cv is that of samples.
+    """Return Cv, Ca and Cj of the clamped cubic spline through rows; Cv is taken from samples.
 
     They are (3,) for a follower (n,), and (3, draws) for (n, draws).
     """
@@ -318,8 +322,8 @@ def _warnings(
     if cam.flags:
         angles = ", ".join(f"{np.degrees(cam.alpha_rad[flag.row]):g}" for flag in cam.flags)
         said.append(
-            f"{len(cam.flags)} printed {'angle is' if len(cam.flags) == 1 else 'angles are'} not "
-            f"of the measured distance, at {angles} deg; the distance is trusted"
+            f"{len(cam.flags)} printed {'angle does' if len(cam.flags) == 1 else 'angles do'} not "
+            f"match the measured distance, at {angles} deg; the distance is trusted"
         )
     if outliers:
         angles = ", ".join(f"{np.degrees(cam.alpha_rad[row]):g}" for row in outliers)
@@ -341,12 +345,12 @@ def _warnings(
     if smooth.missed > _MISSED:
         said.append(
             "the nearest monotone rise from rest to rest misses the rows by "
-            f"{smooth.missed:.3g} times the noise: the noise is larger than was said, rows are "
+            f"{smooth.missed:.3g} times the noise: the noise is larger than given, rows are "
             "wrong, or the ends are not at rest"
         )
     if smooth.freedom > 0.7 * len(cam.h_m):
         said.append(
-            f"{len(cam.h_m)} rows are few: the fit uses {smooth.freedom:.3g} parameters of them, "
+            f"{len(cam.h_m)} rows are few: the fit uses {smooth.freedom:.3g} parameters for them, "
             "so that Ca and Cj are little more than the smoothing"
         )
     return said

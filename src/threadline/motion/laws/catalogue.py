@@ -17,16 +17,16 @@ MOST_HARMONICS = 63
 
 
 def law(name: str) -> Law:
-    """Return the motion law that ``name`` stands for.
+    """Return the motion law with a name.
 
-    Three forms of a name are understood: one of ``LAWS`` (``"modified-sine"``), one of ``FAMILIES``
-    with its numbers (``"trapezoid:0.2"``, ``"harmonic:7"``), and the CSV file of a table
+    A name has one of three forms: one of ``LAWS`` (``"modified-sine"``), one of ``FAMILIES`` with
+    its numbers (``"trapezoid:0.2"``, ``"harmonic:7"``), or the CSV file of a table
     (``"frame.csv"``, :mod:`threadline.motion.laws.law_table`).
 
     Raises
     ------
     OptionError
-        If there is no law of that name, its numbers are out of range, or its table is unreadable.
+        If there is no law with that name, its numbers are out of range, or its table is unreadable.
     """
     if name in LAWS:
         return LAWS[name]
@@ -43,7 +43,7 @@ def law(name: str) -> Law:
         with np.errstate(over="raise", divide="raise", invalid="raise"):
             made = FAMILIES[kind](*numbers)
     except (TypeError, ValueError, ArithmeticError) as error:
-        # A wrong count of numbers is a TypeError in the words of Python, which say nothing here.
+        # A wrong count of numbers is a TypeError, whose text is about Python.
         why = str(error) if isinstance(error, ValueError) else f"it takes {TAKES[kind]}"
         if isinstance(error, ArithmeticError):
             why = "its numbers are too small or too far apart"
@@ -193,13 +193,13 @@ def jerk_limited(*shares: float) -> Law:
     """Return the law of seven phases of constant jerk, with ``shares`` of the time for each.
 
     The jerk is positive, zero, negative (the velocity rises), zero (it is constant), negative, zero
-    and positive (it falls). No two shares need be equal, so the fall need not mirror the rise; with
-    no shares given all seven are equal.
+    and positive (it falls). The fall need not mirror the rise, as all shares may differ; without
+    shares all seven are equal.
 
     Raises
     ------
     ValueError
-        If there are not seven shares of which the first, third, fifth and seventh are positive.
+        Unless there are seven shares, of which the first, third, fifth and seventh are positive.
     """
     given = shares or (1.0,) * 7
     if len(given) != 7 or not all(0.0 <= share < 1e9 for share in given):
@@ -208,7 +208,7 @@ def jerk_limited(*shares: float) -> Law:
         raise ValueError(f"the four ramps of the acceleration need some time, got {list(given)}")
     total = sum(given)
     up, level, down, cruise, last_down, last_level, last_up = (s / total for s in given)
-    # Phases and rises for a cruise at unit velocity; those of the fall run backwards from the end.
+    # Phases and rises for a cruise at unit velocity; the phases of the fall run backwards.
     first, first_rise = _ramp(up, level, down)
     last, last_rise = _ramp(last_up, last_level, last_down)
     top = 1.0 / (first_rise + cruise + last_rise)

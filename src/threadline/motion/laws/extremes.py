@@ -15,13 +15,13 @@ _DEGREE = 18
 _LOOKS = 33
 _MISSED = 0.02  # share of a stretch's range by which samples may fall short of its extreme
 _FLAT = 1e-9
-"""Share of the peak velocity: a descent below it is rounding, not a way back."""
+"""Share of the peak velocity: a slower descent is rounding, not a reversal."""
 _STEP = 1e-7
 """Share of the peak acceleration: a smaller step between two stretches is rounding."""
 
 
 class Rise(Protocol):
-    """A motion law, as far as its extremes depend on it."""
+    """The part of a motion law that its extremes depend on."""
 
     @property
     def name(self) -> str:
@@ -43,7 +43,7 @@ def extremes(law: Rise, derivative: int) -> tuple[float, float, float, float]:
     """
     edges, fitted = _fitted(law, derivative)
     seen = chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)
-    # Between two samples a stretch can rise by a small part of its range.
+    # The law may exceed its samples by a small part of the stretch's range.
     span = _MISSED * np.ptp(seen, axis=1)
     found = []
     for sign in (-1.0, 1.0):
@@ -70,7 +70,7 @@ def _fitted(law: Rise, derivative: int) -> tuple[FloatArray, FloatArray]:
 
 def _stationary(coefficients: FloatArray) -> FloatArray:
     """Return the ends of [-1, 1] and the roots of the slope between them."""
-    # High coefficients that are nothing but rounding would add false roots.
+    # High coefficients that are only rounding would add false roots.
     noise = 1e-13 * max(float(np.abs(coefficients).max()), 1e-300)
     kept = chebyshev.chebtrim(coefficients, noise)
     if len(kept) < 3:
@@ -81,10 +81,10 @@ def _stationary(coefficients: FloatArray) -> FloatArray:
 
 
 def steps(law: Rise) -> bool:
-    """Return whether the acceleration jumps anywhere, the ends of the motion included."""
+    """Return whether the acceleration jumps anywhere, including the ends of the motion."""
     _, fitted = _fitted(law, 2)
     ends = chebyshev.chebval(np.array([-1.0, 1.0]), fitted)  # (stretches, 2)
-    # At rest outside.
+    # Outside the law is at rest.
     after, before = np.append(ends[:, 0], 0.0), np.append(0.0, ends[:, 1])
     peak = np.abs(chebyshev.chebval(np.linspace(-1.0, 1.0, _LOOKS), fitted)).max()
     return bool(np.abs(after - before).max() > _STEP * peak)
@@ -97,12 +97,12 @@ def refuse_descent(law: Rise) -> None:
     Raises
     ------
     OptionError
-        With the least velocity and the time of it.
+        Names the least velocity and its time.
     """
     low, at, high, _ = extremes(law, 1)
     if low < -_FLAT * high:
         raise OptionError(
             f"motion law {law.name!r} goes back: its velocity is {low:.4g} at {at:.4g} of "
             "its time, so that it has no inverse",
-            remedy="Take a law that is monotone.",
+            remedy="Take a monotone law.",
         )

@@ -1,9 +1,8 @@
 """Fairing of a measured cam: differences, the rebound of splines, and a smoothing spline.
 
-The first two are those of the paper that the measured cam of the examples is from: Cheng Xiaoxiong,
-"Using numerical approximation method to improvement movement regularity of the cloth frame of
-embroidery machines", Journal of Textile Research 28 (2007) no. 7, pages 101 to 104. The third is
-the default.
+The first two are from the paper about the measured cam of the examples: Cheng Xiaoxiong, "Using
+numerical approximation method to improvement movement regularity of the cloth frame of embroidery
+machines", Journal of Textile Research 28 (2007) no. 7, pages 101 to 104. The third is the default.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _STIFFEST, _LOOSEST, _STEP = 0.0, -16.0, 0.2
 def differences(y: FloatArray, noise: float) -> FloatArray:
     """Return ``y`` (n,) with each value moved onto the least-squares cubic of five rows around it.
 
-    For evenly spaced rows that is a correction by 3/35 of the fourth difference. No value moves by
+    For evenly spaced rows this is a correction by 3/35 of the fourth difference. No value moves by
     more than twice the noise, and the two values at either end stay.
     """
     fourth = y[:-4] - 4.0 * y[1:-3] + 6.0 * y[2:-2] - 4.0 * y[3:-1] + y[4:]
@@ -52,7 +51,7 @@ class Rebound:
     last
         Largest correction of the last pass.
     stopped_by
-        What ended it: ``"noise"``, ``"passes"`` or ``"epsilon"``.
+        Reason of its end: ``"noise"``, ``"passes"`` or ``"epsilon"``.
     """
 
     values: FloatArray
@@ -77,7 +76,7 @@ def one_pass(
 def pass_matrix(x: FloatArray) -> FloatArray:
     """Return the (n, n) matrix of ``one_pass`` with slopes of 0 at the ends, which is linear.
 
-    Some columns are worked out at a time: a spline through one has four times its memory.
+    Some columns are computed at a time: a spline through one needs four times its memory.
     """
     parts = (
         one_pass(x, np.eye(len(x), min(_AT_A_TIME, len(x) - first), -first))
@@ -110,13 +109,13 @@ def rebound(
     slopes
         Slopes of the splines at the first and the last row.
     epsilon
-        The paper's rule, used in place of ``noise`` when it is given: the passes end when one
-        changes no value by more than this. By that rule they flatten the cam, since their limit is
-        a single cubic.
+        The paper's rule, used in place of ``noise`` if given: the passes end when one changes no
+        value by more than this. With that rule they flatten the cam, since their limit is a single
+        cubic.
     most_passes
         Largest number of passes.
     """
-    # Linear in the values, and there may be thousands of passes: one spline serves them all.
+    # A pass is linear in the values, and there may be thousands: one spline serves them all.
     matrix, offset = pass_matrix(x), one_pass(x, np.zeros_like(y), slopes)
     values, last, moved, why = y, 0.0, 0.0, "passes"
     done = 0
@@ -141,7 +140,7 @@ class Smoothed:
     Parameters
     ----------
     knots, coefficients
-        Cubic B-spline of the velocity on [0, 1]; no coefficient is below 0.
+        Cubic B-spline of the velocity on [0, 1]; no coefficient is negative.
     base, rise
         Position of the follower before the rise, and the height of the rise.
     values
@@ -150,9 +149,9 @@ class Smoothed:
         Effective number of parameters of the fit.
     missed
         Root mean square of the residuals over the noise, with n - ``freedom`` degrees of freedom;
-        1 where the noise explains them.
+        1 if the noise explains them.
     scaled
-        (n,) residuals over the noise, scaled up for each row's pull on the fit (its leverage).
+        (n,) residuals over the noise, scaled up for each row's influence on the fit (leverage).
     """
 
     knots: FloatArray
@@ -169,11 +168,11 @@ class Smoothed:
 def _basis(
     intervals: int,
 ) -> tuple[FloatArray, Callable[[FloatArray], FloatArray], FloatArray, list[FloatArray]]:
-    """Return what all smoothing splines of so many knot intervals share.
+    """Return the data that all smoothing splines with the same number of knot intervals share.
 
-    Their knots; the antiderivatives of the ``count`` B-splines of the velocity; the jerks of these,
-    weighted such that the sum of their squares is the integral; and the B-splines and their first
-    two derivatives, from 20 samples an interval. The last two have a column for each B-spline.
+    These are the knots; the antiderivatives of the ``count`` B-splines of the velocity; their
+    jerks, weighted such that the sum of squares is the integral; and the B-splines and their first
+    two derivatives, at 20 samples per interval. The last two have a column for each B-spline.
     """
     from scipy.interpolate import BSpline
 
@@ -199,27 +198,27 @@ class Smoother:
         (n,) normalised times: 0 at the start of the rise, 1 at its end.
     noise
         (n,) standard deviations of the follower's position.
-    gentle
-        Whether the acceleration is 0, like the velocity, at the start and at the end of the rise:
-        so it is beside a dwell.
+    smooth_ends
+        Whether the acceleration, like the velocity, is 0 at the start and at the end of the rise,
+        as it is beside a dwell.
     """
 
     def __init__(
-        self, t: FloatArray, noise: FloatArray, gentle: tuple[bool, bool] = (True, True)
+        self, t: FloatArray, noise: FloatArray, smooth_ends: tuple[bool, bool] = (True, True)
     ) -> None:
         inside = int(((t > 0.0) & (t < 1.0)).sum())
         intervals = int(np.clip(inside, *_INTERVALS))
         self.t, self.noise = np.clip(t, 0.0, 1.0), noise
         self.knots, basis, jerk, looks = _basis(intervals)
         count = intervals + _DEGREE
-        # The first and the last coefficient are the velocities of the ends, the next to them add
-        # the accelerations.
-        self.free = np.arange(1 + gentle[0], count - 1 - gentle[1])
+        # The first and the last coefficient are the velocities at the ends; with their neighbours
+        # they set the accelerations.
+        self.free = np.arange(1 + smooth_ends[0], count - 1 - smooth_ends[1])
         risen = basis(self.t)[:, self.free]
         self.count = count
         self.rows = np.hstack((np.ones((len(t), 1)), risen)) / noise[:, None]
         jerk = jerk[:, self.free]
-        # Divided by the noise, so that the weight has no unit.
+        # Divided by the noise, so that the weight is dimensionless.
         self.penalty = np.hstack((np.zeros((len(jerk), 1)), jerk)) / float(np.median(noise))
         self.total = (self.knots[_DEGREE + 1 :] - self.knots[:count])[self.free] / (_DEGREE + 1.0)
         self.looks = [look[:, self.free] for look in looks]
@@ -228,11 +227,11 @@ class Smoother:
         """Return the base and the free coefficients for (n,) positions and a weight of the jerk."""
         from scipy.optimize import nnls
 
-        # nnls finds no negative number: the base is counted from below all that was measured.
+        # nnls has no negative unknowns: the base is counted from below all measurements.
         low = float(y.min()) - float(np.ptp(y)) - 1.0
         matrix = np.vstack((self.rows, sqrt(weight) * self.penalty))
         target = np.concatenate(((y - low) / self.noise, np.zeros(len(self.penalty))))
-        # Without columns of like size the solver finds nothing but the base.
+        # Unless columns have similar size the solver finds only the base.
         size = np.linalg.norm(matrix, axis=0)
         found, _ = nnls(matrix / size, target)
         found = found / size

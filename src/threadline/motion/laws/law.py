@@ -1,4 +1,4 @@
-"""Closed forms of which motion laws are made, accurate where their rise is small.
+"""Closed forms for motion laws, accurate even where their rise is small.
 
 A form is a rise that begins at rest. Near its beginning it is computed as a sum of small terms and
 never as the difference of large ones, so that even a tiny rise is right to its last digits. A law
@@ -115,7 +115,7 @@ class Phases:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Begins of all phases but the first."""
+        """Beginnings of all phases except the first."""
         return tuple(phase.begin for phase in self.phases[1:])
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
@@ -192,15 +192,15 @@ class Harmonics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pieces:
-    """A piecewise polynomial rise, as of a tabulated law or a spline.
+    """A piecewise polynomial rise, for a tabulated law or a spline.
 
     Parameters
     ----------
     begins
         (n,) start of each piece; the first is 0.
     powers
-        (n, k) coefficients of each piece, by rising powers of the time since its start. The first
-        piece has no constant and no linear term, so that the rise starts at rest.
+        (n, k) coefficients of each piece, by ascending powers of the time since its start. The
+        first piece has no constant and no linear term, so that the rise starts at rest.
     """
 
     begins: FloatArray
@@ -208,7 +208,7 @@ class Pieces:
 
     @property
     def breaks(self) -> tuple[float, ...]:
-        """Begins of all pieces but the first."""
+        """Beginnings of all pieces except the first."""
         return tuple(self.begins[1:].tolist())
 
     def value(self, t: FloatArray, derivative: int) -> FloatArray:
@@ -242,7 +242,7 @@ def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) ->
     rise
         (n,) from 0 to the rise at ``end``.
     latest
-        Where the form dwells at a rise, return the last time of the dwell and not the first.
+        If the form dwells at a rise, return the last time of the dwell and not the first.
     """
     inner = [b for b in form.breaks if 0.0 < b < end]
     grid = np.union1d(np.linspace(0.0, end, _CELLS + 1), inner)
@@ -285,7 +285,7 @@ def invert(form: Form, end: float, rise: FloatArray, *, latest: bool = False) ->
 
 LEAST_STRETCH = 1e-7
 """Share of the move's time; a shorter stretch is a step, whose derivatives are rounding."""
-_SAME = 1e-9  # of the time: ends this close are one end, calculated in two ways
+_SAME = 1e-9  # of the time: ends this close are the same end, computed in two ways
 LEAST_HEAT = 12.0  # integral of the squared acceleration of the cubic law, the least possible
 
 
@@ -298,13 +298,13 @@ class Law:
     name
         Hyphenated, as on the command line.
     velocity, acceleration, jerk
-        Peaks of the magnitudes of the derivatives (Cv, Ca, Cj); None where the jerk is infinite
+        Peaks of the magnitudes of the derivatives (Cv, Ca, Cj); None if the jerk is infinite
         because the acceleration steps.
     form
         The rise on [0, ``meets``].
     closing
         The rest of the rise as a function of the rest of the time, on [0, 1 - ``meets``]: the
-        motion seen backwards from its end. None where the second half of the motion mirrors the
+        motion seen backwards from its end. None if the second half of the motion mirrors the
         first; then ``meets`` is 1/2.
     meets
         Time at which ``form`` hands over to ``closing``.
@@ -321,9 +321,9 @@ class Law:
     def __call__(self, t: FloatArray | float, derivative: int = 0) -> FloatArray:
         """Return the ``derivative``-th derivative (0 to 3) at (n,) times; at rest outside [0, 1].
 
-        Where a derivative jumps, the value after the jump is returned for times up to ``meets`` and
-        the value before it for later ones. The impulse of jerk at a jump of acceleration is left
-        out. A ValueError refuses other derivatives.
+        At a jump of a derivative, times up to ``meets`` give the value after the jump, later times
+        the value before it. The impulse of jerk at a jump of acceleration is left out. Other
+        derivatives raise a ValueError.
         """
         if not 0 <= derivative <= 3:
             raise ValueError(f"derivative must be 0 to 3, got {derivative}")
@@ -342,8 +342,8 @@ class Law:
     def left(self, before_end: FloatArray, derivative: int = 0) -> FloatArray:
         """Return the rest of the rise at (n,) times ``before_end``, counted back from the end.
 
-        ``derivative`` counts derivatives by that time. Close to the end the rest is accurate to its
-        last digits, as ``1 - s`` would not be.
+        ``derivative`` counts derivatives with respect to that time. Close to the end the rest is
+        accurate to its last digits, as ``1 - s`` would not be.
         """
         closing = self.form if self.closing is None else self.closing
         return closing.value(before_end, derivative)
@@ -351,7 +351,7 @@ class Law:
     def inverse(self, rise: FloatArray | float) -> FloatArray:
         """Return the (n,) times at which the law has risen to ``rise``, in [0, 1]: s(t(x)) = x.
 
-        Where the law dwells at a rise, the earliest time of the dwell is returned.
+        If the law dwells at a rise, the earliest time of the dwell is returned.
 
         Raises
         ------
@@ -369,7 +369,7 @@ class Law:
         out = np.empty_like(x)
         out[early] = invert(self.form, self.meets, x[early])
         closing = self.form if self.closing is None else self.closing
-        # 1 - x is exact from 1/2 on, and a rise is flat at both ends: solve for what is left.
+        # 1 - x is exact from 1/2 on, and a rise is flat at both ends: solve for the rest.
         out[~early] = 1.0 - invert(closing, 1.0 - self.meets, 1.0 - x[~early], latest=True)
         return out
 
@@ -387,7 +387,7 @@ class Law:
 
     @property
     def efficiency(self) -> float:
-        """Heat in the motor with the cubic law, the least of all, over the heat with this law.
+        """Motor heat with the cubic law, which heats least, divided by the heat with this law.
 
         Heat is the integral of the squared acceleration of a move over the same distance and time.
         """
@@ -397,7 +397,7 @@ class Law:
 
 
 def measured_law(name: str, form: Form, closing: Form | None = None, meets: float = 0.5) -> Law:
-    """Return the law of the given forms, with peaks that are computed from them.
+    """Return the law of the given forms, with peaks computed from them.
 
     The arguments are those of ``Law``. The jerk of the law is None where the acceleration jumps.
     """
@@ -430,7 +430,7 @@ def gauss(edges: FloatArray, panels: int = 1, points: int = 16) -> tuple[FloatAr
 
 @cache
 def _of_one(points: int) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and weights from -1 to 1, eigenvalues of a matrix: to find them takes time."""
+    """Return nodes and weights from -1 to 1; cached, since they are slow eigenvalues."""
     nodes, weights = np.polynomial.legendre.leggauss(points)
     nodes.flags.writeable = weights.flags.writeable = False
     return nodes, weights
@@ -442,17 +442,17 @@ def check_stretches(name: str, ends: Iterable[float]) -> None:
     Parameters
     ----------
     ends
-        Where its stretches end, from the beginning of the move or before its end.
+        End of each stretch, from the beginning of the move or before its end.
 
     Raises
     ------
     OptionError
-        If one is shorter than ``LEAST_STRETCH``.
+        If a stretch is shorter than ``LEAST_STRETCH``.
     """
     shortest = min((end - begin for begin, end in pairwise((0.0, *ends)) if end > begin), default=1)
     if shortest < LEAST_STRETCH:
         raise OptionError(
-            f"motion law {name!r}: a stretch of it takes {shortest:.3g} of the time, the least is "
+            f"motion law {name!r}: a stretch takes {shortest:.3g} of the time, the least is "
             f"{LEAST_STRETCH:g}",
             remedy="Give its stretches lengths that are closer to each other.",
         )

@@ -1,4 +1,4 @@
-"""A law from the B-spline of its velocity, as a linear program or a fit gives it."""
+"""Laws as tables of rows, and laws from the B-spline of their velocity."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def law_of_velocity(name: str, knots: FloatArray, coefficients: FloatArray, degr
     knots
         (n + degree + 1,) knots, 0 and 1 ``degree + 1`` times each.
     coefficients
-        (n,) not below 0, so that the law is monotone; the first and the last are 0.
+        (n,) not negative, so that the law is monotone; the first and the last are 0.
     degree
         Degree of the velocity's pieces.
     """
@@ -53,8 +53,8 @@ _REST = 1e-6  # share of the peak velocity: a smaller one at an end of a table i
 def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
     """Write time, rise, velocity, acceleration and jerk of ``law``, unit rise in unit time.
 
-    Besides ``rows`` evenly spaced ones, each end of a smooth stretch of the law has a row, so that
-    no corner of a derivative falls between two rows.
+    Besides ``rows`` evenly spaced rows there is a row at each end of a smooth stretch of the law,
+    so that no corner of a derivative falls between two rows.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def write_law(law: Law, file: Path, rows: int = ROWS) -> None:
         If the file cannot be written.
     """
     even = np.linspace(0.0, 1.0, rows)
-    # Nothing closer than a thousandth of a row: pieces so short would be rounding.
+    # Rows closer than a thousandth of the spacing are dropped: such short pieces are rounding.
     apart = np.abs(law.edges[:, None] - even).min(axis=1) > 1e-3 / rows
     t = np.union1d(even, law.edges[apart])
     columns = [t, *(law(t, derivative) for derivative in range(4))]
@@ -81,16 +81,16 @@ def read_law(file: Path) -> Law:
     Raises
     ------
     OptionError
-        With the line, if the table cannot be read, its times do not rise, or the law goes back.
+        Names the line, if the table cannot be read, its times do not rise, or the law goes back.
     """
     return _law_of(read_text(file, _MOST_BYTES, OptionError, "table of a motion law"), file)
 
 
 @lru_cache(maxsize=4)
 def _law_of(text: str, file: Path) -> Law:
-    """Return the law of a table's text: one law for one text, which a search asks for many times.
+    """Return the law of a table's text, cached by the text, as a search requests it many times.
 
-    What is found of a law, its pieces among it, is kept by the law.
+    The law keeps its own derived data, such as its pieces.
     """
     where = Place(str(file))
     table, lines = _read(text, file)
@@ -127,8 +127,8 @@ def law_through(
     Parameters
     ----------
     v, a
-        (n,) velocities and accelerations at the rows; those of the cubic spline through the rows,
-        at rest at both ends, when one of them is None.
+        (n,) velocities and accelerations at the rows; if one is None, those of the cubic spline
+        through the rows with rest at both ends.
     """
     if v is None or a is None:
         from scipy.interpolate import CubicSpline

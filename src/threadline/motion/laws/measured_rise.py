@@ -11,20 +11,20 @@ from threadline.errors import OptionError, Place
 from threadline.motion.laws.cam import MeasuredCam
 from threadline.motion.laws.fairing import Smoother
 
-_ORDER = 4  # of the differences: those of a smooth rise at a hundred rows are far below its noise
-_NEAR = 1.8  # five rows that span more than this times the median have a gap: no noise is taken
+_ORDER = 4  # of the differences: for a smooth rise at a hundred rows they are far below its noise
+_NEAR = 1.8  # five rows spanning more than this times the median have a gap and give no noise
 _OUTLYING = 4.0
 _FEWEST = 8
 _FEW = 20  # rows: with so few, no median is taken
 _FALL, _RISE = 7.0, 6.0  # times the noise
 _DWELL = 3  # least number of rows of a dwell
-_STIFF = 1e-9  # weight of the jerk per row: so stiff that the ends matter more than the noise
+_STIFF = 1e-9  # weight of the jerk per row: stiff enough that the ends matter more than the noise
 _TRIED = 0.03  # first step of the search for an end, as a share of the rise's length
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rise:
-    """Where the rise starts and ends.
+    """Start and end of the rise.
 
     Parameters
     ----------
@@ -82,13 +82,13 @@ def noise_of(x: FloatArray, y: FloatArray) -> float:
 def refuse_no_rise(cam: MeasuredCam, noise_m: float) -> None:
     """Refuse a cam whose distance does not rise, or falls by more than its noise explains.
 
-    Of many rows each is looked at as the median of itself and its neighbours: an outlier is no
-    fall. What remains of the noise then differs by less than seven of its deviations.
+    With many rows each is replaced by the median of itself and its neighbours, so that an outlier
+    does not count as a fall. Such medians differ by less than seven standard deviations.
 
     Raises
     ------
     OptionError
-        At the first row that falls: a law that goes back has no inverse.
+        Names the first row that falls: a law that goes back has no inverse.
     """
     h = cam.h_m
     if len(h) > _FEW:
@@ -130,13 +130,13 @@ def rise_of(
     start_rad: float | None = None,
     end_rad: float | None = None,
 ) -> Rise:
-    """Return where the rise starts and ends.
+    """Return the start and end of the rise.
 
     A dwell is a run of at least three rows, at an end of the table, that are equal within the
-    noise. Beside a dwell the rise is too flat for its end to be seen in the rows. Both ends are
-    therefore fitted: a stiff monotone rise, with velocity and acceleration 0 at its ends, comes
-    nearest to all rows with them. Where there is no dwell the table begins or ends within the rise;
-    the end of the table is taken, and ``said`` tells so.
+    noise. Beside a dwell the rise is too flat for its end to be visible in the rows. Both ends are
+    therefore fitted: the stiff monotone rise with velocity and acceleration 0 at these ends comes
+    nearest to all rows. Without a dwell the table begins or ends within the rise; then the end of
+    the table is taken, and ``said`` reports it.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def rise_of(
     Raises
     ------
     OptionError
-        If an angle that was given leaves no rise, or the distances do not rise.
+        If a given angle leaves no rise, or the distances do not rise.
     """
     first, early = _foot(alpha_rad, h_m, noise_m)
     mirrored, late = _foot(-alpha_rad[::-1], -h_m[::-1], noise_m)
@@ -171,7 +171,7 @@ def rise_of(
         ("ends", end_rad, late, end),
     ):
         how = (
-            "as was given"
+            "as given"
             if given is not None
             else "where a stiff rise between the dwells comes nearest to the rows"
             if found
@@ -219,7 +219,7 @@ def _nearest(
         jerk = smoother.penalty @ found
         return float(rest @ rest + weight * (jerk @ jerk))
 
-    # The search goes inwards from the last rows of the dwells: the rise starts at them or later.
+    # The search goes inwards from the last rows of the dwells: the rise starts there or later.
     inwards = np.array([1.0, -1.0])[which]
     simplex = np.vstack((np.zeros(len(which)), np.diag(inwards)))
     found = minimize(

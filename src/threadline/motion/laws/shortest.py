@@ -75,7 +75,7 @@ def shortest_move(
     """Return the shortest move over a distance within limits of velocity, acceleration and jerk.
 
     A long move reaches all limits. A shorter one has no cruise, and a still shorter one does not
-    reach the acceleration. Where the jerk is so low that the velocity is reached before the
+    acceleration. If the jerk is so low that the velocity is reached before the
     acceleration, no move reaches the acceleration. The formulas are those of Biagiotti and
     Melchiorri, *Trajectory Planning for Automatic Machines and Robots* (2008), section 3.4.
 
@@ -91,7 +91,7 @@ def shortest_move(
     distance_si
         Distance in m or rad, not negative.
     velocity_si, acceleration_si, jerk_si
-        Limits above 0; that of the jerk may be infinite.
+        Limits above 0; the jerk limit may be infinite.
 
     Raises
     ------

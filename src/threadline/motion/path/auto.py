@@ -1,10 +1,10 @@
 """Paths that follow the program within a tolerance: lines where straight, B-splines elsewhere.
 
 Between two rests, the programmed vertices and points added beside them are the polygon of one
-B-spline. A cubic has them as control points, and knots spaced as they are; its pieces join with
-continuous second derivative. A quartic has its knots there and control points between them
-(``greville``); its pieces join with continuous third derivative. A piece is straight where all of
-its control points are on one line. Either stays in the convex hull of its polygon and so within
+B-spline. A cubic has them as control points, with knots spaced like them; its pieces join with
+continuous second derivative. A quartic has them as knots, with control points in between
+(``greville``); its pieces join with continuous third derivative. A piece is straight if all of its
+control points are on one line. Both splines stay in the convex hull of their polygon and so within
 the travel of the axes.
 """
 
@@ -44,9 +44,9 @@ def auto_pieces(
     """Yield the pieces of a path that is never farther than ``cut_m + near_m`` from the program.
 
     Both are distances at the tool, with rotary axes at their radius. A vertex within ``near_m`` of
-    the one before it is left out; ``degree`` is as for ``pieces_of``. With ``thin``,
-    chords take the place of moves where the program is rough (``thinned_runs``); the pieces of a
-    chord belong to the last of its moves.
+    its predecessor is left out; ``degree`` is as for ``pieces_of``. With ``thin``, chords replace
+    moves where the program is rough (``thinned_runs``); the pieces of a chord belong to the last of
+    its moves.
     """
     run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
     for chunk in thinned_runs(programmed, near_m, cut_m) if thin else runs(programmed, near_m):
@@ -54,7 +54,7 @@ def auto_pieces(
 
 
 def points_added(programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC) -> int:
-    """Return the number of points that are not vertices; reads the whole program."""
+    """Return the number of added points, which are not vertices; reads the whole program."""
     run = _Run(programmed.radius_m, programmed.local, cut_m, degree)
     for chunk in runs(programmed):
         for _ in run.extend(chunk):
@@ -64,7 +64,7 @@ def points_added(programmed: ProgrammedPath, cut_m: float, degree: int = CUBIC) 
 
 @dataclass(slots=True)
 class _Run:
-    """State of the run under way: vertices and control points that are not yet in a piece."""
+    """State of the current run: vertices and control points that are not yet in a piece."""
 
     radius_m: FloatArray
     local: LocalRadii | None
@@ -79,12 +79,12 @@ class _Run:
 
     @property
     def _ahead(self) -> int:
-        """Number of vertices beyond a chord on which its points depend."""
+        """Number of vertices beyond a chord that affect its points."""
         return 1 if self.degree == CUBIC else AHEAD
 
     @property
     def _carried(self) -> int:
-        """Number of points on either side of a span on which its shape depends."""
+        """Number of points on either side of a span that affect its shape."""
         return 2 if self.degree == CUBIC else REACH
 
     def extend(self, chunk: Chunk) -> Iterator[PieceBlock]:
@@ -149,7 +149,7 @@ class _Run:
         assert controls is not None
         first = self._carried if self.begun else 0
         stop = len(controls) - 1 - (0 if ends else self._carried)
-        # As many points are carried behind the first pieces of a run as behind any others.
+        # The first pieces of a run carry as many points as any others.
         if stop > first and (ends or stop >= self._carried):
             yield pieces_of(
                 controls,

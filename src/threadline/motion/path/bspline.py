@@ -15,12 +15,12 @@ from threadline.motion.path.durations import chord_time_s, longest_demand_s
 from threadline.motion.path.straight import velocity_limit_of, with_previous
 from threadline.motion.path.types import PieceBlock, ProgrammedPath
 
-MULTIPLICITY = 3  # the curve meets a point that is repeated three times, and rests there
+MULTIPLICITY = 3  # the curve passes a point repeated three times, and rests there
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlPoints:
-    """Consecutive control points; row i of a column is of point i or of the move into it.
+    """Consecutive control points; row i of a column belongs to point i or the move into it.
 
     Parameters
     ----------
@@ -31,11 +31,11 @@ class ControlPoints:
     operation, line
         (n,) operation of that move, and its line in the job file.
     rest, dwell_s
-        (n,) 1 where the motion rests at the point, else 0; time spent there.
+        (n,) 1 if the motion rests at the point, else 0; time spent there.
     copy
         (n,) number of the repetition of one vertex, counted from 0.
     span
-        (n,) knot interval from the point before, in units of the even one.
+        (n,) knot interval from the previous point, in units of the regular one.
     """
 
     positions: FloatArray
@@ -60,8 +60,8 @@ _COLUMNS = ("positions", "chord_s", "operation", "line", "rest", "dwell_s", "cop
 Refine = Callable[[ControlPoints, FloatArray, ControlPoints | None, float], ControlPoints]
 """Turns vertices into control points.
 
-Arguments are the vertices, (n,) 1 for each that is a turning point and 0 for the others, the vertex
-before the first of them (or None), and 1.0 if that one is a turning point.
+Arguments are the vertices, (n,) 1 for each that is a turning point and 0 for the others, the
+vertex before the first of them (or None), and 1.0 if that one is a turning point.
 """
 
 
@@ -100,8 +100,8 @@ def vertices_as_points(
 ) -> Iterator[tuple[ControlPoints, FloatArray]]:
     """Yield every vertex once, with 1 for those where an axis turns back, 0 for the others.
 
-    The vertex after it decides whether a vertex is a turning point, so the last vertex of each
-    block is yielded with the next block.
+    The next vertex decides whether a vertex is a turning point, so the last vertex of each block is
+    yielded with the next block.
     """
     limit = velocity_limit_of(programmed, machine)
     held: ControlPoints | None = None
@@ -122,7 +122,7 @@ def vertices_as_points(
         signs = np.vstack([way[None], np.sign(displacement)])
         moved = np.where(signs != 0, np.arange(len(signs))[:, None], 0)
         latest = np.take_along_axis(signs, np.maximum.accumulate(moved, axis=0), axis=0)
-        # Axis by axis: numpy looks along a short inner dimension slowly.
+        # Axis by axis: numpy is slow along a short inner dimension.
         turned = np.logical_or.reduce([*(signs[1:] * latest[:-1] < 0).T]).astype(np.float64)
         way = latest[-1]
         if held is not None:
@@ -156,7 +156,7 @@ def repeat(points: ControlPoints, times: IntArray) -> ControlPoints:
 def plain(
     points: ControlPoints, turning: FloatArray, before: ControlPoints | None, turned: float
 ) -> ControlPoints:
-    """Return the vertices as control points, tripled wherever the motion rests (a ``Refine``)."""
+    """Return the vertices as control points, tripled at every rest of the motion (a ``Refine``)."""
     del turning, before, turned
     return repeat(points, np.where(points.rest == 1, MULTIPLICITY, 1))
 
@@ -174,7 +174,7 @@ class Window:
 
 
 def windows(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> Iterator[Window]:
-    """Yield the control points in windows whose pieces, in order, are those of the whole path."""
+    """Yield the control points in windows whose pieces, in order, make up the whole path."""
     carried: ControlPoints | None = None
     before: ControlPoints | None = None
     turned, first = 0.0, 1
@@ -193,12 +193,12 @@ def windows(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> Ite
 
 
 def interval_time_s(programmed: ProgrammedPath, machine: Machine, refine: Refine) -> float:
-    """Return the time of an even knot interval, in s, at which no interval is above its feed.
+    """Return the time of a regular knot interval, in s, that keeps every interval within its feed.
 
     The velocity in an interval is a weighted mean of three successive differences of control points
     (with even knots the weights are (1-u)^2/2, -u^2+u+1/2, u^2/2). The same mean of the times that
-    these differences take at their feeds is an upper bound of the time that the interval needs,
-    whichever kind of feed it is. The bound is exact where the three differences have one direction.
+    these differences take at their feeds is an upper bound of the interval's time, for any kind of
+    feed. The bound is exact if the three differences have one direction.
     """
     longest = 0.0
     for window in windows(programmed, machine, refine):
@@ -216,8 +216,8 @@ def bezier_differences(
     """Return the three (n, axes) differences of the Bezier points on each knot span.
 
     ``leg`` (n, axes) and ``span`` (n,) are the differences of n + 1 control points and the knot
-    intervals between them. The Bezier points are those of Boehm's construction; on the first and
-    the last span, whose neighbours are missing, the differences are not to be used.
+    intervals between them. The Bezier points follow Boehm's construction; the differences on the
+    first and the last span, which lack a neighbour, are invalid.
     """
     before = np.concatenate([span[:1], span[:-1]])
     after = np.concatenate([span[1:], span[-1:]])
@@ -247,7 +247,7 @@ def _coefficients(window: Window) -> FloatArray:
 def bspline_pieces(
     programmed: ProgrammedPath, machine: Machine, refine: Refine, interval_s: float
 ) -> Iterator[PieceBlock]:
-    """Yield one cubic piece per knot interval, with ``interval_s`` as the time of an even one."""
+    """Yield one cubic piece per knot interval; ``interval_s`` is the time of a regular one."""
     begun = False
     for window in windows(programmed, machine, refine):
         points = window.points
@@ -256,8 +256,8 @@ def bspline_pieces(
         begun = True
         here = slice(window.first + 1, window.stop + 1)
         beyond = slice(window.first + 2, window.stop + 2)
-        # The interval into point j + 1 belongs to the move into it; between the last two of
-        # three copies it leaves the vertex, and belongs to the move after it.
+        # The interval into point j + 1 belongs to the move into it; the one between the last two
+        # of three copies leaves the vertex, and belongs to the next move.
         leaves = points.copy[here] == MULTIPLICITY - 1
         arrives = (points.rest[here] == 1) & (points.copy[here] == 1)
         yield PieceBlock(
@@ -290,7 +290,7 @@ CLOSE_KNOTS = 1.0 / 8.0  # knot intervals beside a turning point, in units of th
 def by_repetition(
     points: ControlPoints, turning: FloatArray, before: ControlPoints | None, turned: float
 ) -> ControlPoints:
-    """Repeat each turning point three times: the curve meets it, and rests there (a ``Refine``)."""
+    """Repeat each turning point three times: the curve passes and rests there (a ``Refine``)."""
     del before, turned
     return repeat(points, np.where((points.rest == 1) | (turning == 1), MULTIPLICITY, 1))
 
@@ -335,7 +335,7 @@ def by_spacing(
     """Shorten the knot intervals on either side of each turning point to an eighth (a ``Refine``).
 
     The curve misses the turning point by |P0 - 2 P1 + P2| e / (2 (1 + 2 e)) with e = 1/8, and
-    its peak velocity is 3 / (1 + 2 e) of that with even knots.
+    its peak velocity is 3 / (1 + 2 e) times that with even knots.
     """
     del before
     leaves = np.concatenate([[turned], turning[:-1]]) == 1

@@ -1,7 +1,7 @@
-"""How rough a program is: whether its turns are those of a curve, or of points beside one.
+"""Chords through rough programs: test whether vertices scatter about a curve, and replace them.
 
-A chord ends on the mean of the vertices about its last one, so that its ends lie on the curve that
-is meant. From ends anywhere within the tolerance of it, chords became long and short in turn.
+A chord ends at the mean of the vertices around its last one, so that its ends lie on the intended
+curve. With ends anywhere within the tolerance, long and short chords would alternate.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -14,20 +14,21 @@ from threadline.motion.path.polygon import STRAIGHT
 
 APART = 4  # legs between the directions that are compared
 ALIKE = 0.28
-"""A program is rough where directions change by less than this share of all turns between."""
+"""A program is rough if its direction changes over several legs by less than this share of all
+single turns between."""
 LIKE = 0.3
-"""It is uneven where a turn differs by more than this share from the one before."""
+"""It is uneven if a turn differs by more than this share from the previous one."""
 DENSE = 4.0
-"""Vertices are dense where legs are shorter, on average, than as many tolerances."""
+"""Vertices are dense if legs are shorter, on average, than this many tolerances."""
 SMOOTH, UNEVEN, ROUGH = 0, 1, 2
 
 
 @njit()
 def roughness(positions, radius_m, cut_m, start, stop):
-    """Return how the program is between two vertices, by what most of its legs are.
+    """Return the roughness of the program between two vertices, decided by most of its legs.
 
-    Turns of a smooth curve are alike. Where they are not, the program is uneven; where most of
-    them undo each other, it is rough. Where vertices are not dense it is taken as it stands.
+    Consecutive turns of a smooth curve are similar. If they are not, the program is uneven; if most
+    of them cancel each other, it is rough. A program with sparse vertices counts as smooth.
     """
     axes, legs = positions.shape[1], stop - start
     if legs <= APART:
@@ -36,9 +37,9 @@ def roughness(positions, radius_m, cut_m, start, stop):
     for j in range(axes):
         squared += ((positions[stop, j] - positions[start, j]) * radius_m[j]) ** 2
     if squared > (DENSE * cut_m * legs) ** 2:
-        return SMOOTH  # told without their turns: legs are no shorter than the way between
-    # Axis after axis, so that no step of a loop hangs on the one before.
-    sums = np.zeros((axes + 3, legs))  # one array: making it takes as long as using it
+        return SMOOTH  # legs are no shorter than the average of dense ones
+    # Axis after axis, so that loop iterations are independent.
+    sums = np.zeros((axes + 3, legs))  # one array: allocation takes as long as the work
     t, size, turned, changed = sums[3:], sums[0], sums[1], sums[2]
     for j in range(axes):
         for i in range(legs):
@@ -79,15 +80,15 @@ def roughness(positions, radius_m, cut_m, start, stop):
 
 @njit()
 def legs_kept(positions, radius_m, cut_m):
-    """Return which legs, by the vertex where they begin, a corner at an end of theirs needs.
+    """Return which legs, by the vertex where they begin, a corner at one of their ends needs.
 
-    A spline that follows the vertices there cuts the corner by more than ``cut_m``, as
-    ``corner_spacing`` has it, so that points are added on the leg. Without rows where no leg is
-    long enough for that.
+    There a spline that follows the vertices cuts the corner by more than ``cut_m`` (see
+    ``corner_spacing``), so that points are added on the leg. Without rows if no leg is long enough
+    for that.
     """
     count, axes = positions.shape
     least, square = 16.0 * cut_m * cut_m, 0.0
-    if axes == 3:  # most are; no step hangs on another, so that it takes a fifth of the time
+    if axes == 3:  # the usual case; independent iterations take a fifth of the time
         r0, r1, r2 = radius_m[0], radius_m[1], radius_m[2]
         longer = 0
         for i in range(1, count):
@@ -104,7 +105,7 @@ def legs_kept(positions, radius_m, cut_m):
         for j in range(axes):
             b[j] = (positions[i + 1, j] - positions[i, j]) * radius_m[j]
             own += b[j] * b[j]
-        if i > 0 and 4.0 * max(own, square) > least:  # no turn is above 2
+        if i > 0 and 4.0 * max(own, square) > least:  # no turn exceeds 2
             q = np.sqrt(own / square)
             turned = 0.0  # square of the turn times the leg
             for j in range(axes):
@@ -119,28 +120,28 @@ def legs_kept(positions, radius_m, cut_m):
 
 
 SHARES = np.array([0.3, 0.4, 0.5, 0.6])
-"""Of the tolerance, what vertices may be beside a chord: the first at which it passes enough.
+"""Shares of the tolerance that vertices may deviate from a chord, tried in this order.
 
-Chords of a curve whose ends lie on it turn by so much, at the share e, that the spline cuts twice
-as much; what is added from share to share is a quarter of what the share leaves for that.
+Chords of a curve with their ends on it, at the share e, turn so much that the spline cuts twice as
+much; the increment from share to share is a quarter of what the share leaves for that.
 """
 MOST = 512  # legs of a chord
-AHEAD = 3 * MOST  # legs behind its start that say how long it may be
+AHEAD = 3 * MOST  # legs after its start that decide its length
 LEAST = 4  # legs of a chord: fewer are not worth the tolerance
-MANY = 12  # legs of a chord where the program is uneven, but not rough: there it gains less
+MANY = 12  # legs of a chord in an uneven, but not rough program, which gains less
 BENDS = 0.25
-"""What an uneven program may turn beside its first chord: tighter curves gain too little."""
-GROWS = 2.0  # a chord is no longer than as many of what is before it: the knots are spaced so
-_GROWS_LEGS = 1.5  # or than as many times the legs of the last one
-_FIRST = 16  # legs of a chord with none before it, to begin with
+"""Largest turn of an uneven program at its first chord: tighter curves gain too little."""
+GROWS = 2.0  # largest ratio of a chord to the previous one, to limit the knot spacing
+_GROWS_LEGS = 1.5  # or of their numbers of legs
+_FIRST = 16  # legs of a chord without a predecessor, to begin with
 _FIRST_GROWS = 4.0
-_AIM = 0.85  # of the share that vertices may be beside a chord, for the next one
-_LESS = 0.85  # of the legs of a chord that is too far from them, at most
-_BENT = 0.3  # of the share, that a chord may be beside the curve whatever the vertices are
-_CORNER = 1.5  # of the share: vertices that are farther beside a chord may be behind a corner
-_SHARP = 0.5  # difference of directions on both sides of a corner
-_ABOUT = 6  # legs from which these are
-_MEAN = 3  # vertices about an end: this part of the chord's legs on either side
+_AIM = 0.85  # of the permitted deviation of vertices, for the next chord
+_LESS = 0.85  # largest factor on the legs of a chord that deviates too much
+_BENT = 0.3  # of the share: permitted distance of a chord from the curve itself
+_CORNER = 1.5  # of the share: vertices with more deviation may follow a corner
+_SHARP = 0.5  # difference of the directions on both sides of a corner
+_ABOUT = 6  # number of legs for these directions
+_MEAN = 3  # vertices around an end: this part of the chord's legs on either side
 _MOST_MEAN = 16
 
 
@@ -149,30 +150,30 @@ def chord(
     positions, radius_m, cut_m, shares, rough, aside, first, before_m, guess, start, limit, corner,
     opens, here, d, middle,
 ):  # fmt: skip
-    """Write the way ``d`` along the next chord; return the row of its end, and how it lies.
+    """Write the vector ``d`` along the next chord; return the row of its end, and its quality.
 
     Parameters
     ----------
     first
         Number of the share that the last chord needed.
     guess
-        Legs that it may have; 0 where there is no chord before it.
+        Number of legs to try; 0 without a previous chord.
     limit, corner, opens
-        Row that it does not pass, whether that is a vertex which a chord has to meet, and whether
-        it is the last row of all that came so far.
+        Row that it must not pass, whether that is a vertex which a chord has to meet, and whether
+        it is the last row so far.
     middle
-        (axes,) room to work in.
+        (axes,) work array.
 
     Returns
     -------
     k
-        The last vertex that the chord passes; -1 where more of them must come first.
+        The last vertex that the chord passes; -1 if more vertices must be read first.
     met
         Whether it ends in that vertex.
     strayed
-        How far the vertices are beside it.
+        Largest deviation of the vertices from it.
     level, guess
-        Number of its share, and legs that the next one may have.
+        Number of its share, and number of legs to try for the next one.
     """
     room = limit - start
     if opens and room < (AHEAD if guess == 0 else 3 * guess):
@@ -188,7 +189,7 @@ def chord(
         trimmed, walked, tried = False, False, room + 1
         while True:  # with fewer legs each time
             if corner and n < room < 2 * n and not walked and not trimmed:
-                # Two chords of like length, and no short one at the end.
+                # Two chords of similar length, and no short one at the end.
                 n = room if 4 * room <= 5 * n and room < tried else (room + 1) // 2
             n = min(n, room)
             tried = n
@@ -202,7 +203,7 @@ def chord(
                     positions, radius_m, here, d, start, n, strayed, thin_m, middle
                 )
                 if rough_m > thin_m and level < end - 1:
-                    n = 0  # of no length would more than few of them be near enough
+                    n = 0  # no chord of useful length is within the tolerance
                     break
                 if not walked and strayed > _CORNER * thin_m:
                     k = _walked(positions, radius_m, here, start, start + n, thin_m, d) - start
@@ -210,7 +211,7 @@ def chord(
                     if LEAST <= k < n and _turn(positions, radius_m, start + k, about) > _SHARP:
                         n, walked = k, True
                         continue
-                # Half way to a corner and further there are two chords.
+                # Beyond half of the distance to a corner, two chords follow.
                 n = min(max(int(n * min(more, _LESS)), n // 2), (room + 1) // 2 if n == room else n)
                 walked = False
             elif longer > 1.0 and n > 2:
@@ -230,7 +231,7 @@ def chord(
 
 @njit()
 def _grown(positions, radius_m, here, start, room, thin_m, d, middle):
-    """Return how many legs a chord may have, tried with more and more of them."""
+    """Return how many legs a chord may have, by trying more and more of them."""
     n = min(_FIRST, room)
     while n < min(room, MOST):
         _write(positions, radius_m, here, start, n, room, d)
@@ -245,10 +246,10 @@ def _grown(positions, radius_m, here, start, room, thin_m, d, middle):
 
 @njit()
 def _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle):
-    """Return how many times as long a chord may be, and how far vertices are beside the curve.
+    """Return the factor by which a chord may grow, and the deviation of vertices from the curve.
 
-    By how far its middle is beside the curve: that grows with the square of its length, what
-    vertices are beside the curve does not.
+    The distance of its middle from the curve grows with the square of its length; the scatter of
+    the vertices about the curve does not.
     """
     half = n // 2
     mean = min(max(n // _MEAN, 1), _MOST_MEAN, half, n - half)
@@ -268,7 +269,7 @@ def _more(positions, radius_m, here, d, start, n, strayed, thin_m, middle):
 
 @njit()
 def _write(positions, radius_m, here, start, n, room, d):
-    """Write the way along a chord of ``n`` legs; return whether it ends in its last vertex."""
+    """Write the vector along a chord of ``n`` legs; return whether it ends in its last vertex."""
     k, axes = start + n, len(d)
     mean = min(max(n // _MEAN, 1), _MOST_MEAN, room - n)
     if mean == 0:
@@ -301,7 +302,7 @@ def _add(own, total):
 
 @njit()
 def squared_of(d):
-    """Return the square of the length of a way."""
+    """Return the squared length of a vector."""
     squared = 0.0
     for j in range(len(d)):
         squared += d[j] * d[j]
@@ -310,7 +311,7 @@ def squared_of(d):
 
 @njit()
 def from_vertex(positions, radius_m, here, k):
-    """Return the distance of vertex ``k`` from a place."""
+    """Return the distance of vertex ``k`` from a point."""
     squared = 0.0
     for j in range(len(here)):
         squared += (positions[k, j] * radius_m[j] - here[j]) ** 2
@@ -319,7 +320,7 @@ def from_vertex(positions, radius_m, here, k):
 
 @njit()
 def _turned(positions, radius_m, start, stop):
-    """Return the difference of the directions of the first leg and the last between vertices."""
+    """Return the difference of the directions of the first and the last leg between vertices."""
     axes = positions.shape[1]
     first, last, squared = 0.0, 0.0, 0.0
     for j in range(axes):
@@ -335,7 +336,7 @@ def _turned(positions, radius_m, start, stop):
 
 @njit()
 def _turn(positions, radius_m, k, legs):
-    """Return the difference of the directions to vertex ``k`` and from it, over some legs each."""
+    """Return the difference of the directions into and out of vertex ``k``, over some legs each."""
     axes = positions.shape[1]
     to, on, squared = 0.0, 0.0, 0.0
     for j in range(axes):
@@ -351,20 +352,20 @@ def _turn(positions, radius_m, k, legs):
 
 @njit()
 def towards(positions, radius_m, here, k, d):
-    """Write the way from ``here`` to vertex ``k``."""
+    """Write the vector from ``here`` to vertex ``k``."""
     for j in range(len(d)):
         d[j] = positions[k, j] * radius_m[j] - here[j]
 
 
 @njit()
 def _walked(positions, radius_m, here, start, limit, thin_m, d):
-    """Return the last vertex up to ``limit`` that one chord can pass; write the way along it.
+    """Return the last vertex up to ``limit`` that one chord can pass; write the vector along it.
 
     Notes
     -----
-    A vertex at w, whose place is at the distance f, permits the directions c with |f c - w| <= e:
-    a ball about w / f of the radius e / f. Of two balls that overlap, the largest one within both
-    is kept; the chord goes along its centre. Distances do not decrease along the chord.
+    A vertex at w, matched to the chord's point at distance f, permits the directions c with
+    |f c - w| <= e: a ball about w / f with radius e / f. Of two overlapping balls, the largest ball
+    within both is kept; the chord goes along its centre. Distances do not decrease along the chord.
     """
     axes = positions.shape[1]
     w = np.empty(axes)
@@ -404,10 +405,10 @@ def _walked(positions, radius_m, here, start, limit, thin_m, d):
 
 @njit(fastmath={"contract"})
 def _strayed(positions, radius_m, here, d, start, stop):
-    """Return the largest distance of vertices ``start`` to ``stop`` from their places on a chord.
+    """Return the largest distance of vertices ``start`` to ``stop`` from their points on a chord.
 
-    The first and the last stand for its ends, the others for the nearest place behind the last. A
-    product and the sum that it goes into are rounded once, not twice, where the processor can.
+    The first and the last vertex are matched to its ends, the others to the nearest point after the
+    previous one. Fused multiply-add rounds once where the processor has it.
     """
     axes, square = len(d), 0.0
     for j in range(axes):
@@ -416,7 +417,7 @@ def _strayed(positions, radius_m, here, d, start, stop):
         return np.inf
     own, last = positions[start : stop + 1], stop - start
     per, share, worst = 1.0 / square, 0.0, 0.0
-    if axes == 3:  # most are: written out, it takes a fifth of the time
+    if axes == 3:  # the usual case: written out, it takes a fifth of the time
         r0, r1, r2 = radius_m[0], radius_m[1], radius_m[2]
         h0, h1, h2 = here[0], here[1], here[2]
         d0, d1, d2 = d[0], d[1], d[2]

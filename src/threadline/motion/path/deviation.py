@@ -66,12 +66,11 @@ def _gap(c, u, target):
 
 @njit()
 def _bracketed(c, target, low, high, u):
-    """Return u and the squared distance of the nearest place between ``low`` and ``high``.
+    """Return u and the squared distance of the nearest point between ``low`` and ``high``.
 
-    It takes Newton's steps on the slope of the squared distance from ``u`` on, and halves the
-    bracket where such a step would leave it. The bracket shrinks to the side to which the distance
-    falls, so that a slope of 0 away from the nearest place (where a piece begins at rest) does not
-    end the search.
+    It takes Newton steps on the slope of the squared distance from ``u`` on, and halves the
+    bracket if such a step would leave it. The bracket shrinks towards smaller distances, so that a
+    slope of 0 elsewhere (where a piece begins at rest) does not end the search.
     """
     best, where = np.inf, u
     for _ in range(NEAREST):
@@ -104,8 +103,8 @@ def _bracketed(c, target, low, high, u):
 
 
 @njit()
-def _nearest_on_piece(c, target, limit, gaps):
-    """Return u and the squared distance of the place of a piece that is nearest to ``target``.
+def nearest_on_piece(c, target, limit, gaps):
+    """Return u and the squared distance of the point of a piece that is nearest to ``target``.
 
     If it is farther away than ``limit`` (a squared distance), only the nearest sample is returned.
     ``gaps`` is (SAMPLES + 1,) scratch space.
@@ -115,7 +114,7 @@ def _nearest_on_piece(c, target, limit, gaps):
         gaps[k] = _gap(c, k / SAMPLES, target)
         if gaps[k] < best:
             best, where = gaps[k], k / SAMPLES
-    # A place between two samples is nearer than they are by at most the path length between them.
+    # A point between two samples is nearer than they are by at most the path length between them.
     way = 0.0
     for j in range(c.shape[1]):
         rate = 0.0
@@ -145,14 +144,14 @@ def compare(c, vertex, vertices, window, best, offset):
     c
         (n, order, axes) coefficients, at the tool.
     vertex
-        (n,) the vertex to which the move of each piece leads.
+        (n,) the vertex at the end of each piece's move.
     vertices
         (k, axes) positions at the tool.
     window
-        Number of vertices on either side with whose chords a piece is compared.
+        Number of vertices on either side whose chords are compared with a piece.
     best, offset
-        (k,) and (k, axes): squared distance of each vertex to the path so far, and its difference
-        from there; both are updated.
+        (k,) and (k, axes): squared distance of each vertex to the path so far, and the vector
+        there; both are updated.
 
     Returns
     -------
@@ -208,7 +207,7 @@ def compare(c, vertex, vertices, window, best, offset):
         for v in range(max(vertex[i] - 2, 0), min(vertex[i] + 2, len(vertices))):
             if best[v] == 0.0:
                 continue
-            u, gap = _nearest_on_piece(c[i], vertices[v], best[v], gaps)
+            u, gap = nearest_on_piece(c[i], vertices[v], best[v], gaps)
             if gap < best[v]:
                 best[v] = gap
                 _at(c[i], u, point)
@@ -223,22 +222,22 @@ _PIECES = 4096
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathDeviation:
-    """Largest deviation of a planned path, and where it is.
+    """Largest deviation of a planned path, and its place.
 
     Parameters
     ----------
     at_tool_m
         Largest distance at the tool, with rotary axes at their radius.
     at_vertex
-        True if that is the distance of a programmed vertex from the path, False if it is that of
+        True if it is the distance of a programmed vertex from the path, False for the distance of
         the path from a chord.
     line, operation
         Line of the job file and operation at that place.
     position
-        (axes,) the vertex, or the place of the path, m or rad.
+        (axes,) the vertex, or the point of the path, m or rad.
     per_axis
-        (axes,) largest difference of each axis, m or rad, between the path and the nearest place of
-        the program, or between a vertex and the nearest place of the path.
+        (axes,) largest difference of each axis, m or rad, between the path and the nearest point of
+        the program, or between a vertex and the nearest point of the path.
     """
 
     at_tool_m: float
@@ -252,9 +251,9 @@ class PathDeviation:
 def path_deviation(programmed: ProgrammedPath, planned: PlannedPath) -> PathDeviation:
     """Return the largest deviation between the two paths.
 
-    It is the larger one of two distances: from the planned path to the nearest programmed chord,
-    and from a programmed vertex to the nearest place of the planned path. Each piece is compared
-    with a few moves before and after its own alone, because paths cross and retrace themselves.
+    It is the larger of two distances: from the planned path to the nearest programmed chord, and
+    from a programmed vertex to the nearest point of the planned path. Each piece is compared only
+    with a few moves before and after its own, because paths cross and retrace themselves.
 
     Planners report this number. The judge measures the deviation independently
     (``threadline.verdict.deviation``).
@@ -332,7 +331,7 @@ class _Comparison:
         while not self._ended and int((self._window.operation > last).sum()) <= 2 * WINDOW:
             self._read()
         w = self._window
-        # The vertex that the operation of each piece leads to; the start shares operation 0.
+        # The vertex at the end of each piece's operation; the start shares operation 0.
         vertex = np.searchsorted(w.operation, operation, side="right") - 1
         first = max(int(vertex[0]) - 4 * WINDOW, 0)
         self._settle(first)

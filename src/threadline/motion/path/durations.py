@@ -15,7 +15,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.machine import Machine
 
-STEPS_PER_WIDTH = 8  # samples in the width: with more of them a curve is cut less
+STEPS_PER_WIDTH = 8  # samples in the width: more samples cut a curve less
 LEAST_STEP = 8  # most samples in a tick
 LEAST_SHARE, MOST_SHARE = 0.15, 0.5
 
@@ -42,7 +42,7 @@ class Smoothing:
 
     @property
     def reach_s(self) -> float:
-        """Time before and after an instant from which the motion has weight at that instant."""
+        """Time before and after an instant that affects the smoothed motion at that instant."""
         return self.step_s * ((self.count - 1) / 2.0 + 2.0)
 
     @property
@@ -82,10 +82,10 @@ def smoothing_share(
     """Return the share of the tolerance at the tool that smoothing in time may use.
 
     A corner that turns by t and is rounded over the length l on either side is cut by t l / 6; the
-    smoothing, with variance s^2, adds s^2 v^2 t / (2 l) at the speed v. The highest speed comes of
-    equal shares where nothing but the tolerance limits it. Where the acceleration limit a does, the
-    smoothing needs the share a s^2 / (2 tolerance), with the median of the axes for a. The result
-    is the latter, but at least 0.15 and at most 0.5.
+    smoothing, with variance s^2, adds s^2 v^2 t / (2 l) at the speed v. If only the tolerance
+    limits the speed, equal shares give the highest. If the acceleration limit a does, the smoothing
+    needs the share a s^2 / (2 tolerance), with the median of the axes for a. The result is the
+    latter, at least 0.15 and at most 0.5.
     """
     column = [machine.axis_names.index(axis) for axis in axes]
     at_tool = float(np.median(machine.acceleration_limit[column] * machine.radius_m[column]))
@@ -99,7 +99,7 @@ CUBIC_PEAK_VELOCITY = 1.5  # Cv of the law 3u^2 - 2u^3
 def chord_time_s(
     displacement: FloatArray, nominal_s: FloatArray, velocity_limit: FloatArray
 ) -> FloatArray:
-    """Return the (n,) times of chords at their feeds, or at the velocity limits where rapid.
+    """Return the (n,) times of chords at their feeds, or at the velocity limits for rapid moves.
 
     Parameters
     ----------
@@ -123,12 +123,12 @@ def whole_ticks_s(time_s: FloatArray, tick_s: float) -> FloatArray:
 
     So no axis is faster than its feed (filament winding thesis, section 9.5).
     """
-    # A travel time of whole ticks must not become a tick longer by rounding.
+    # Rounding must not turn a whole number of ticks into one more.
     return np.asarray(np.ceil(time_s / tick_s * (1 - 1e-9)) * tick_s)
 
 
 def rest_to_rest_s(chord_s: FloatArray) -> FloatArray:
-    """Return the (n,) times of moves from rest to rest whose peak velocity is that of ``chord_s``.
+    """Return the (n,) times of moves from rest to rest with the peak velocity of ``chord_s``.
 
     The velocity is a parabola over time, the profile with the least heat in the motor (filament
     winding thesis, sections 5 and 8.6).
@@ -137,20 +137,20 @@ def rest_to_rest_s(chord_s: FloatArray) -> FloatArray:
 
 
 def longest_demand_s(first: FloatArray, middle: FloatArray, last: FloatArray) -> float:
-    """Return the time of an even knot interval, s, at which none of these is above its feed.
+    """Return the time of a regular knot interval, s, that keeps every interval within its feed.
 
     Parameters
     ----------
     first, middle, last
-        (n,) Bezier values of the time at the feed over each interval, s for an even one.
+        (n,) Bezier values of the time at the feed over each interval, s for a regular one.
 
     Notes
     -----
     The velocity in an interval is a weighted mean of three successive differences of control points
     (with even knots the weights are (1-u)^2/2, -u^2+u+1/2, u^2/2). The same mean of the times that
-    these differences take at their feeds is an upper bound of the time that the interval needs,
-    whichever kind of feed it is. The bound is exact where the three differences have one direction.
-    Its largest value is at an end of the interval or where its derivative is 0.
+    these differences take at their feeds is an upper bound of the interval's time, for any kind of
+    feed. The bound is exact if the three differences have one direction. Its largest value is at an
+    end of the interval or where its derivative is 0.
     """
     bend = first - 2.0 * middle + last
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -202,8 +202,8 @@ def polynomial_limits(
     """Return the (axes,) limits of velocity, acceleration and, for a quintic, jerk for the pieces.
 
     The acceleration of a cubic jumps at the points. There the smoothing in time misses them by half
-    its variance times the acceleration, which is therefore limited so that the miss, at the tool,
-    is within the tolerance. Its jerk is limited by that smoothing.
+    its variance times the acceleration. The acceleration is limited so that this deviation, at the
+    tool, is within the tolerance. The smoothing limits the jerk.
     """
     column = [machine.axis_names.index(axis) for axis in axes]
     velocity, acceleration, jerk = (

@@ -1,22 +1,23 @@
-"""How far a quartic spline leaves the polygon whose points at the Greville abscissae control it.
+"""Bounds on the distance between a quartic spline and its polygon, and the knots that keep them.
 
-The knots lie at the vertices of the polygon and at any other of its points; each control point is
-the point of the polygon at the mean of four consecutive knots, all by length along the polygon.
+The knots lie at the vertices of the polygon and at other points of it. Each control point is the
+point of the polygon at the mean of four consecutive knots (its Greville abscissa), all by length
+along the polygon.
 
 Notes
 -----
-Such a spline is V[p] of the polygon p, by an operator that is linear, positive and keeps straight
-lines (Schoenberg; de Boor, "A Practical Guide to Splines", chapter IX). With the turn dt[u] at the
-vertex at s[u] the polygon is a line and the sum of dt[u] (t - s[u])+, so that
+Such a spline is V[p] of the polygon p, with an operator V that is linear, positive and reproduces
+straight lines (Schoenberg; de Boor, "A Practical Guide to Splines", chapter IX). With the turn
+dt[u] at the vertex at s[u], the polygon is a line plus the sum of dt[u] (t - s[u])+, so that
 
     V[p](t) - p(t) = sum of dt[u] e[u](t),    e[u] = V[(t - s[u])+] - (t - s[u])+ >= 0.
 
-Only few e[u] are not 0 at any t. V keeps convexity, so each e[u] is convex on either side of s[u],
-and the sum of |dt[u]| e[u] is largest at a vertex, where it is told exactly by the knots: that is
-the bound, at one parameter of both curves. Another knot only makes each e[u] less.
+At any t only few e[u] are not 0. V preserves convexity, so each e[u] is convex on either side of
+s[u], and the sum of |dt[u]| e[u] is largest at a vertex, where the knots give its exact value: that
+is the bound, at one parameter of both curves. Another knot only reduces each e[u].
 
-At a run's end the polygon goes on as its mirror image in the end: there the spline passes through
-the end, straight and evenly.
+At a run's end the polygon continues as its mirror image: there the spline passes through the end,
+straight and with even spacing.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -27,33 +28,33 @@ import numpy as np
 from threadline.base.compiled import njit
 
 REACH = 3
-"""Legs on either side of a vertex on which it depends how far it is cut."""
+"""Legs on either side of a vertex that affect how far it is cut."""
 AHEAD = REACH + 1
-"""Vertices on either side of a leg on which its knots depend."""
+"""Vertices on either side of a leg that affect its knots."""
 CUT = 7.0 / 24.0
 """With two knots no farther than l and 2 l on either side, a vertex is cut by at most |dt| l times
-this, if the next vertex is beyond them, or is the second of them: with the first midway, and no
-farther than 1.5 of this leg from its next knot, what it adds begins behind the mean of three knots.
+this, if the next vertex is beyond them, or is the second of them: then, with the first midway and
+no farther than 1.5 of this leg from its next knot, its contribution begins after the mean of three.
 
 With knots at -A, -a, 0, b, B, where b <= a + A and a <= b + B, de Boor's triangle makes e at 0
 
     b A^2 f / ((a + b) (A + b) (A + B)) + a A B f / ((a + b) (A + B) (a + B))
     + a^2 (b + B) / (4 (a + b) (a + B)),    f = (b + B - a) / 4,
 
-whatever lies beyond. It grows with A, and so, by symmetry, with B; with A = B = 2 l it is
-l / 4 + (1 - l / (2 l + a) - l / (2 l + b)) a b / (4 (a + b)), which grows with a and b. Where b
-or a is longer than said, e is less than l / 4.
+for any farther knots. It grows with A, and so, by symmetry, with B; with A = B = 2 l it is
+l / 4 + (1 - l / (2 l + a) - l / (2 l + b)) a b / (4 (a + b)), which grows with a and b. If b or a
+is larger than assumed, e is less than l / 4.
 """
 _LIKE = 2.0
-"""Times as long as the other, a leg beside a vertex is like it. With one knot midway on each of
-many like legs the curvature is even: what one turn gives to it falls as that of the next rises."""
-_NEXT = 1.5  # of a leg with one knot: where the knot beyond its end is, at most
-TOUCH = 1e-9  # share of a leg: two added knots that are nearer to each other become one
+"""Largest ratio of similar neighbouring legs. With one knot midway on each of many similar legs the
+curvature is even: the contribution of one turn falls as the next one's rises."""
+_NEXT = 1.5  # largest distance of the next knot beyond a leg with one knot, in legs
+TOUCH = 1e-9  # share of a leg: two added knots this close become one
 
 
 @njit()
 def leg_of(k, count):
-    """Return which of ``count`` legs leg ``k`` is, which may lie beyond an end of the run."""
+    """Return the index of leg ``k`` among ``count`` legs; beyond an end of the run it mirrors."""
     while k < 0 or k >= count:
         k = -1 - k if k < 0 else 2 * count - 1 - k
     return k
@@ -61,7 +62,7 @@ def leg_of(k, count):
 
 @njit()
 def point_of(k, count):
-    """Return which of the points of ``count`` legs point ``k`` mirrors, which may lie beyond."""
+    """Return the index of point ``k`` of ``count`` legs; beyond an end of the run it mirrors."""
     while k < 0 or k > count:
         k = -k if k < 0 else 2 * count - k
     return k
@@ -74,11 +75,11 @@ def cut_of(length_m, turn, v):
     Parameters
     ----------
     length_m, turn
-        (n,) legs and (n + 1,) turns of a run; at an end of the arrays that lies less than three
-        legs from ``v`` the run ends, too.
+        (n,) legs and (n + 1,) turns of a run; the run also ends at an end of the arrays that lies
+        less than three legs from ``v``.
     """
     legs = len(length_m)
-    x = np.zeros(7)  # of the knots, from the vertex
+    x = np.zeros(7)  # knots, from the vertex
     for i in range(3):
         x[4 + i] = x[3 + i] + length_m[leg_of(v + i, legs)]
         x[2 - i] = x[3 - i] - length_m[leg_of(v - 1 - i, legs)]
@@ -105,16 +106,16 @@ def cut_of(length_m, turn, v):
 
 @njit()
 def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
-    """Write how far apart the knots beside each vertex may stand, 0 for any.
+    """Write the largest distance of knots beside each vertex, 0 for any.
 
     Parameters
     ----------
     length_m, turn, beside_m
-        (n - 1,), (n,), (n,): of vertices, among them ``AHEAD`` on either side of those that are
-        written, unless the run begins or ends with them.
+        (n - 1,), (n,), (n,) columns of vertices, including ``AHEAD`` on either side of the
+        written ones, unless the run begins or ends with them.
     cut_m
-        Largest distance at the tool of the spline from the polygon, less what the program is
-        beside the leg into a vertex (``beside_m``).
+        Largest distance at the tool between spline and polygon, including the program's deviation
+        from the leg into a vertex (``beside_m``).
     first, stop
         Vertices ``first`` to ``stop`` are written.
     spacing
@@ -144,16 +145,16 @@ def quartic_spacing(length_m, turn, cut_m, beside_m, first, stop, spacing):
 
 @njit()
 def _one_is_enough(length_m, turn, v, after, spacing, cut_m):
-    """Return whether a vertex needs a knot on its longer leg alone, and has it midway there.
+    """Return whether a vertex needs a knot on its longer leg only, and has it midway there.
 
-    Such a leg ``knots_between`` divides midway unless it is too long for one knot, or the leg
-    beyond it is; one at the end of a run it does not.
+    ``knots_between`` divides such a leg midway unless the leg or the next one is too long for one
+    knot, or the leg is at the end of a run.
     """
     legs = len(length_m)
     own, beyond = (v, v + 1) if after else (v - 1, v - 2)
     if not 0 <= beyond < legs:
         return False
-    # By the same quotients as there, so that both say the same of what is just at a limit.
+    # The same quotients as there, so that both decide alike at a limit.
     if length_m[beyond] / length_m[own] > _NEXT or 2.0 * (spacing / length_m[own]) < 1.0:
         return False
     begin, end = max(v - 3, 0), min(v + 3, legs)
@@ -173,21 +174,21 @@ def _one_is_enough(length_m, turn, v, after, spacing, cut_m):
 
 @njit()
 def knots_between(near, far, opens, closes, beyond, share):
-    """Write the places (0 to 1) of the knots on a leg, its end the last; count them.
+    """Write the places (0 to 1) of the knots on a leg, its end included; return their number.
 
     Parameters
     ----------
     near, far
-        Spacing beside the vertices at its ends, as shares of the leg; 0 where any will do.
+        Spacing beside the vertices at its ends, as shares of the leg; 0 for any.
     opens, closes
         Whether the run begins or ends at that vertex.
     beyond
-        Length of the leg beyond a vertex where any spacing will do, as a share of this leg.
+        Length of the next leg at a vertex without required spacing, as a share of this leg.
     """
     n = 0
     both = near > 0.0 and far > 0.0
     least, most = min(near, far) if both else max(near, far), max(near, far)
-    even = 0  # into how many even parts the leg is divided
+    even = 0  # number of equal parts of the leg
     if both and 2.0 * (near + far) >= 1.0 - TOUCH:
         even = 2 if most <= _NEXT else 3
         while even < 4 and even * least < 1.0 - TOUCH:
@@ -223,8 +224,8 @@ def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
     Parameters
     ----------
     positions, turn, length_m, nominal_s
-        Of the knots, as ``Controls`` has them; three on either side of the pieces unless the run
-        begins or ends there.
+        Columns of the knots, as in ``Controls``; three on either side of the pieces unless the
+        run begins or ends there.
 
     Returns
     -------
@@ -233,9 +234,9 @@ def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
 
     Notes
     -----
-    Bezier points are the blossom of the spline at the two ends of the piece, by de Boor's triangle
-    with weights that are ratios of sums of legs, so that legs of very different lengths lose no
-    digits. The time at the feed is one more axis.
+    Bezier points are the blossom of the spline at the two ends of the piece, by de Boor's triangle.
+    Its weights are ratios of sums of legs, so that legs of very different lengths lose no digits.
+    The time at the feed is treated as one more axis.
     """
     legs, axes = len(positions) - 1, positions.shape[1]
     out = np.empty((stop - first, 5, axes))
@@ -244,7 +245,7 @@ def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
     h, way = np.empty(7), np.empty((7, axes + 1))
     at, share = np.empty(5, dtype=np.int64), np.empty(5)
     bezier = np.empty((5, axes + 1))
-    kept = np.zeros((18, axes + 1))  # room for what is worked out: new arrays take longer
+    kept = np.zeros((18, axes + 1))  # work arrays, allocated once
     for k in range(first, stop):
         m = k - first
         for i in range(7):
@@ -282,9 +283,9 @@ def quartic_spans(positions, turn, length_m, nominal_s, first, stop):
 
 @njit()
 def _means(h, at, share):
-    """Write which of seven legs ``h`` the mean of four knots is on, and at what share of it.
+    """Write the leg, of seven legs ``h``, with the mean of four knots, and its share of that leg.
 
-    The knots are the first four, from the second on, and so on to the fifth on.
+    The four knots begin with the first knot, the second, and so on to the fifth.
     """
     for i in range(5):
         along = 0.25 * (3.0 * h[i] + 2.0 * h[i + 1] + h[i + 2])
@@ -302,11 +303,11 @@ def _means(h, at, share):
 def _blossom(h, way, at, share, bezier, place, e, f):
     """Write the (5, columns) Bezier points of the piece on the fourth leg, from its start.
 
-    ``way`` (7, columns) is what is gone on each leg; control point i is at ``share[i]`` of leg
-    ``at[i]``. ``place`` (8, columns) is of the knots, its fourth row 0.
+    ``way`` (7, columns) is the displacement on each leg; control point i is at ``share[i]`` of leg
+    ``at[i]``. ``place`` (8, columns) are the knots, its fourth row 0.
     """
     columns = way.shape[1]
-    before, beyond = np.zeros(4), np.zeros(8)  # how far knots are from the ends of the piece
+    before, beyond = np.zeros(4), np.zeros(8)  # distances of knots from the ends of the piece
     for i in range(3):
         before[2 - i] = before[3 - i] + h[2 - i]
         beyond[5 + i] = beyond[4 + i] + h[4 + i]
@@ -317,11 +318,11 @@ def _blossom(h, way, at, share, bezier, place, e, f):
             place[i + 1, j] = place[i, j] + way[i, j]
         for i in range(5):
             e[i, j] = place[at[i], j] + share[i] * way[at[i], j]
-    for level in range(5):  # e: with the start of the piece as argument so many times
+    for level in range(5):  # e: number of arguments at the start of the piece
         for i in range(level, 5):
             for j in range(columns):
                 f[i, j] = e[i, j]
-        for deeper in range(level + 1, 5):  # f: and with its end for the others
+        for deeper in range(level + 1, 5):  # f: number of arguments at its end
             for i in range(4, deeper - 1, -1):
                 left, right = before[i - 1] + h[3], beyond[i + 4 - deeper]
                 first, last = right / (left + right), left / (left + right)

@@ -1,4 +1,4 @@
-"""Numbers that a planner reports of its path, computed when they are first read."""
+"""Plan a path by the name of its interpolation, and the figures that planners report of it."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class LazySummary(Mapping[str, float]):
     Parameters
     ----------
     work
-        Function of a module, not nested in another, so that a summary can be pickled as a
-        ``Stream`` can.
+        Function of a module, not nested in another, so that a summary can be pickled like a
+        ``Stream``.
     arguments, keywords
         Arguments with which it is called.
     """
@@ -75,15 +75,15 @@ def deviation_summary(programmed: ProgrammedPath, planned: PlannedPath) -> dict[
 
 
 PARABOLA_SHARE = 0.9
-_NEAR_SHARE = 0.01  # share of the tolerance: ``optimal`` leaves out vertices nearer to the last
+_NEAR_SHARE = 0.01  # share of the tolerance: ``optimal`` leaves out vertices closer together
 _ROUNDING = 1e-9
 CHORDS = "chords"
-"""The programmed chords as they stand; no interpolation of its own."""
+"""The programmed chords unchanged; not an interpolation of its own."""
 BY_LAW = "law:"
-"""Begins the name of the interpolations that follow each chord by a motion law."""
+"""Prefix of the interpolations that follow each chord by a motion law."""
 OPTIMAL = "optimal"
 FIRMWARE = "firmware"
-"""The chords as the machine's own firmware times them."""
+"""The chords with the timing of the machine's own firmware."""
 KEEPING_TOLERANCE = ("auto", OPTIMAL, "parabolic")
 """Interpolations that stay within the tolerance everywhere; the others report their deviation."""
 
@@ -106,12 +106,12 @@ def plan_path(
     tolerance_m: float = DEFAULT_TOLERANCE_M,
     pull: Pull = "repeat",
 ) -> PlannedPath:
-    """Return the path that will be followed.
+    """Return the path to follow.
 
     Parameters
     ----------
     programmed, machine
-        What the job says, and the machine that does it.
+        The programmed path of the job, and its machine.
     interpolation
         One of ``interpolation_names()``.
     tolerance_m
@@ -125,7 +125,7 @@ def plan_path(
     Raises
     ------
     OptionError
-        If the interpolation or the way to pull is unknown, or the tolerance not greater than 0.
+        If the interpolation or the way to pull is unknown, or the tolerance is not positive.
     PlanError
         If the job cannot be done (see ``programmed_path``).
     """
@@ -160,7 +160,7 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
     Parameters
     ----------
     interpolation
-        Name that the path is given.
+        Name of the path.
     """
     return PlannedPath(
         axes=programmed.axes,
@@ -173,12 +173,12 @@ def chord_path(programmed: ProgrammedPath, interpolation: str = CHORDS) -> Plann
 
 
 def on_chords(interpolation: str) -> bool:
-    """Return whether the interpolation of that name follows the programmed chords themselves."""
+    """Return whether an interpolation follows the programmed chords themselves."""
     return interpolation == CHORDS or interpolation.startswith(BY_LAW)
 
 
 def interpolation_names() -> tuple[str, ...]:
-    """Return the names that ``plan_path`` knows."""
+    """Return the names that ``plan_path`` accepts."""
     return tuple(_PLANNERS)
 
 
@@ -257,7 +257,7 @@ def _auto(programmed: ProgrammedPath, machine: Machine, options: PathOptions) ->
 
 
 def _optimal(programmed: ProgrammedPath, machine: Machine, options: PathOptions) -> PlannedPath:
-    # Jerk is limited by the timing, so the shape has the whole tolerance, less the distance of the
+    # The timing limits the jerk, so the shape may use the whole tolerance, less the distance of
     # vertices that are left out: moves of a nanometre cannot be timed.
     del machine
     near_m = _NEAR_SHARE * options.tolerance_m
@@ -296,7 +296,7 @@ def _parabolic(programmed: ProgrammedPath, machine: Machine, options: PathOption
     smoothing = smoothing_for(machine, programmed.axes)
     share = smoothing_share(smoothing, machine, programmed.axes, options.tolerance_m)
     # Unlike a spline, a parabola uses all of its share and leaves nothing for the smoothing's outer
-    # ends, which by trial need a tenth of it at reversals.
+    # ends, which by experiment need a tenth of it at reversals.
     smoothing_m = PARABOLA_SHARE * share * options.tolerance_m
     cut_m = (1.0 - share) * options.tolerance_m
     path = PlannedPath(

@@ -1,10 +1,9 @@
 """The polygon of a spline that stays within a tolerance of programmed vertices.
 
 Where the program turns so little that the spline cuts a vertex by less than the tolerance, the
-vertices alone are its points. Elsewhere points are added on the chords on either side of the
-vertex, the nearer to it the smaller the tolerance: one on each for a cubic, whose control points
-they are, up to two for a quartic, whose knots they are. All lengths are measured at the tool, with
-rotary axes at their radius.
+vertices alone are the polygon's points. Elsewhere points are added on the chords on either side of
+the vertex; the smaller the tolerance, the nearer. A cubic gets one control point on each chord, a
+quartic up to two knots. All lengths are measured at the tool, with rotary axes at their radius.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -22,13 +21,13 @@ from threadline.motion.path.runs import Vertices
 from threadline.motion.path.types import PieceBlock
 
 STRAIGHT = 1e-9  # rad: a smaller turn is a rounding of the job's numbers
-LEAST_SPACING_M = 1e-7  # a corner that would need points nearer than this is met at rest
+LEAST_SPACING_M = 1e-7  # a corner that would need closer points is met at rest
 # With neighbours at h1 and h2 a vertex is cut by at most |dt| max(h1, h2) / 4, whatever the
 # spacing beyond them; with even spacing l on both sides by |dt| l / 6.
 ANY_CUT = 1.0 / 4.0
 EVEN_CUT = 1.0 / 6.0
-EXTRA = 1.75  # share of the spacing: room for another point before a vertex without points
-MOST_POINTS = 5  # most points of a chord, the vertex at its end included
+EXTRA = 1.75  # of the spacing: room needed for another point before a vertex without points
+MOST_POINTS = 5  # most points of a chord, including the vertex at its end
 CUBIC, QUARTIC = 3, 4
 """Degrees of a spline: with continuous second derivative, or third."""
 
@@ -84,9 +83,9 @@ def turns(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the (n - 1,) lengths of the chords and the (n,) turns at the vertices.
 
-    The turn of the first and the last vertex is 0. It says how far a curve of given length leaves
-    the vertex, so that a turn of a mandrel counts at its largest radius on the chords beside the
-    vertex; lengths count at the largest of all.
+    The turn of the first and the last vertex is 0. The turn tells how far a curve of given length
+    misses the vertex, so for a mandrel it counts at the largest radius on the neighbouring chords;
+    lengths count at the largest radius of all.
     """
     shares = np.ones((0, len(radius_m)))
     if local is not None:
@@ -98,7 +97,7 @@ def turns(
 
 @njit()
 def _turns(positions, radius_m, shares):
-    """Return lengths and turns; ``shares`` are those of the vertices in between, or none."""
+    """Return lengths and turns; ``shares`` belong to the vertices in between, or are empty."""
     count, axes = positions.shape
     length, turn = np.empty(max(count - 1, 0)), np.zeros(count)
     tangent = np.zeros((2, axes))
@@ -125,11 +124,11 @@ def _turns(positions, radius_m, shares):
 
 @njit()
 def corner_spacing(length_m, turn, cut_m, beside_m, spacing):
-    """Write the (n,) distances of the points to be added beside each vertex, 0 for none.
+    """Write the (n,) distances of the points to add beside each vertex, 0 for none.
 
-    ``cut_m``, less what the program is beside the chord into a vertex (``beside_m``) and the next
-    one, is the largest distance at the tool between the spline and the vertex, and between the
-    spline and the chords. The points stand at most half way to the next vertex.
+    ``cut_m`` is the largest distance at the tool between the spline and the vertex or the chords,
+    including the program's deviation (``beside_m``) from the chord into a vertex and the next one.
+    The points are at most half way to the next vertex.
     """
     count = len(turn)
     for v in range(count):
@@ -160,10 +159,10 @@ def control_polygon(
     Parameters
     ----------
     vertices
-        n vertices of one run, among them one on either side of the chords, four for a quartic,
+        n vertices of one run, including one on either side of the chords (four for a quartic)
         unless the run ends there.
     length_m, turn
-        (n - 1,) lengths and (n,) turns of ``turns``.
+        (n - 1,) lengths and (n,) turns from ``turns``.
     cut_m
         Largest distance of the spline from the program, at the tool.
     begins, ends
@@ -203,7 +202,7 @@ def _points(
     count = 0
     for c in range(first, stop):
         if not quartic and spacing[1, c] == 0.0 and spacing[0, c + 1] == 0.0:
-            count += 1  # most are: told without a call
+            count += 1  # the usual case, without a call
         else:
             count += _on_chord(length_m, turn, spacing, c, quartic, begins, ends, share)
     out = np.empty((count, axes))
@@ -224,7 +223,7 @@ def _points(
             own[n], row[n], added[n] = operation[c + 1], line[c + 1], 1
             before = at
             n += 1
-        # The end is written out so that a vertex is met bit for bit.
+        # The end is copied so that a vertex is met bit for bit.
         for j in range(axes):
             out[n, j] = positions[c + 1, j]
         gone[n], time_s[n] = (1.0 - before) * length_m[c], (1.0 - before) * nominal_s[c + 1]
@@ -235,7 +234,7 @@ def _points(
 
 @njit()
 def _on_chord(length, turn, spacing, c, quartic, begins, ends, share):
-    """Write the places (0 to 1) of the points on a chord, its end the last; count them."""
+    """Write the places (0 to 1) of the points on a chord, its end included; return their number."""
     near, far = spacing[1, c] / length[c], spacing[0, c + 1] / length[c]
     if quartic:
         opens, closes = begins and c == 0, ends and c == len(length) - 1
@@ -266,7 +265,7 @@ def _on_chord(length, turn, spacing, c, quartic, begins, ends, share):
 
 
 _EVEN = 0.02
-"""A piece is divided where its time per unit of u, by the feed, varies by more than this share."""
+"""A piece is divided if its time per unit of u, by the feed, varies by more than this share."""
 _MOST_PARTS = 16
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -285,7 +284,7 @@ def pieces_of(
     Parameters
     ----------
     controls
-        Points, with at least two before ``first`` and two after ``stop``, three for a quartic,
+        Points, with at least two before ``first`` and two after ``stop`` (three for a quartic)
         unless the run begins at the first or ends at the last.
     ends, dwell_s
         Whether the run ends at ``stop``, and the pause there.
@@ -311,7 +310,7 @@ def pieces_of(
     if ends:
         rest[-1], pause[-1] = 1, dwell_s
     for fresh in (coefficients, nominal_s, rest, pause):
-        fresh.flags.writeable = False  # so the block need not copy what nobody else holds
+        fresh.flags.writeable = False  # the block need not copy an array without other users
     return PieceBlock(
         coefficients=coefficients,
         operation=operation,
@@ -333,13 +332,14 @@ def _spans(positions, turn, length_m, nominal_s, first, stop):
 
     Notes
     -----
-    Boehm's construction: leg k, from point k to k + 1 of length h[k], carries the two inner
-    Bezier points of its span at the fractions h[k-1] / H and (h[k-1] + h[k]) / H,
-    H = h[k-1] + h[k] + h[k+1]; the joint at point k divides the last of leg k - 1 and the first
-    of leg k as h[k-1] : h[k]. A leg between two points where the polygon does not turn is a line.
-    The spline beside a line ends in their common point as at the end of a run: its polygon is
-    mirrored there, so that it leaves straight, without curvature and evenly, whatever the length
-    of the line. The time at the feed is a spline over the same knots as the path.
+    Boehm's construction: leg k, from point k to k + 1 with length h[k], has the two inner Bezier
+    points of its span at the fractions h[k-1] / H and (h[k-1] + h[k]) / H,
+    H = h[k-1] + h[k] + h[k+1]; the joint at point k divides the distance from the last Bezier point
+    of leg k - 1 to the first of leg k as h[k-1] : h[k]. A leg between two points where the polygon
+    does not turn is a line. The spline beside a line ends in their common point as at the end of a
+    run: its polygon is mirrored there, so that it leaves straight, without curvature and evenly,
+    whatever the length of the line. The time at the feed is a spline over the same knots as the
+    path.
     """
     legs, axes = len(positions) - 1, positions.shape[1]
     line = np.empty(legs, dtype=np.bool_)
@@ -393,7 +393,7 @@ def _spans(positions, turn, length_m, nominal_s, first, stop):
 
 @njit()
 def _parts(pace, straight):
-    """Return into how many parts each of m pieces is divided so that its pace is even in each.
+    """Return the number of parts into which to divide each of m pieces for an even pace.
 
     A piece has a single nominal time. At the slowest of its paces (m, degree) it would take up to
     half as long again as programmed, and the needle of a stitcher would wait for the head.
@@ -401,7 +401,7 @@ def _parts(pace, straight):
     out = np.ones(len(pace), dtype=np.int64)
     for i in range(len(pace)):
         total, least, most = 0.0, np.inf, -np.inf
-        for k in range(pace.shape[1]):  # of a row, sum() and max() would make an array each
+        for k in range(pace.shape[1]):  # sum() and max() of a row would allocate an array
             total += pace[i, k]
             least, most = min(least, pace[i, k]), max(most, pace[i, k])
         uneven = (most - least) / max(total / pace.shape[1], _TINY)
@@ -412,7 +412,7 @@ def _parts(pace, straight):
 
 @njit()
 def _count(parts, straight, operation):
-    """Return the number of pieces: parts, and straight spans of one move as one of them."""
+    """Return the number of pieces, with adjacent straight spans of one move joined."""
     count = 0
     for i in range(len(parts)):
         count += parts[i]
@@ -423,7 +423,7 @@ def _count(parts, straight, operation):
 
 @njit()
 def _nominal(pace, straight, passed_s):
-    """Return the (m,) times of whole pieces: at the slowest pace of those that are curved."""
+    """Return the (m,) times of whole pieces: at the slowest pace for curved ones."""
     out = np.empty(len(pace))
     for i in range(len(pace)):
         most = -np.inf
@@ -457,7 +457,7 @@ def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, l
             continue
         own[n : n + parts[i]], row[n : n + parts[i]] = operation[i], line[i]
         if parts[i] == 1:
-            for power in range(order):  # an assignment of the whole takes seconds to compile
+            for power in range(order):  # assigning the whole array takes seconds to compile
                 for j in range(axes):
                     out[n, power, j] = coefficients[i, power, j]
             time_s[n] = nominal_s[i]
@@ -469,7 +469,7 @@ def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, l
             for j in range(axes):
                 for power in range(order):
                     out[n, power, j] = coefficients[i, power, j]
-                # Horner's scheme in both directions is the shift of a polynomial.
+                # Horner's scheme in both directions shifts a polynomial.
                 for low in range(order - 1):
                     for power in range(order - 2, low - 1, -1):
                         out[n, power, j] += u * out[n, power + 1, j]
@@ -477,7 +477,7 @@ def _cut_and_joined(coefficients, pace, nominal_s, straight, parts, operation, l
                 for power in range(1, order):
                     width *= h
                     out[n, power, j] *= width
-            # The largest Bezier value of the part's time per u, so that no place is above its feed.
+            # The largest Bezier value of the part's time per u keeps every point within its feed.
             most = 0.0
             for later in range(order - 1):
                 for k in range(order - 1):

@@ -25,20 +25,20 @@ def programmed_path(
 ) -> ProgrammedPath:
     """Return the programmed path of ``job``, a stream of vertices on the axes of the job.
 
-    The motion rests where something other than a move follows: a dwell, an output, a wait, a stop,
-    a tool event, the end.
+    The motion rests before anything that is not a move: a dwell, an output, a wait, a stop, a tool
+    event, the end.
 
     Parameters
     ----------
     job, machine
-        The job, and the machine that does it.
+        The job, and its machine.
     feed
-        Feed of every move but the rapid ones. When None, each move has its programmed feed, but
-        none faster than the operator's normal feed if the machine file has one;
-        ``VertexBlock.slowed`` counts the moves that were slowed to it.
+        Feed of every move except rapid ones. None: each move has its programmed feed, limited to
+        the operator's normal feed if the machine file has one; ``VertexBlock.slowed`` counts the
+        moves slowed by that limit.
     at_limits
-        Whether times are what a timing by limits may go down to (``Feed.most``): a needle that
-        follows the head then turns as fast as that.
+        Whether times are the shortest that a timing by limits may use (``Feed.most``): a needle
+        that follows the head then turns at its fastest.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def programmed_path(
 class _Pending:
     """Vertices that are not yet in a block; the last may still get a rest.
 
-    ``rests`` holds the pause at each vertex of rest, by its place; ``feeds`` the feed from a
+    ``rests`` holds the pause at each vertex with a rest, by its index; ``feeds`` the feed from a
     vertex on, with the line of its first move (None for the start).
     """
 
@@ -83,7 +83,7 @@ class _Pending:
     count: int = 1
 
     def add(self, run: MoveRun, operation: int) -> None:
-        """Append a run of moves, of which the first is number ``operation``."""
+        """Append a run of moves, the first of them with number ``operation``."""
         self.file = run.file
         for begin, feed in run.feeds:
             if feed is not self.feeds[-1][1]:
@@ -98,7 +98,7 @@ class _Pending:
         self.rests[self.count - 1] = self.rests.get(self.count - 1, 0.0) + dwell_s
 
     def after(self, size: int) -> _Pending:
-        """Return the vertices after the first ``size``, which are in a block."""
+        """Return the vertices after the first ``size``, which are in a block already."""
         return _Pending(
             [np.concatenate(self.targets)[size:]],
             [np.concatenate(self.line)[size:]],
@@ -137,7 +137,7 @@ def _blocks(
 
 
 def _at_limits(feeds: Sequence[tuple[int, Feed | None]]) -> tuple[tuple[int, Feed | None], ...]:
-    """Return feeds of a run of moves as those of a timing by limits, equal ones in one."""
+    """Return the fastest permitted feeds for a timing by limits, equal ones merged."""
     found: list[tuple[int, Feed | None]] = []
     for begin, feed in feeds:
         own = None if feed is None else feed.at_limits

@@ -12,9 +12,9 @@ from threadline.base.compiled import njit
 from threadline.motion.path.types import ProgrammedPath, VertexBlock
 
 COINCIDENT_M = 1e-10
-"""A vertex nearer than this at the tool to the one before is left out: atoms are as far apart."""
+"""A vertex nearer than this at the tool to its predecessor is left out: the size of atoms."""
 ROUNDING = 1e-14
-"""Or nearer than this share of where it is: of so short a way hardly a digit is left."""
+"""Or nearer than this share of its coordinates: such a short distance has hardly a valid digit."""
 _LEAST = 2  # vertices of a run
 AT_A_TIME = 8192  # vertices; their control points and pieces stay in a cache
 _NOTHING = np.zeros(AT_A_TIME)
@@ -22,11 +22,11 @@ _NOTHING = np.zeros(AT_A_TIME)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vertices:
-    """Vertices without repetitions; row i of a column is of vertex i or of the move into it.
+    """Vertices without repetitions; row i of a column belongs to vertex i or the move into it.
 
     ``positions`` are (n, axes) in m or rad; ``nominal_s``, ``operation`` and ``line`` are (n,), as
-    in ``VertexBlock``; ``beside_m`` is how far what was left out of the program is from the move.
-    All are read-only, so that what reads them is compiled for one kind of array.
+    in ``VertexBlock``; ``beside_m`` is the largest distance of left-out vertices from the move. All
+    are read-only, so that their readers are compiled for one kind of array.
     """
 
     positions: FloatArray
@@ -73,19 +73,18 @@ def join_vertices(first: Vertices | None, *others: Vertices) -> Vertices:
 
 @njit()
 def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-untyped-def]
-    """Return which of (n, axes) places are kept; ``before`` is the place before them.
+    """Return which of (n, axes) positions are kept; ``before`` is the position before them.
 
-    A place is kept if it is farther than ``near_m`` from the last place that was kept. One where
-    the motion rests, by ``rest`` (n,), is kept unless it is that place: the motion rests where the
-    program says. What is less than the rounding of a place is no way. If the path ``begins`` here,
-    the first is kept.
+    A position is kept if it is farther than ``near_m`` from the last kept one. A rest, by ``rest``
+    (n,), is kept unless it equals that one: the motion rests where the program says. Distances
+    below the rounding of a position count as 0. If the path ``begins`` here, the first is kept.
 
     Returns
     -------
     every, rests
         Whether all are kept, and whether the motion rests at any of them.
     away
-        (n,) which are kept; without rows where all are.
+        (n,) which are kept; without rows if all are.
     """
     rests = 0
     for k in range(len(rest)):
@@ -93,27 +92,28 @@ def _away(places, before, begins, radius_m, rest, near_m):  # type: ignore[no-un
     if _all_away(places, before, begins, radius_m, near_m):
         return True, rests > 0, np.zeros(0, dtype=np.bool_)
     away = np.zeros(len(places), dtype=np.bool_)
-    last = -1
+    kept, last = 0, -1
     if begins:
         away[0] = True
-        last = 0
+        kept, last = 1, 0
     for k in range(last + 1, len(places)):
         least_m = COINCIDENT_M if rest[k] > 0 else near_m
-        for axis in range(places.shape[1]):  # a difference of rows would be a new array for each
+        for axis in range(places.shape[1]):  # a difference of rows would allocate an array
             here_m = places[k, axis] * radius_m[axis]
             there_m = (places[last, axis] if last >= 0 else before[axis]) * radius_m[axis]
             if abs(here_m - there_m) > max(least_m, ROUNDING * abs(here_m)):
                 away[k] = True
+                kept += 1
                 last = k
                 break
-    return away.all(), rests > 0, away
+    return kept == len(away), rests > 0, away
 
 
 @njit()
 def _all_away(places, before, begins, radius_m, near_m):  # type: ignore[no-untyped-def]
-    """Return whether each place is kept by its way from the one before it; most often it is.
+    """Return whether each position is kept by its distance from its predecessor; usually it is.
 
-    This needs no account of the last place that was kept, and takes half the time.
+    This does not track the last kept position, and takes half the time.
     """
     near_m = max(near_m, COINCIDENT_M)
     for k in range(1 if begins else 0, len(places)):
@@ -142,35 +142,35 @@ class Chunk:
 
     @property
     def vertices(self) -> Vertices:
-        """All of them; who joins them to others spares a copy by taking the parts."""
+        """All of them; use the parts directly to avoid a copy."""
         return join_vertices(*self.parts)
 
 
 def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[Chunk]:
     """Yield every run in chunks; the last vertex of a run is where the next run begins.
 
-    Moves of no length are left out; a rest or a pause after such a move belongs to the vertex at
-    which it happens. The start is a run of one vertex.
+    Moves of zero length are left out; a rest or a pause after such a move belongs to its vertex.
+    The start is a run of one vertex.
 
     Parameters
     ----------
     near_m
-        Vertices no farther than this from the last one that was kept are left out, but for those
-        at which the motion rests; there the last one that was kept gives way, so that no curve
-        ends in so short a chord. Its move is then the last one of the run, and ends at the rest.
+        Vertices within this distance of the last kept one are left out, except rests. At a rest the
+        last kept vertex gives way, so that no curve ends in such a short chord; its move is then
+        the last one of the run, and ends at the rest.
         Distances are the largest difference of an axis, at the tool.
     """
     radius = programmed.radius_m
     last: Vertices | None = None
-    held: Vertices | None = None  # of the run under way, the last that is in no chunk yet
-    begun = 0  # vertices of the run that were yielded, with the one at which it begins
+    held: Vertices | None = None  # last vertices of the current run that are in no chunk yet
+    begun = 0  # yielded vertices of the run, including its first
     for own, rest, dwell_s in _bites(programmed):
         before = own.positions[:1] if last is None else last.positions
         every, rests, new = _away(own.positions, before[0], last is None, radius, rest, near_m)
         distinct = own if every else own.take(np.flatnonzero(new))
         first = 0
         if rests:
-            # Which distinct vertex each row stands at; -1 is the last one of the rows before.
+            # Index of the distinct vertex of each row; -1 is the last one of the earlier rows.
             at = np.arange(len(own)) if every else np.cumsum(new) - 1
             stops = np.flatnonzero(rest)
             for vertex in np.unique(at[stops]):
@@ -195,7 +195,7 @@ def runs(programmed: ProgrammedPath, near_m: float = COINCIDENT_M) -> Iterator[C
 
 
 def _without_near_end(part: Vertices, radius_m: FloatArray, near_m: float) -> Vertices:
-    """Return the last vertices of a run without the one before the last, where that is near it."""
+    """Return the last vertices of a run; if the last but one is near the end, without it."""
     if len(part) < _LEAST:
         return part
     way_m = np.abs((part.positions[-1] - part.positions[-2]) * radius_m).max()
@@ -221,11 +221,11 @@ def _bites(programmed: ProgrammedPath) -> Iterator[tuple[Vertices, IntArray, Flo
             yield own, block.rest[rows], block.dwell_s[rows]
 
 
-_BACK = -0.85  # cosine of a corner (148 degrees) at which the motion rests: speed has a kink there
+_BACK = -0.85  # cosine of a corner (148 degrees) at which the motion rests: the speed kinks there
 
 
 def reversals(places: FloatArray) -> IntArray:
-    """Return (n,) 1 for each of (n, axes) places at which the path turns back, else 0."""
+    """Return (n,) 1 for each of (n, axes) positions at which the path turns back, else 0."""
     way = np.diff(places, axis=0)
     size = np.linalg.norm(way, axis=1)
     out = np.zeros(len(places), dtype=np.int64)
@@ -240,10 +240,10 @@ def resting_at_reversals(programmed: ProgrammedPath) -> Iterator[VertexBlock]:
     """Yield the vertices of ``programmed``, with a rest wherever the path turns back."""
     radius_m = programmed.radius_m
     held: VertexBlock | None = None
-    before = np.zeros((0, len(radius_m)))  # the vertex before those in hand, from where one came
+    before = np.zeros((0, len(radius_m)))  # the vertex before the buffered ones
     for block in programmed:
         if held is not None and (block.positions == held.positions[-1]).all():
-            held = _joined(held, block)  # nothing moves: what comes tells whether it turns back
+            held = _joined(held, block)  # nothing moves: the next vertices decide
             continue
         if held is not None:
             yield _rested(held, before, block.positions, radius_m)
@@ -262,7 +262,7 @@ def _rested(
 
 
 def _came_from(places: FloatArray) -> FloatArray:
-    """Return the last two of (n, axes) places that differ, or all there are."""
+    """Return the last two of (n, axes) positions that differ, or all if there are fewer."""
     moved = np.flatnonzero((places != places[-1]).any(axis=1))
     return places[-1:] if not len(moved) else places[[moved[-1], -1]]
 

@@ -2,8 +2,8 @@
 
 Each axis passes a point at the smaller of the mean velocities before and after it, and at 0 where
 it turns back. So each piece is monotone and its end velocities are 0 to 1 times its mean velocity.
-The time of every piece, on which the mean velocities depend, is that of ``polynomial_time_s``. A
-quintic passes the points without acceleration.
+The time of every piece, and so its mean velocity, comes from ``polynomial_time_s``. A quintic
+passes the points without acceleration.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def chords(programmed: ProgrammedPath) -> Iterator[PieceBlock]:
 def linear_pieces(programmed: ProgrammedPath, machine: Machine) -> Iterator[PieceBlock]:
     """Yield one straight piece per move, at constant velocity, all axes arriving together.
 
-    The travel time is of whole ticks (``whole_ticks_s``).
+    The travel time is rounded up to whole ticks (``whole_ticks_s``).
     """
     tick_s = float(machine.tick_clock.period_s)
     limit = velocity_limit_of(programmed, machine)
@@ -71,7 +71,7 @@ def point_to_point_pieces(programmed: ProgrammedPath, machine: Machine) -> Itera
 
 
 def with_previous(programmed: ProgrammedPath) -> Iterator[tuple[VertexBlock, FloatArray]]:
-    """Yield every block with the (1, axes) position before it, which for the first is the start."""
+    """Yield every block with the (1, axes) position before it; for the first, the start."""
     previous: FloatArray | None = None
     for block in programmed:
         yield block, block.positions[:1] if previous is None else previous
@@ -129,7 +129,7 @@ def polynomial_pieces(
 
 
 def _between(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the smaller of two velocities of one sign, else 0."""
+    """Return the smaller of two velocities with the same sign, else 0."""
     smaller = np.minimum(np.abs(before), np.abs(after))
     return np.asarray(np.where(before * after > 0, np.sign(after) * smaller, 0.0))
 
@@ -183,7 +183,7 @@ CUT = 4.0  # a parabola over the length l on either side cuts the corner by turn
 
 
 def blended_pieces(programmed: ProgrammedPath, cut_m: float) -> Iterator[PieceBlock]:
-    """Yield lines and, at every vertex in motion, a parabola that cuts it by ``cut_m`` at most.
+    """Yield lines and, at every vertex in motion, a parabola that cuts it by at most ``cut_m``.
 
     This is the linear path with parabolic blends of the textbooks (Craig, "Introduction to
     Robotics", trajectory generation): a parabola traversed evenly in its parameter is a motion of

@@ -1,10 +1,9 @@
-"""Fewer vertices where a program is rough: one chord for many that lie beside it.
+"""Fewer vertices where a program is rough: one chord replaces many legs that lie beside it.
 
-Points that were measured, or rounded by the program that wrote them, stand a little beside the
-curve that is meant. A path that follows each of them turns at every one. Here one chord takes the
-place of all legs whose vertices lie within a share of the tolerance of it, in order; its ends need
-not be vertices. Where the program is smooth, and at corners that the tolerance rounds on the legs
-beside them, the vertices stay as they are, bit for bit.
+Measured points, and points rounded by a CAM program, scatter about the intended curve. A path that
+follows each of them turns at every one. Here one chord replaces all legs whose vertices lie within
+a share of the tolerance of it, in order; its ends need not be vertices. Where the program is
+smooth, and at corners that the tolerance rounds, the vertices stay unchanged, bit for bit.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -34,16 +33,16 @@ from threadline.motion.path.chords import (
 from threadline.motion.path.runs import Chunk, Vertices, join_vertices, runs
 from threadline.motion.path.types import ProgrammedPath
 
-WINDOW = 28  # legs, on which is decided how the program is
-VALID = 40  # legs, for which it is then taken to be so
-LONGEST = 320  # legs, for which it is: twice as many each time that it is found rough again
+WINDOW = 28  # legs over which the roughness is tested
+VALID = 40  # legs for which the result then holds
+LONGEST = 320  # largest such number: it doubles each time the program is found rough again
 BEGIN = (0, SMOOTH, VALID, 0, np.inf, 0)
 
-ENOUGH = 1024  # vertices of a chunk behind chords: for fewer, a call takes longer than its work
+ENOUGH = 1024  # vertices of a chunk after chords: for fewer, a call costs more than its work
 
 
 def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Iterator[Chunk]:
-    """Yield what ``runs`` does, with chords in place of legs where the program is rough."""
+    """Yield the same as ``runs``, with chords in place of legs where the program is rough."""
     thinner = Thinner(programmed.radius_m, cut_m)
     held: list[Vertices] = []
     for chunk in runs(programmed, near_m):
@@ -58,34 +57,33 @@ def thinned_runs(programmed: ProgrammedPath, near_m: float, cut_m: float) -> Ite
 
 @dataclass(slots=True)
 class Thinner:
-    """Vertices of a path, chunk after chunk, with chords in place of legs where it is rough.
+    """Replaces legs by chords where a path is rough, chunk after chunk.
 
     Parameters
     ----------
     radius_m
         (axes,) radii of the axes.
     cut_m
-        The tolerance that is shared with the spline, at the tool. ``Vertices.beside_m`` says what
-        is used of it.
+        The tolerance shared with the spline, at the tool. ``Vertices.beside_m`` is the used part.
 
     Notes
     -----
-    Each vertex that is left out has a place on the chord, no farther away than ``beside_m``, and
-    the places are in the order of the vertices. Between two vertices the distance of both paths is
-    convex. So ``beside_m`` is a bound of the Frechet distance of leg and program.
+    Each left-out vertex is matched to a point on the chord, at a distance of at most ``beside_m``,
+    and the points are in the order of the vertices. Between two vertices the distance of both paths
+    is convex. So ``beside_m`` bounds the Frechet distance of leg and program.
     """
 
     radius_m: FloatArray
     cut_m: float
-    held: Vertices | None = None  # from one before the next chord's start on
+    held: Vertices | None = None  # from one vertex before the next chord's start on
     start: int = 0  # row of ``held`` where the next chord begins
-    place: FloatArray = field(default_factory=lambda: np.zeros(0))  # (axes,) m, where it does
+    place: FloatArray = field(default_factory=lambda: np.zeros(0))  # (axes,) m, its start
     known: tuple[int, int, int, int, float, int] = BEGIN
-    """Up to which row it is known how the program is, how it is, and for how many legs that was
-    taken to be so; share and length of the last chord, and how many legs the next may have."""
+    """Row up to which the roughness is known, the roughness, and the legs for which it holds; share
+    and length of the last chord, and number of legs to try for the next one."""
 
     def thinned(self, chunk: Chunk) -> Chunk:
-        """Return the vertices that no later one can change."""
+        """Return the vertices that no later vertex can change."""
         begun = self.held is not None
         held = self.held = join_vertices(self.held, *chunk.parts)
         if not len(held):
@@ -136,22 +134,22 @@ def _thin(
     positions, nominal_s, radius_m, cut_m, shares, ends, start, place,
     until, rough, valid, level, before_m, guess,
 ):  # fmt: skip
-    """Return the ends of the chords from row ``start`` on, and where the next one begins.
+    """Return the ends of the chords from row ``start`` on, and the start of the next one.
 
     Returns
     -------
     out, beside, time_s, row
-        (n, axes) and (n,) ends, distances of what is left out, times, and rows of the vertices.
+        (n, axes) and (n,) ends, deviations of left-out vertices, times, and rows of the vertices.
     start, place, known
-        Row and place of the last end, and what is known of the rows behind it and of the last
-        chord, as in ``Thinner``.
+        Row and position of the last end; state of roughness and of the last chord, as in
+        ``Thinner``.
     """
     count, axes = positions.shape
     out, beside = np.empty((count, axes)), np.empty(count)
     time_s, row = np.empty(count), np.empty(count, dtype=np.int64)
     kept = legs_kept(positions, radius_m, cut_m)
     here, d, middle = place.copy(), np.empty(axes), np.empty(axes)
-    # Of what is behind the last two rows nothing is known before more vertices come.
+    # The roughness at the last two rows is unknown before more vertices come.
     last = count - 1 if ends else count - 2
     n, next_kept = 0, start
     while start < last:
@@ -162,7 +160,7 @@ def _thin(
             valid = min(2 * valid, LONGEST) if found == ROUGH and rough == ROUGH else VALID
             rough = found
             until = start + (valid if rough != SMOOTH else WINDOW)
-        # Back from where a chord ended to the next vertex would be a turn where none is meant.
+        # Going back from a chord's end to the next vertex would add an unintended turn.
         aside = from_vertex(positions, radius_m, here, start) > 0.0
         limit = start + 1
         if (aside or rough != SMOOTH) and not len(kept):
@@ -172,7 +170,7 @@ def _thin(
             while next_kept < min(last, start + AHEAD) and not kept[next_kept]:
                 next_kept += 1
             limit = next_kept
-        if limit - start < LEAST:  # told here: a call with so many arrays takes longer than this
+        if limit - start < LEAST:  # tested here: a call with so many arrays costs more
             k, met, strayed, guess = (
                 start + 1,
                 True,
@@ -189,7 +187,7 @@ def _thin(
         if k < 0:
             break  # where it ends is not known yet
         if k == start + 1 and rough == UNEVEN:
-            rough, until = SMOOTH, start + WINDOW  # the tube of a chord is too short for its gain
+            rough, until = SMOOTH, start + WINDOW  # the chord is too short to gain time
         before_m = np.sqrt(squared_of(d))
         for j in range(axes):
             if met:  # a vertex is met bit for bit
@@ -203,6 +201,6 @@ def _thin(
         n += 1
         start = k
     known = (until, rough, valid, level, before_m, guess)
-    # Of these arrays there is much more than is used of them.
+    # These arrays are longer than their used part.
     own = out[:n].copy(), beside[:n].copy(), time_s[:n].copy(), row[:n].copy()
     return *own, start, here, known

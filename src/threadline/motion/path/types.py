@@ -12,17 +12,17 @@ from threadline.machine.mandrel import LocalRadii
 
 
 class Timing(StrEnum):
-    """How a planned path is timed."""
+    """How a planned path gets its timing."""
 
     TIME = "time"  # a piece lasts nominal_s, and its parameter is proportional to time
-    GEOMETRIC = "geometric"  # the path is a shape alone; the trajectory finds the timing
-    FASTEST = "fastest"  # a shape alone; the timing is the fastest within all limits
-    FIRMWARE = "firmware"  # a shape alone; the timing is that of the machine's own firmware
+    GEOMETRIC = "geometric"  # only a shape; the trajectory finds the timing
+    FASTEST = "fastest"  # only a shape; the timing is the fastest within all limits
+    FIRMWARE = "firmware"  # only a shape; the machine's own firmware sets the timing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class VertexBlock(Locked):
-    """Consecutive programmed vertices; row i of a column is of vertex i or of the chord into it.
+    """Consecutive programmed vertices; row i of a column belongs to vertex i or its chord.
 
     Parameters
     ----------
@@ -37,12 +37,11 @@ class VertexBlock(Locked):
         (n,) int 0/1: the motion comes to rest at this vertex, because a dwell, a stop, an output
         or the end follows.
     dwell_s
-        (n,) time spent at rest at the vertex before going on.
+        (n,) time spent at rest at the vertex.
     line
         (n,) int: line of the job file, 0 for the start.
     slowed
-        Number of these moves that were programmed faster than the operator's normal feed and were
-        slowed to it.
+        Number of these moves that were slowed to the operator's normal feed.
     """
 
     positions: FloatArray
@@ -72,7 +71,7 @@ class VertexBlock(Locked):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ProgrammedPath:
-    """The path as the job gives it: vertices joined by chords, the first one the start position.
+    """The path programmed by the job: vertices joined by chords, starting at the start position.
 
     Parameters
     ----------
@@ -85,7 +84,7 @@ class ProgrammedPath:
         Re-iterable blocks of vertices. A path holds motion only; outputs and waits stay in the job
         and are found by the index of their operation.
     local
-        By how much less the radii are from place to place, of a mandrel with a profile.
+        Reduction of the radii from place to place, for a mandrel with a profile.
     """
 
     axes: tuple[str, ...]
@@ -109,8 +108,8 @@ class PieceBlock(Locked):
     operation
         (n,) int: operation of the job that the piece belongs to.
     nominal_s
-        (n,) time at the programmed feed, the least that a geometric piece may take; 0 where nothing
-        but the limits of the axes bounds it.
+        (n,) time at the programmed feed, the least that a geometric piece may take; 0 if only the
+        limits of the axes bound it.
     rest_after
         (n,) int 0/1: the motion is at rest at the end of the piece.
     dwell_s
@@ -141,19 +140,19 @@ class PieceBlock(Locked):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlannedPath:
-    """The path that will be followed, made from the programmed path by an interpolation.
+    """The path to follow, made from the programmed path by an interpolation.
 
     Parameters
     ----------
     axes, radius_m
         As in ``ProgrammedPath``.
     interpolation
-        Name of the interpolation that made it.
+        Name of the interpolation.
     timing
-        How it is timed.
+        Kind of timing.
     historical
-        True for the interpolations of the 1994 controller and of firmware: the accelerations and
-        jerks that they ask for are reported, but not limited.
+        True for the interpolations of the 1994 controller and of firmware: their accelerations and
+        jerks are reported, but not limited.
     blocks
         Re-iterable blocks of pieces.
     summary

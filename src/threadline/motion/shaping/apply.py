@@ -1,11 +1,11 @@
 r"""Shapers on trajectories: the exact convolution of piecewise polynomials with impulses.
 
 With q(t) the planned position, held before its start and after its end, the shaped one is
-:math:`y(t) = \sum_k A_k\, q(t - t_k)`: again piecewise polynomial, with a breakpoint wherever one
-of the planned comes by, so nothing is sampled and the limits can be checked exactly.
+:math:`y(t) = \sum_k A_k\, q(t - t_k)`: again piecewise polynomial, with a breakpoint for each
+delayed planned one, so nothing is sampled and the limits can be checked exactly.
 
 For a positive train that sums to 1, y and each of its derivatives are weighted means of those of
-q. Travel, velocity, acceleration and jerk limits are intervals, and an interval holds every mean
+q. Travel, velocity, acceleration and jerk limits are intervals, and an interval contains every mean
 of its members, so a positive shaper breaks none. Switched and negative trains may; the limits
 are checked again in either case.
 """
@@ -28,10 +28,10 @@ from threadline.motion.timing import Trajectory, TrajectoryBlock, check_limits
 
 _UNIT_SUM = 1e-9
 _PIECES = 2048
-"""Shaped pieces that are made at once, whatever the blocks of the trajectory are."""
+"""Shaped pieces made at a time, whatever the blocks of the trajectory are."""
 
 _COINCIDENT_S = 1e-12
-"""Breakpoints closer than this, or than four roundings of the time, are one."""
+"""Breakpoints closer than this, or than four roundings of the time, are merged."""
 
 
 def shape_trajectory(
@@ -52,10 +52,10 @@ def shape_trajectory(
     Parameters
     ----------
     trajectory
-        What was planned.
+        The planned trajectory.
     shaper
-        One for all axes, which keeps straight lines straight, or one per axis by name; an axis
-        that is not named is not shaped. Amplitudes must sum to 1.
+        One for all axes, which keeps straight lines straight, or one per axis by name; other axes
+        are not shaped. Amplitudes must sum to 1.
     machine
         Its limits are checked on the shaped trajectory; None checks nothing.
     centroid_shift
@@ -70,8 +70,8 @@ def shape_trajectory(
     Returns
     -------
     Trajectory
-        Made block by block while it is read; a piece carries the operation under way at the
-        centroid of the train, after a rest that of the move that has begun.
+        Made block by block while it is read; a piece carries the operation at the centroid of the
+        train, after a rest the operation of the move that has begun.
 
     Raises
     ------
@@ -135,16 +135,16 @@ def on_tick_grid(shaper: Shaper, tick_s: float) -> Shaper:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trains:
-    """Amplitudes of each axis on the delays of all.
+    """Amplitudes of each axis on the merged delays of all axes.
 
     Parameters
     ----------
     delay_s
         (k,) increasing, the first 0.
     amplitudes
-        (k, axes), 0 where an axis has no impulse.
+        (k, axes), 0 if an axis has no impulse.
     centroid_s
-        Of the trains together, the mean over the axes, within the delays.
+        Mean over the axes of the trains' centroids, limited to the delays.
     """
 
     delay_s: FloatArray
@@ -187,13 +187,13 @@ def _trains(
         nearest = np.abs(distinct[None, :] - (one.times_s + late)[:, None]).argmin(axis=1)
         np.add.at(amplitudes[:, column], nearest, one.amplitudes)
     centroid_s = float((distinct @ amplitudes).mean())
-    # That of a train with negative impulses may lie outside it, where nothing is kept in hand.
+    # The centroid of a train with negative impulses may lie outside the buffered pieces.
     inside = min(max(0.0, centroid_s), float(distinct[-1]))
     return _Trains(distinct, amplitudes, inside)
 
 
 def _convolved(trajectory: Trajectory, trains: _Trains) -> Iterator[TrajectoryBlock]:
-    """Yield the shaped pieces; in hand is only what the longest delay still reaches."""
+    """Yield the shaped pieces; only pieces within the longest delay are buffered."""
     longest = float(trains.delay_s[-1])
     held: Pieces | None = None
     done = _Done()
@@ -203,7 +203,7 @@ def _convolved(trajectory: Trajectory, trains: _Trains) -> Iterator[TrajectoryBl
         held = joined(held, fresh)
         yield from _pieces_until(held, trains, done, held.end_s, final=False)
         first = int(np.searchsorted(held.start_s + held.duration_s, done.time_s - longest - 1e-9))
-        # One piece more: it is what stands before the first breakpoint that is still to come.
+        # One piece more: the one before the first breakpoint still to come.
         held = held.rows(max(0, first - 1), len(held))
     if held is not None:
         end_s = held.end_s
@@ -212,7 +212,7 @@ def _convolved(trajectory: Trajectory, trains: _Trains) -> Iterator[TrajectoryBl
 
 
 def _standing(pieces: Pieces, *, begin: bool, longest: float) -> Pieces:
-    """Return one piece that stands where the trajectory begins, or ends."""
+    """Return one piece that stands at the start, or the end, of the trajectory."""
     length = longest + 1.0
     coefficients = np.zeros((1, 1, pieces.coefficients.shape[2]))
     coefficients[0, 0] = pieces.coefficients[0, 0] if begin else pieces.coefficients[-1].sum(axis=0)
@@ -254,7 +254,7 @@ def _edges(
     makes no difference how the trajectory is cut into blocks.
     """
     still = held.still
-    # Nothing happens between two pieces that stand.
+    # Nothing happens between two standing pieces.
     bends = np.concatenate([[False], ~(still[1:] & still[:-1])])
     source = held.start_s[bends]
     edges = np.add.outer(source, delay_s).ravel()
@@ -312,7 +312,7 @@ def _shifted(coefficients: FloatArray, begin: FloatArray, scale: FloatArray) -> 
 
 
 def _operations(held: Pieces, centroid_s: float, done: _Done, middle: FloatArray) -> IntArray:
-    """Return the operation under way at the centroid, or that which began after a rest."""
+    """Return the operation at the centroid, or the one that began after a rest."""
     runs = np.concatenate([[done.run_s], held.start_s[held.run == 1]])
     runs = np.sort(runs)
     begun = runs[np.maximum(np.searchsorted(runs, middle, side="right") - 1, 0)]

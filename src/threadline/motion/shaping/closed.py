@@ -31,7 +31,7 @@ _DAMPING_STEP = 0.05
 # One hump: the shortest root that a search from 1500 random symmetric starts found. Two humps:
 # the train that Pao and Singhose's published example (3.04 Hz, damping 0.17) leads back to; that
 # it is the shortest is not proved.
-_HUMPS_UM_SEEDS = {
+_UNIT_MAGNITUDE_HUMPS_SEEDS = {
     1: (0.09408, 0.36837, 0.64266, 0.73673, 0.87037, 1.12276),
     2: (0.05996, 0.40099, 0.59323, 0.78546, 1.12649, 1.18645, 0.70318, 1.26911, 0.83556, 1.15593),
 }
@@ -150,7 +150,7 @@ def switched_humps(humps: int, zeta: float, tolerance: float, amplitudes: FloatA
     """
     unit = alternating(len(amplitudes))
     what = f"{humps}-hump shaper with given amplitudes, damping {zeta:g}, tolerance {tolerance:g}"
-    x = np.array(_HUMPS_UM_SEEDS[humps])
+    x = np.array(_UNIT_MAGNITUDE_HUMPS_SEEDS[humps])
     x = follow(
         lambda c: _system(humps, 0.0, SEED_TOLERANCE, unit + c * (amplitudes - unit)),
         x,
@@ -233,7 +233,7 @@ def _zero_system(order: int, zeta: float, amplitudes: FloatArray) -> System:
 
 # Undamped unit-magnitude trains: a sixth and a third of a period for ZV (exact); for ZVD, to
 # five digits, the root that the one-hump train tends to as its tolerance goes to 0.
-_CLOSED_UM_SEEDS = {0: (1.0 / 6.0, 1.0 / 3.0), 1: (0.08951, 0.36623, 0.64296, 0.73247)}
+_UNIT_MAGNITUDE_SEEDS = {0: (1.0 / 6.0, 1.0 / 3.0), 1: (0.08951, 0.36623, 0.64296, 0.73247)}
 
 
 def switched_zero(order: int, zeta: float, amplitudes: FloatArray) -> Train:
@@ -255,7 +255,7 @@ def switched_zero(order: int, zeta: float, amplitudes: FloatArray) -> Train:
         ),
         (lambda z: _zero_system(order, z, amplitudes), zeta),
     ]
-    x = np.array(_CLOSED_UM_SEEDS[order])
+    x = np.array(_UNIT_MAGNITUDE_SEEDS[order])
     for system_at, end in stages:
         x = follow(system_at, x, start=0.0, end=end, step=0.1, what=what)
     return amplitudes, np.concatenate(([0.0], x))

@@ -1,10 +1,10 @@
-"""What a real controller makes of a shaper, and what that costs over its band.
+"""A shaper as a real controller plays it, and the vibration that this costs over its band.
 
-A PLC switches on its scan, a valve needs time between two switchings, a program has room for so
-many impulses. The train is moved onto whole ticks by :mod:`threadline.motion.shaping.rounding`,
-with the
-amplitudes solved again where the machine can set them; what the grid takes is said over the band of
-frequency that the kind was chosen for, beside what rounding to the nearest ticks would leave.
+A PLC switches on its scan, a valve needs time between two switchings, a program has room for a
+limited number of impulses. The train is moved onto whole ticks by
+:mod:`threadline.motion.shaping.rounding`, with the amplitudes solved again if the machine can set
+them. The cost of the grid is given over the design band of the kind, beside the result of rounding
+to the nearest ticks.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from threadline.motion.shaping.robustness import insensitivity
 from threadline.motion.shaping.rounding import Band, TickGrid, on_ticks, seconds, with_amplitudes
 from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
 
-_NONE = 1e-12  # an amplitude that is none
-_ABOUT = 0.1  # of the tolerance, or of the least: trains within it are about alike
-_WIDER = 0.01  # by so much a band has to be wider to be preferred
+_NONE = 1e-12  # an amplitude that counts as 0
+_ABOUT = 0.1  # of the tolerance, or of the least: trains within it count as equal
+_WIDER = 0.01  # a band must be wider by this to be preferred
 _LOOKED_AT = 24
 _FINER = 4
 _CHOICES = 400
@@ -37,7 +37,7 @@ _MOST_TICKS = 1e12
 
 @dataclass(frozen=True, slots=True)
 class ControllerLimits:
-    """What the controller and its valves can do.
+    """Limits of the controller and its valves.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class ControllerLimits:
     max_impulses
         Longest train, or None.
     amplitudes_free
-        True where amplitudes can be set anew (flow valves); False keeps them (on/off valves).
+        True if amplitudes can be set anew (flow valves); False keeps them (on/off valves).
     """
 
     tick_s: float
@@ -76,14 +76,15 @@ class ControllerLimits:
 
 @dataclass(frozen=True, slots=True)
 class OverBand:
-    """What the grid costs one mode over the band that the kind was chosen for.
+    """Cost of the tick grid for one mode over the design band of the kind.
 
     Parameters
     ----------
     mode, low_hz, high_hz, tolerance
         The mode, the band, and the V that is allowed over it.
     designed, nearest, made
-        Worst V over it: of the design, of its times rounded to the nearest ticks, of the train.
+        Worst V over the band: of the design, of its times rounded to the nearest ticks, of the
+        realised train.
     designed_width, nearest_width, made_width
         Insensitivity of the three at the tolerance.
     """
@@ -102,7 +103,7 @@ class OverBand:
 
 @dataclass(frozen=True, slots=True)
 class Realised:
-    """The train that the controller can play, beside the one that was designed.
+    """The train that the controller can play, and the designed one.
 
     Parameters
     ----------
@@ -113,7 +114,7 @@ class Realised:
     vibration, designed_vibration
         Worst V over the modes at their modelled frequencies.
     bands
-        The price over the band of every mode.
+        Cost over the band of every mode.
     """
 
     shaper: Shaper
@@ -125,12 +126,12 @@ class Realised:
 
     @property
     def time_price_s(self) -> float:
-        """How much longer the train became; negative if shorter."""
+        """Increase of the train's duration; negative if shorter."""
         return self.shaper.duration_s - self.designed.duration_s
 
     @property
     def vibration_price(self) -> float:
-        """How much V at the modelled frequencies rose."""
+        """Increase of V at the modelled frequencies."""
         return self.vibration - self.designed_vibration
 
 
@@ -144,10 +145,10 @@ def realise(
 ) -> Realised:
     """Fit ``shaper`` to a controller with the least worst V over the band of every mode.
 
-    The result is never worse over the bands than the times rounded to the nearest ticks, nor does
-    it keep the tolerance over a narrower band. With ``max_impulses``, positive trains lose their
+    The result is never worse over the bands than the times rounded to the nearest ticks, and never
+    keeps the tolerance over a narrower band. With ``max_impulses``, positive trains lose their
     smallest impulse, others the closest pair of opposite ones, one at a time. Impulses that round
-    to the same tick are one.
+    to the same tick are merged.
 
     Parameters
     ----------
@@ -156,20 +157,20 @@ def realise(
     modes
         At least one; the worst counts.
     limits
-        The controller's.
+        Limits of the controller.
     relative
         Half width of the band of frequency that counts, in [0, 1), one for all modes or one each;
         0 for the frequency alone, None for the band in which the designed train stays within the
         tolerance.
     tolerance
-        Of the band, in (0, 1); likewise.
+        Tolerance over the band, in (0, 1); likewise.
 
     Raises
     ------
     OptionError
-        If there is no mode, or a time of the controller is out of all proportion to them.
+        If there is no mode, or a time of the controller is far too long for them.
     ShaperError
-        If no train of that many impulses is left.
+        If no train with that few impulses exists.
     """
     if not modes:
         raise OptionError("controller: at least one mode is needed to judge the train by")
@@ -196,7 +197,7 @@ def realise(
         of_merged = exact if len(apart) == len(nearest[1]) else nearest[1].astype(np.float64)
         found = [(nearest[0], t) for t in on_ticks(*nearest, of_merged, gap, grid)]
         if len(apart) > len(nearest[1]):
-            # Some nearest ticks coincide: such impulses are taken as one, and pushed apart, too.
+            # Some nearest ticks coincide: such impulses are merged, or pushed apart.
             found += [(amplitudes, t) for t in on_ticks(amplitudes, apart, exact, gap, grid)]
     made = _widest(train(*nearest), [train(*pair) for pair in found], bands)
     return _priced(shaper, train(*nearest), made, bands, limits)
@@ -248,10 +249,10 @@ def _widest(
     trains: Sequence[Shaper],
     bands: Sequence[Band],
 ) -> Shaper:
-    """Return the train with the widest bands of those that leave about the least over them.
+    """Return the train with the widest bands among those with about the least V over them.
 
-    None is taken that leaves more over a band than the nearest ticks and its tolerance, or that
-    keeps the tolerance over a narrower one. Trains come with the best of their kind first.
+    A train must not exceed the nearest ticks' V and its tolerance over a band, nor keep the
+    tolerance over a narrower band. Trains are given with the best of their kind first.
     """
 
     def over(train: Shaper) -> FloatArray:
@@ -282,7 +283,7 @@ def _widest(
 
 
 def _width_on_samples(train: Shaper, band: Band, nearest: Shaper) -> float:
-    """Return about how wide a band keeps its tolerance around its mode, as a share of it."""
+    """Return the approximate width of the band that keeps its tolerance, as a share of it."""
     f = band.samples_hz(nearest.duration_s, finer=_FINER)
     loud = f[_over(train, band, nearest.duration_s) > band.tolerance]
     own = band.mode.frequency_hz
@@ -290,7 +291,7 @@ def _width_on_samples(train: Shaper, band: Band, nearest: Shaper) -> float:
 
 
 def _over(train: Shaper, band: Band, duration_s: float) -> FloatArray:
-    """Return V over a band, so finely that its worst is right to a thousandth of itself."""
+    """Return V over a band, sampled so finely that its worst value is right to a thousandth."""
     f = band.samples_hz(duration_s, finer=_FINER)
     return residual_vibration(train, f, band.mode.damping_ratio)
 
@@ -342,7 +343,7 @@ def _fewer(shaper: Shaper, limits: ControllerLimits, gap: int) -> list[IntArray]
 
 
 def _merged(amplitudes: FloatArray, ticks: IntArray, gap: int) -> tuple[FloatArray, IntArray]:
-    """Return impulses that fall on one tick as one; where they must keep apart, pushed later."""
+    """Merge impulses on one tick; if they must keep a distance, push them later."""
     if gap > 1:
         return amplitudes, _spaced(ticks, gap)
     starts = np.concatenate(([0], np.flatnonzero(np.diff(ticks)) + 1))
@@ -357,7 +358,7 @@ def _thinned(shaper: Shaper, limits: ControllerLimits) -> tuple[FloatArray, Floa
     most = limits.max_impulses
     while most is not None and len(a) > most:
         if bool(np.all(a >= 0.0)):
-            # An inner impulse is shared by its neighbours about its own time.
+            # An inner impulse is shared by its neighbours so that its time stays the centroid.
             i = 1 + int(np.argmin(a[1:-1]))
             share = (t[i + 1] - t[i]) / (t[i + 1] - t[i - 1])
             a[i - 1] += share * a[i]

@@ -1,14 +1,14 @@
-"""Modes far apart: how far at most, and from where on each has a train of its own.
+"""Design shapers of every kind for one mode, convolve them, and prove them by simulation.
 
 A train that serves two modes lasts about a period of the slower one, and places its impulses within
-a hundredth of a period of the faster one. A grid for both grows with their ratio, and what there is
-to gain by designing them together shrinks with it: convolving the two trains is longer by the
-shorter of them, at most.
+a hundredth of a period of the faster one. A grid for both grows with their ratio, while the gain of
+a joint design shrinks with it: convolving two trains adds at most the shorter one's duration. So
+modes far apart get trains of their own.
 
-Nothing here knows a formula of input shaping. A unit step is cut into the levels that the
-shaper makes of it, x'' + 2 zeta omega x' + omega^2 x = omega^2 u is carried from switching to
-switching with the matrix exponential, and what still rings at the end is compared with what
-rings after the plain step.
+The proof uses no formula of input shaping. A unit step is cut into the levels that the shaper
+makes of it, x'' + 2 zeta omega x' + omega^2 x = omega^2 u is integrated from switching to switching
+with the matrix exponential, and the ringing at the end is compared with the ringing after the plain
+step.
 
 ``frequency_hz`` is undamped, V is normalised to one unit impulse; see
 :mod:`threadline.motion.shaping.types`.
@@ -41,11 +41,11 @@ from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
 from threadline.units import parse_quantity
 
 MOST_APART = 1e3
-"""Ratio of the fastest mode to the slowest: the modes of one machine are nearer each other."""
+"""Largest ratio of the fastest mode to the slowest: modes of one machine are closer."""
 
 
 def check_apart(modes: Sequence[FlexibleMode]) -> None:
-    """Refuse modes that no train serves together.
+    """Refuse modes that no single train can serve.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def check_apart(modes: Sequence[FlexibleMode]) -> None:
 
 
 def groups(modes: Sequence[FlexibleMode], ratio: float) -> Iterator[list[int]]:
-    """Yield the places of modes that follow each other within ``ratio``, the slowest first."""
+    """Yield the indices of modes that follow each other within ``ratio``, the slowest first."""
     order = sorted(range(len(modes)), key=lambda k: modes[k].frequency_hz)
     group = order[:1]
     for slower, faster in pairwise(order):
@@ -75,10 +75,10 @@ def groups(modes: Sequence[FlexibleMode], ratio: float) -> Iterator[list[int]]:
 
 
 COINCIDENT_S = 1e-12
-"""Impulses closer than this are one: far below any tick, far above rounding."""
+"""Impulses closer than this are merged: far below any tick, far above rounding."""
 
 MOST_IMPULSES = 10_000
-"""Trains multiply: without a bound, a few modes too many take minutes; no controller plays them."""
+"""Impulse counts multiply: without a bound, a few modes too many take minutes."""
 
 
 def convolve(*shapers: Shaper, name: str = "") -> Shaper:
@@ -87,7 +87,7 @@ def convolve(*shapers: Shaper, name: str = "") -> Shaper:
     Parameters
     ----------
     *shapers
-        At least one; one alone stays as it is.
+        At least one; a single one is returned unchanged.
     name
         Name of the result; the names joined by ``*`` if empty.
 
@@ -130,18 +130,18 @@ def simulated_vibration(shaper: Shaper, frequency_hz: float, damping_ratio: floa
     Parameters
     ----------
     shaper
-        Impulse train; sums to what the step ends at.
+        Impulse train; its sum is the final value of the step.
     frequency_hz, damping_ratio
         Undamped frequency, Hz, and damping ratio in [0, 1).
 
     Returns
     -------
     float
-        Envelope of the deviation from rest at the last switching over the envelope of the
-        plain step at its own.
+        Envelope of the deviation from rest at the last switching, divided by the plain step's at
+        its own switching.
     """
     omega = 2.0 * math.pi * frequency_hz
-    # State (x, x'/omega, u): u is carried along, so that one exponential does it all.
+    # State (x, x'/omega, u): with u included, a single exponential is enough.
     matrix = omega * np.array([[0.0, 1.0, 0.0], [-1.0, -2.0 * damping_ratio, 1.0], [0.0, 0.0, 0.0]])
     steps = np.diff(shaper.times_s)
     transitions = expm(matrix * steps[:, None, None]) if len(steps) else np.empty((0, 3, 3))
@@ -173,7 +173,7 @@ def prove(
     Parameters
     ----------
     shaper
-        What was designed; its amplitudes must sum to 1.
+        The designed train; its amplitudes must sum to 1.
     frequency_hz
         Undamped frequencies to simulate, Hz, shape ``(m,)``.
     damping_ratio
@@ -181,7 +181,7 @@ def prove(
     expected
         Vibration that the design claims at each, shape ``(m,)``.
     at_most
-        True where ``expected`` is a bound and not a value.
+        True if ``expected`` is an upper bound and not a value.
 
     Raises
     ------
@@ -338,7 +338,7 @@ def _proved_humps(kind: ShaperKind, mode: FlexibleMode, humps: Humps, tolerance:
     named = np.concatenate((humps.zeros, humps.peaks))
     claims = np.concatenate((np.zeros(len(humps.zeros)), np.full(len(humps.peaks), tolerance)))
     prove(shaper, named * mode.frequency_hz, mode.damping_ratio, claims)
-    # Between the zeros nothing may stand above the humps that were asked for.
+    # Between the zeros V must not exceed the humps asked for.
     band = np.linspace(humps.zeros[0], humps.zeros[-1], _BAND_SAMPLES) * mode.frequency_hz
     return prove(shaper, band, mode.damping_ratio, np.full(_BAND_SAMPLES, tolerance), at_most=True)
 
@@ -347,22 +347,22 @@ _REMEDY = 'Write it like "zv:12Hz:0.02" or "X=ei:12Hz:0.02:0.05, Y=zv:20Hz*zv:31
 
 
 def parse_shaper(text: str, tick_s: float | None = None) -> Shaper | dict[str, Shaper]:
-    """Return the shaper that ``text`` describes, or one per axis where it names axes.
+    """Return the shaper that ``text`` describes, or one per axis if it names axes.
 
-    A shaper is ``kind:frequency``, then, where wanted, ``:damping ratio`` (0 if it is left out)
-    and ``:tolerance``. ``*`` convolves shapers for several modes; ``AXIS=`` gives an axis its
-    own, separated by commas.
+    A shaper is ``kind:frequency``, then optionally ``:damping ratio`` (default 0) and
+    ``:tolerance``. ``*`` convolves shapers for several modes; ``AXIS=`` gives an axis its own,
+    separated by commas.
 
     Parameters
     ----------
     tick_s
-        Tick of the references that are to be shaped; None where there is none.
+        Tick of the references to be shaped; None if there is none.
 
     Raises
     ------
     OptionError
         If the text cannot be read, no such shaper can be designed, or a mode lies above half the
-        rate of the ticks, where no reference can excite it or leave it out.
+        rate of the ticks, so that no reference can excite it.
     """
     parts = [part.strip() for part in text.split(",")]
     named = [re.fullmatch(r"([A-Z])\s*=\s*(.+)", part) for part in parts]

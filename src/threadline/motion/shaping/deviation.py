@@ -1,10 +1,10 @@
-"""Rests that a shaped motion must really come to: a dwell, an output, a wait or a stop follows.
+"""Deviation of a shaped motion from its path, and the rests that it needs.
 
-Delay along the path is no deviation. What counts is, both ways, the distance from each place of
-the shaped path to the nearest place of the planned one, and from each place of the planned path
-(a corner, a turning point) to the nearest place of the shaped one. Only places that belong
-together in time are compared, because paths cross and retrace themselves: a shaped place is made
-of planned ones at most one train earlier.
+Delay along the path is no deviation. The deviation is measured both ways: from each point of the
+shaped path to the nearest point of the planned one, and from each point of the planned path (a
+corner, a turning point) to the nearest point of the shaped one. Only points that belong together in
+time are compared, because paths cross and retrace themselves: a shaped point is made of planned
+ones at most one train earlier.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from threadline.motion.timing import Trajectory
 from threadline.motion.timing.types import TrajectoryBlock
 
 _AT_REST = 1e-9
-"""Speed at a joint, in units of the piece's own way over its time, that counts as none."""
+"""Speed at a joint, in units of the piece's distance over its time, that counts as zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class Pieces:
     start_s, duration_s, coefficients, operation
         As for a trajectory block.
     run
-        (n,) 1 where a piece begins after a rest that was made to last, else 0.
+        (n,) 1 if a piece begins after a prolonged rest, else 0.
     """
 
     start_s: FloatArray
@@ -49,12 +49,12 @@ class Pieces:
 
     @property
     def end_s(self) -> float:
-        """When the last piece ends."""
+        """End of the last piece."""
         return float(self.start_s[-1] + self.duration_s[-1])
 
     @property
     def still(self) -> NDArray[np.bool_]:
-        """(n,) True where a piece stands still."""
+        """(n,) True if a piece stands still."""
         return np.asarray((self.coefficients[:, 1:] == 0.0).all(axis=(1, 2)))
 
     def rows(self, first: int, stop: int) -> Pieces:
@@ -70,7 +70,7 @@ class Pieces:
 
 
 def joined(first: Pieces | None, second: Pieces) -> Pieces:
-    """Return two runs of pieces as one, of the higher polynomial order."""
+    """Return two runs of pieces joined, with the higher polynomial order."""
     if first is None or not len(first):
         return second
     order = max(first.coefficients.shape[1], second.coefficients.shape[1])
@@ -92,9 +92,9 @@ def padded(coefficients: FloatArray, order: int) -> FloatArray:
 def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pieces]:
     """Yield the pieces of a trajectory with ``hold_s`` more at every rest that something needs.
 
-    Such a rest is a standstill where the numbers of the operations skip one or more: what is
-    between two moves is no motion, and must find the machine at rest. A standing piece before it
-    (a dwell) is made longer; else one is put in.
+    Such a rest is a standstill where the operation numbers skip one or more: the operations between
+    two moves are no motion, and need the machine at rest. A standing piece before it (a dwell) is
+    prolonged; without one a piece is inserted.
     """
     last: Pieces | None = None
     late_s = 0.0
@@ -110,9 +110,9 @@ def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pie
         )
         pieces = joined(last, fresh)
         if hold_s > 0.0:
-            pieces, added_s = _rests_stretched(pieces, hold_s)
+            pieces, added_s = _prolonged_rests(pieces, hold_s)
             late_s += added_s
-        # The last piece waits: it may have to be made longer.
+        # The last piece waits: it may have to be prolonged.
         if len(pieces) > 1:
             yield pieces.rows(0, len(pieces) - 1)
         last = pieces.rows(len(pieces) - 1, len(pieces))
@@ -120,8 +120,8 @@ def with_rests(blocks: Iterator[TrajectoryBlock], hold_s: float) -> Iterator[Pie
         yield last
 
 
-def _rests_stretched(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
-    """Return the pieces with their rests made longer, and by how much in all."""
+def _prolonged_rests(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
+    """Return the pieces with their rests prolonged, and the total added time."""
     after = np.flatnonzero(_rest_before(pieces))
     if not len(after):
         return pieces, 0.0
@@ -148,7 +148,7 @@ def _rests_stretched(pieces: Pieces, hold_s: float) -> tuple[Pieces, float]:
 
 
 def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
-    """(n,) True where the operations skip after a dwell, or where both pieces come to rest."""
+    """(n,) True if the operations skip after a dwell, or if both pieces come to rest."""
     skips = np.diff(pieces.operation, prepend=pieces.operation[:1]) > 1
     if not skips.any():
         return np.asarray(skips)
@@ -158,15 +158,15 @@ def _rest_before(pieces: Pieces) -> NDArray[np.bool_]:
     end = np.abs((c * power[None, :, None]).sum(axis=1)) <= _AT_REST * way
     begin = np.abs(c[:, 1]) <= _AT_REST * way if c.shape[1] > 1 else np.ones_like(end)
     comes_to_rest = np.concatenate([[False], end[:-1].all(axis=1)]) & begin.all(axis=1)
-    # Historical motion steps into its speed: after a dwell that is a rest all the same.
+    # Historical motion jumps to its speed: after a dwell that counts as a rest all the same.
     dwelt = np.concatenate([[False], pieces.still[:-1]])
     return np.asarray(skips & (dwelt | comes_to_rest))
 
 
 _CHUNK = 1 << 14
 SAMPLES_PER_TRAIN = 128
-"""Samples within the duration of the train: a chord between two strays from a curve that is
-followed with acceleration a by a (duration / 128)^2 / 8."""
+"""Samples within the duration of the train: a chord between two deviates from a curve followed
+with acceleration a by a (duration / 128)^2 / 8."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,10 +178,10 @@ class ShapingDeviation:
     at_tool_m
         Largest distance at the tool, rotary axes at their radius.
     missed
-        True where a planned place is passed by, False where the shaped path strays.
+        True if a planned point is missed, False if the shaped path deviates.
     time_s, operation
-        Of the shaped motion, there; of a planned place that is missed, the planned time with
-        its rests made longer.
+        Of the shaped motion there; for a missed planned point, the planned time with prolonged
+        rests.
     position
         (axes,) there, m or rad.
     """
@@ -200,14 +200,14 @@ class ShapingDeviation:
 def shaping_deviation(
     planned: Trajectory, shaped: Trajectory, machine: Machine, duration_s: float
 ) -> ShapingDeviation:
-    """Measure how far ``shaped`` leaves the path of ``planned``, in bounded memory.
+    """Measure the deviation of ``shaped`` from the path of ``planned``, in bounded memory.
 
     Parameters
     ----------
     planned, shaped
         Before and after :func:`threadline.motion.shaping.shape_trajectory`.
     machine
-        Gives the radius at which rotary axes act.
+        Has the radius at which rotary axes act.
     duration_s
         The longest delay of any axis: :func:`threadline.motion.shaping.longest_delay_s`.
 
@@ -229,7 +229,7 @@ def shaping_deviation(
         return ShapingDeviation(0.0, False, 0.0, 0, tuple(0.0 for _ in planned.axes))
     radius = machine.radius_m[[machine.axis_names.index(axis) for axis in planned.axes]]
     step = duration_s / SAMPLES_PER_TRAIN
-    before = _Samples(_deviation_stretched(planned, duration_s), radius, step)
+    before = _Samples(_with_prolonged_rests(planned, duration_s), radius, step)
     after = _Samples(iter(shaped), radius, step)
     reach = SAMPLES_PER_TRAIN + 2
     worst = _Worst()
@@ -255,7 +255,7 @@ def shaping_deviation(
     return worst.deviation(step, radius)
 
 
-def _deviation_stretched(planned: Trajectory, hold_s: float) -> Iterator[TrajectoryBlock]:
+def _with_prolonged_rests(planned: Trajectory, hold_s: float) -> Iterator[TrajectoryBlock]:
     for pieces in with_rests(iter(planned), hold_s):
         yield TrajectoryBlock(
             start_s=pieces.start_s,
@@ -266,11 +266,11 @@ def _deviation_stretched(planned: Trajectory, hold_s: float) -> Iterator[Traject
 
 
 class _Samples:
-    """Places at the tool every ``step_s``, held from before the start until after the end."""
+    """Positions at the tool every ``step_s``, held before the start and after the end."""
 
     def __init__(self, blocks: Iterator[TrajectoryBlock], radius: FloatArray, step_s: float):
         self._blocks, self._radius, self._step = blocks, radius, step_s
-        self._first = 0  # index of the first row in hand
+        self._first = 0  # index of the first buffered row
         self._rows = np.zeros((0, len(radius)))
         self._operation = np.zeros(0, dtype=np.int64)
         self._last: TrajectoryBlock | None = None
@@ -278,7 +278,7 @@ class _Samples:
 
     @property
     def end(self) -> int:
-        """Index behind the last sample that has been read."""
+        """Index after the last sample that has been read."""
         return self._first + len(self._rows)
 
     def read(self, until: int) -> None:
@@ -303,16 +303,16 @@ class _Samples:
         self._operation = np.concatenate([self._operation, block.operation[at]])
 
     def rows(self, first: int, count: int) -> FloatArray:
-        """Return (count, axes) samples; the ends stand for what is beyond them."""
+        """Return (count, axes) samples; the ends stand for samples beyond them."""
         at = np.clip(np.arange(first, first + count) - self._first, 0, len(self._rows) - 1)
         return self._rows[at]
 
     def operation(self, index: int) -> int:
-        """Return the operation at a sample in hand."""
+        """Return the operation at a buffered sample."""
         return int(self._operation[min(index - self._first, len(self._rows) - 1)])
 
     def drop(self, until: int) -> None:
-        """Let go of samples before index ``until``, but keep the last."""
+        """Discard samples before index ``until``, but keep the last."""
         count = min(max(until - self._first, 0), len(self._rows) - 1)
         self._rows, self._operation = self._rows[count:], self._operation[count:]
         self._first += count

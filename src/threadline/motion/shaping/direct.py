@@ -32,8 +32,8 @@ from threadline.motion.shaping.solvers import minimise, newton
 from threadline.motion.shaping.types import FlexibleMode, Shaper, ShaperError
 
 FAR_APART, BANDS_FAR_APART = 50.0, 12.0
-"""Ratio of two frequencies from which on the grids below are too coarse for the faster mode."""
-MOST_TOGETHER = 6  # modes that are designed together: with six it takes seconds
+"""Ratio of two frequencies above which the grids below are too coarse for the faster mode."""
+MOST_TOGETHER = 6  # modes that are designed together: six take seconds
 _GRIDS = (160, 210, 120, 300)
 _POLYGON = 16
 _BAND_GRID = 13
@@ -43,7 +43,7 @@ _SETTLED = 1e-7  # Newton's method takes it from there
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """What one mode may keep of its vibration.
+    """Permitted vibration of one mode.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Requirement:
     relative
         Half width of the band of frequency around the mode, in [0, 1).
     derivatives
-        With tolerance 0: how many derivatives of V vanish too (0 ZV, 1 ZVD, 2 ZVDD).
+        With tolerance 0: number of derivatives of V that vanish too (0 ZV, 1 ZVD, 2 ZVDD).
 
     Raises
     ------
@@ -101,9 +101,9 @@ def specified_insensitivity(mode: FlexibleMode, relative: float, tolerance: floa
 def direct_shaper(requirements: Sequence[Requirement], *, name: str = "direct") -> Shaper:
     """Shortest train of positive impulses that meets every requirement.
 
-    Modes that are farther apart than ``FAR_APART`` (``BANDS_FAR_APART`` where one has a band) have
-    trains of their own, convolved: each V is no larger for it, and the train no longer than the
-    shortest by more than the trains of the faster modes.
+    Modes farther apart than ``FAR_APART`` (``BANDS_FAR_APART`` if one has a band) get trains of
+    their own, convolved: no V grows by that, and the train exceeds the shortest one by at most the
+    trains of the faster modes.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def direct_shaper(requirements: Sequence[Requirement], *, name: str = "direct") 
     OptionError
         If there is no requirement, or the modes are too far apart for any train.
     ShaperError
-        If there are more than ``MOST_TOGETHER`` that are near each other, a program fails, or the
+        If more than ``MOST_TOGETHER`` are near each other, a program fails, or the
         proof does.
     """
     if not requirements:
@@ -138,7 +138,7 @@ def _together(requirements: Sequence[Requirement], name: str) -> Shaper:
         raise ShaperError(
             f"direct shaper: {len(requirements)} modes near each other, and more than "
             f"{MOST_TOGETHER} take minutes",
-            remedy="Leave out those that hardly ring, or convolve: a kind made for one mode.",
+            remedy="Leave out modes that hardly ring, or convolve: a kind made for one mode.",
         )
     unit = 1.0 / min(r.mode.frequency_hz for r in requirements)
     amplitudes, times = _solve(_Problem(requirements, unit))

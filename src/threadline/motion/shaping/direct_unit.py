@@ -1,19 +1,15 @@
-"""Unit-magnitude shapers for several modes at once, the shortest there is.
+"""Unit-magnitude shapers for several modes at once, the shortest possible.
 
-A step that is shaped by such a train is a level that is 0 or 1 from instant to instant, and 1 in
-the end. The shortest train for given constraints is therefore a time-optimal switching: with the
-level free in [0, 1] on a grid, the least violation within a duration is a linear program, it falls
-as the duration grows, and the level that the program leaves is 0 or 1 but for the cells in which
-it switches. Bisection gives the seed, Newton's method the exact times. Unit-magnitude trains that
-are convolved are longer, or leave [0, 1] where their pulses overlap.
-
-The level of a step that is shaped by such a train is 0 or 1 from instant to instant. With the level
-free in [0, 1] on a grid, the least V over the bands within a duration is a linear program (circles
-as polygons), and the shortest duration that meets the tolerances leaves a level of 0 or 1 but for
-the cells in which it switches: the switching function of an optimum is a sum of a few decaying
-waves, one for each active frequency, and vanishes at instants alone. That gives how many switchings
-there are and about when; the shortest duration with exact circles over the bands, the tops of V
-exchanged as they move, is then a smooth program (sequential quadratic programming).
+A step shaped by such a train is a level that is 0 or 1 at every instant, and 1 in the end. The
+shortest train for given constraints is therefore a time-optimal switching. With the level free in
+[0, 1] on a grid, the least violation within a duration is a linear program (circles of V as
+polygons). It falls as the duration grows, and its optimal level is 0 or 1 except in the cells in
+which it switches: the switching function of an optimum is a sum of a few decaying waves, one for
+each active frequency, and vanishes only at isolated instants. Bisection over the duration gives the
+number of switchings and their approximate times. For exact zeros, Newton's method solves the times.
+For tolerances over bands, the shortest duration with exact circles, with the maxima of V exchanged
+as they move, is a smooth program (sequential quadratic programming). Convolved unit-magnitude
+trains are longer, or leave [0, 1] where their pulses overlap.
 """
 
 from __future__ import annotations
@@ -31,7 +27,7 @@ from threadline.motion.shaping.response import Rows, ZeroOf, pole, residual_vibr
 from threadline.motion.shaping.solvers import minimise, newton
 from threadline.motion.shaping.types import Shaper, ShaperError
 
-_DIRECT_UNIT_GRIDS = (240, 330, 170, 480)
+_GRID_SIZES = (240, 330, 170, 480)
 _SMALL = 1e-8
 
 
@@ -43,14 +39,14 @@ def direct_unit_magnitude(
     Parameters
     ----------
     requirements
-        With tolerance 0; ``derivatives`` makes a mode robust, as UM-ZVD is.
+        With tolerance 0; ``derivatives`` makes a mode robust, as in UM-ZVD.
     name
         Of the shaper.
 
     Returns
     -------
     Shaper
-        Levels 0 and 1 alone; constraints met to 1e-10 and proved by simulation.
+        Levels 0 and 1 only; constraints met to 1e-10 and proved by simulation.
 
     Raises
     ------
@@ -76,7 +72,7 @@ def direct_unit_magnitude(
         for order in range(r.derivatives + 1)
     ]
     failures = []
-    for points in _DIRECT_UNIT_GRIDS:
+    for points in _GRID_SIZES:
         try:
             times = _polish(_seed(zeros, points), zeros)
             break
@@ -126,7 +122,7 @@ def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
         low, high = (low, middle) if _least(zeros, middle, points)[0] <= _SMALL else (middle, high)
     _, levels = _least(zeros, high, points)
     times = switchings_of(levels, high / points)
-    # As many times as equations: what is more are slivers of a cell, on and off again.
+    # As many times as equations: any more are slivers of a cell, on and off again.
     while len(times) - 1 > 2 * len(zeros):
         narrow = int(np.argmin(np.diff(times)))
         times = np.delete(times, [narrow, narrow + 1])
@@ -135,12 +131,12 @@ def _seed(zeros: Sequence[ZeroOf], points: int) -> FloatArray:
 
 
 def switchings_of(levels: FloatArray, cell: float) -> FloatArray:
-    """Return when levels of cells of one length switch between 0 and 1, at first from 0.
+    """Return the times at which levels of cells of equal length switch between 0 and 1, from 0.
 
     Parameters
     ----------
     levels
-        (n,) in [0, 1], between 0 before them and 1 behind.
+        (n,) in [0, 1]; 0 before them and 1 after.
     cell
         Duration of each.
     """
@@ -148,7 +144,7 @@ def switchings_of(levels: FloatArray, cell: float) -> FloatArray:
     rounded = np.rint(padded)
     found = []
     for k in np.flatnonzero(np.diff(rounded)):
-        # A cell that is partly on belongs to the level beside it.
+        # A partial cell belongs to the level beside it.
         a, b = padded[k], padded[k + 1]
         late = (1.0 - b) - a if rounded[k + 1] > rounded[k] else b - (1.0 - a)
         found.append((k + late) * cell)
@@ -183,12 +179,12 @@ def _polish(seed: FloatArray, zeros: Sequence[ZeroOf]) -> FloatArray:
     return solved
 
 
-_DIRECT_UNIT_BANDS_GRIDS = (200, 260, 150, 340)
+_BAND_GRID_SIZES = (200, 260, 150, 340)
 _POLYGON = 16
 _BAND_GRID = 11
 _SWEEP = 201
 _ROUNDS = 12
-_MARGIN = 1e-8  # of the tolerance: what is left to rounding
+_MARGIN = 1e-8  # of the tolerance: room for rounding
 _MOST_SWITCHINGS = 40
 _APART = 1e-4  # periods between two switchings, at least
 _SETTLED = 1e-6
@@ -197,7 +193,7 @@ _SETTLED = 1e-6
 def unit_magnitude_over_bands(
     requirements: Sequence[Requirement], *, name: str = "um-si"
 ) -> Shaper:
-    """Train of amplitudes +1 -1 ... +1 within every tolerance over its band, as short as was found.
+    """Shortest found train of amplitudes +1 -1 ... +1 within every tolerance over its band.
 
     Parameters
     ----------
@@ -207,7 +203,7 @@ def unit_magnitude_over_bands(
     Returns
     -------
     Shaper
-        Levels 0 and 1 alone; every band confirmed by simulation at 21 frequencies.
+        Levels 0 and 1 only; every band confirmed by simulation at 21 frequencies.
 
     Raises
     ------
@@ -223,7 +219,7 @@ def unit_magnitude_over_bands(
         )
     problem = _Problem(requirements)
     failures = []
-    for points in _DIRECT_UNIT_BANDS_GRIDS:
+    for points in _BAND_GRID_SIZES:
         try:
             times = problem.polished(problem.seed(points))
             break
@@ -299,7 +295,7 @@ class _Problem:
         return times
 
     def _tops(self, times: FloatArray) -> list[FloatArray]:
-        """Return of every band its ends and the frequencies of the maxima of V inside."""
+        """Return for every band its ends and the frequencies of the maxima of V inside."""
         found = []
         train = Shaper(amplitudes=_signs(len(times)), times_s=times)
         for r in self._asked:
@@ -320,7 +316,7 @@ class _Problem:
         return found
 
     def polished(self, seed: FloatArray) -> FloatArray:
-        """Return the shortest train of as many switchings, its bands met exactly."""
+        """Return the shortest train with as many switchings, its bands met exactly."""
         times = seed
         looked = [
             np.linspace(*self._edges(r), _BAND_GRID if r.relative else 1) for r in self._asked
@@ -391,7 +387,7 @@ class _Problem:
         return np.concatenate(([0.0], np.asarray(solved.x, dtype=np.float64)))
 
     def _excess(self, times: FloatArray) -> float:
-        """Return V at worst over its tolerance, the tops of every band looked at."""
+        """Return the worst V over its tolerance, at the maxima of every band."""
         train = Shaper(amplitudes=_signs(len(times)), times_s=times)
         return max(
             float(residual_vibration(train, tops, r.mode.damping_ratio).max()) / r.tolerance

@@ -1,9 +1,9 @@
-"""The shapers of Klipper, Marlin and RepRapFirmware, and designs in their words.
+"""The shapers of Klipper, Marlin and RepRapFirmware, and designs expressed in their settings.
 
-Klipper has its types computed from frequency and damping ratio by its own formulas: zv, mzv and
-zvd exactly, ei, 2hump_ei and 3hump_ei by published curve fits (Singhose et al.) at 5 %, valid to
-damping ratios of 0.4, 0.3 and 0.2. What it would play is computed here and judged on the mode,
-so that a fit that is too coarse is not called a match.
+Klipper computes its types from frequency and damping ratio by its own formulas: zv, mzv and zvd
+exactly, ei, 2hump_ei and 3hump_ei by published curve fits (Singhose et al.) at 5 %, valid to
+damping ratios of 0.4, 0.3 and 0.2. Its train is computed here and judged on the mode, so that a
+coarse fit does not count as a match.
 
 Source: Marlin 2.1, ``Stepper::set_shaping_damping_ratio`` and ``set_shaping_frequency``: an echo
 half a period of F after the move, the shares of both in 128ths. So F is the damped frequency.
@@ -28,7 +28,7 @@ from threadline.motion.shaping.response import LEFT, most_left, residual_vibrati
 from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 MATCH = 0.01
-"""A type fits where V differs by at most this over f (1 +- 25 %)."""
+"""A type fits if V differs by at most this over f (1 +- 25 %)."""
 
 _MAX_DAMPING = {"zv": 0.99, "mzv": 0.99, "zvd": 0.99, "ei": 0.4, "2hump_ei": 0.3, "3hump_ei": 0.2}
 _KLIPPER_HUMPS = {"2hump_ei": 2, "3hump_ei": 3}
@@ -40,7 +40,7 @@ def klipper_impulses(shaper_type: str, mode: FlexibleMode) -> Shaper:
     Raises
     ------
     OptionError
-        If the type is unknown or the damping ratio is beyond what Klipper takes for it.
+        If the type is unknown or the damping ratio is above Klipper's limit for it.
     """
     if shaper_type not in _MAX_DAMPING:
         raise OptionError(
@@ -100,9 +100,9 @@ def _ei_middle(zeta: float) -> float:
 
 
 def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
-    """Return Klipper's shortest type that keeps a mode at rest over a band, and what it leaves.
+    """Return Klipper's shortest type that keeps a mode at rest over a band, and its residual V.
 
-    What it leaves is ``most_left``, at most ``LEFT``. None where no type keeps to that: each takes
+    The residual is ``most_left``, at most ``LEFT``. None if no type achieves that: each accepts
     damping ratios up to a limit of its own.
     """
     for name, most in _MAX_DAMPING.items():
@@ -115,7 +115,7 @@ def shortest_type(mode: FlexibleMode) -> tuple[str, float] | None:
 
 @dataclass(frozen=True, slots=True)
 class KlipperExport:
-    """The section to paste, or why there is none.
+    """The section to paste, or the reason why there is none.
 
     Parameters
     ----------
@@ -208,15 +208,15 @@ def marlin_impulses(frequency_hz: float, damping_ratio: float) -> Shaper:
 
 
 _DERIVATIVES = {"zvd": 2, "zvdd": 3, "zvddd": 4}
-_REPRAPFIRMWARE_HUMPS = {"ei2": 2, "ei3": 3}
+_HUMPS_OF_TYPE = {"ei2": 2, "ei3": 3}
 _MOST_DAMPING = {"ei2": 0.3, "ei3": 0.2}  # of the fits
-TYPES = ("mzv", *_DERIVATIVES, *_REPRAPFIRMWARE_HUMPS)
-"""The words of ``M593 P``, without the train of one's own."""
+TYPES = ("mzv", *_DERIVATIVES, *_HUMPS_OF_TYPE)
+"""Types of ``M593 P``, without the custom one."""
 _FREQUENCIES = 41  # tried from the slowest mode to the fastest
 
 
 class Chosen(NamedTuple):
-    """Values of ``M593 P F S``, and the largest V that their train leaves of the modes."""
+    """Values of ``M593 P F S``, and the largest residual V of their train over the modes."""
 
     type: str
     frequency_hz: float
@@ -238,9 +238,9 @@ def reprap_impulses(shaper_type: str, frequency_hz: float, damping_ratio: float)
         )
     root = math.sqrt(1.0 - damping_ratio**2)
     period_s = 1.0 / (frequency_hz * root)
-    if shaper_type in _REPRAPFIRMWARE_HUMPS:
-        periods, weights = fitted_humps(_REPRAPFIRMWARE_HUMPS[shaper_type], damping_ratio)
-        weights[-1] = 1.0 - weights[:-1].sum()  # what is left over for the last
+    if shaper_type in _HUMPS_OF_TYPE:
+        periods, weights = fitted_humps(_HUMPS_OF_TYPE[shaper_type], damping_ratio)
+        weights[-1] = 1.0 - weights[:-1].sum()  # the rest
     else:
         spacing = 0.375 if shaper_type == "mzv" else 0.5
         decay = math.exp(-2.0 * math.pi * damping_ratio * spacing / root)
@@ -262,9 +262,9 @@ def reprap_impulses(shaper_type: str, frequency_hz: float, damping_ratio: float)
 def shortest_for_all(modes: Sequence[FlexibleMode]) -> Chosen | None:
     """Return the shortest train of RepRapFirmware that keeps all ``modes`` at rest over a band.
 
-    It leaves at most ``LEFT`` of each over its band, by ``most_left``; None where no type does. Of
-    several modes the frequency lies between the slowest and the fastest, and the damping ratio is
-    their mean.
+    Its residual V is at most ``LEFT`` over the band of each mode, by ``most_left``; None if no type
+    achieves that. With several modes the frequency lies between the slowest and the fastest, and
+    the damping ratio is their mean.
     """
     found: tuple[float, Chosen] | None = None
     slowest, fastest = (end(mode.frequency_hz for mode in modes) for end in (min, max))

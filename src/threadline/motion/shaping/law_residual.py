@@ -1,4 +1,4 @@
-"""What a motion law leaves swinging: one mode on a base that moves exactly by the law.
+"""Residual vibration after a motion law: one mode on a base that follows the law exactly.
 
 The load on the base obeys ``q'' + 2 zeta omega q' + omega**2 q = -y''``, q its position relative to
 the base and y the motion of the base. After the move q rings down with the envelope
@@ -21,32 +21,32 @@ from threadline.errors import OptionError
 from threadline.motion.laws import Law, gauss
 from threadline.motion.shaping.types import FlexibleMode
 
-_RADIANS, _POINTS = 6.0, 16  # of the mode in a panel of so many nodes: right to rounding
+_RADIANS, _POINTS = 6.0, 16  # of the mode per panel, and nodes in it: accurate to rounding
 _LITTLE, _FEW_POINTS = 0.5, 6
-_PER_PERIOD = 32  # windows tried in a period of the mode
+_PER_PERIOD = 32  # windows tried per period of the mode
 _CHUNK = 2_000_000
-_FINER = 16  # in a scan for all lengths at once
-_SHORTEST = 1e-2  # periods in the shortest window of such a scan: it leaves the whole move
-_FINEST = 1e-6  # of the move: what is less is not looked for
+_FINER = 16  # times as many in a scan for all lengths at once
+_SHORTEST = 1e-2  # periods in the shortest window of such a scan: the whole move remains
+_FINEST = 1e-6  # of the move: smaller residuals are not searched for
 _MOST_PERIODS = 3000.0
 _SHORTEST_M, _LONGEST_M = 1e-9, 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ringing:
-    """What a law leaves after a move.
+    """Residual vibration of a law after a move.
 
     Parameters
     ----------
     law
         The law.
     residual_m
-        Amplitude when the move ends.
+        Amplitude at the end of the move.
     worst_m, worst_window_s
         The largest over this and every longer window, and the window that has it.
     window_s
-        The shortest window from which on every window keeps the residual and the acceleration that
-        were asked for; None where no residual was.
+        The shortest window from which on every window keeps the wanted residual and acceleration;
+        None without a wanted residual.
     """
 
     law: Law
@@ -57,10 +57,10 @@ class Ringing:
 
 
 def swing(law: Law, mode: FlexibleMode, window_s: FloatArray) -> ComplexArray:
-    """Return (n,) what a move of 1 m leaves swinging at its end, for windows of shape (n,), s.
+    """Return the (n,) residual vibration at the end of a move of 1 m, for (n,) windows, s.
 
-    A complex number Z whose imaginary part is the place of the load relative to its base; after
-    that it goes on as ``Z exp(-p t)``, and what several moves leave adds up.
+    A complex number Z whose imaginary part is the position of the load relative to its base; it
+    continues as ``Z exp(-p t)``, and the residuals of several moves add up.
     """
     omega = 2.0 * pi * mode.frequency_hz
     damped = omega * sqrt(1.0 - mode.damping_ratio**2)
@@ -94,9 +94,8 @@ def lasting_windows_s(
 ) -> FloatArray:
     """Return (n,) shortest windows from which on every longer one keeps the residual.
 
-    One scan of windows, 512 in a period of the mode, serves all moves: the amplitude is
-    proportional to the length. Where no window up to ``longest_s`` keeps the residual, it is
-    ``longest_s``.
+    One scan of windows, 512 per period of the mode, serves all moves: the amplitude is proportional
+    to the length. If no window up to ``longest_s`` keeps the residual, the result is ``longest_s``.
 
     Parameters
     ----------
@@ -113,7 +112,7 @@ def lasting_windows_s(
     begin = _SHORTEST / mode.frequency_hz
     coarse = _grid(law, mode, longest, begin, residual, longest_s)
     windows = np.linspace(begin, float(coarse[-1]), _FINER * len(coarse))
-    # The largest amplitude from each window on, which falls.
+    # The largest amplitude from each window on, which is decreasing.
     worst = np.maximum.accumulate(np.abs(swing(law, mode, windows))[::-1])[::-1]
     allowed = np.divide(residual, moves_m, out=np.full(len(moves_m), np.inf), where=moves_m > 0.0)
     at = np.searchsorted(-worst, -allowed)
@@ -129,20 +128,20 @@ def ringing(
     residual: float | None = None,
     acceleration: float = np.inf,
 ) -> Ringing:
-    """Return what ``law`` leaves after a move of ``move_m`` in ``window_s``.
+    """Return the residual vibration of ``law`` after a move of ``move_m`` in ``window_s``.
 
     Parameters
     ----------
     residual
-        Amplitude, m, for which the shortest window is wanted, that and every longer one.
+        Amplitude, m, for which to find the shortest window.
     acceleration
         Largest acceleration of that window, m/s^2.
 
     Raises
     ------
     OptionError
-        If a number is not positive or beyond all machines, the time is far from the period of the
-        mode, or the residual too small to be looked for.
+        If a number is not positive or unrealistic, the time is far from the period of the mode, or
+        the residual too small to search for.
     """
     for what, value in (("move", move_m), ("time", window_s), ("residual", residual)):
         if value is not None and not (0.0 < value < np.inf):
@@ -180,7 +179,7 @@ def _bound_s(law: Law, mode: FlexibleMode, move_m: float, residual: float) -> fl
     """Return a window from which on the residual stays below ``residual``.
 
     The integral is at most V2 / (omega T), V2 the total variation of s'', and V3 / (omega T)^2
-    where the jerk is finite.
+    if the jerk is finite.
     """
     u = np.linspace(0.0, 1.0, 8001)
     omega = 2.0 * pi * mode.frequency_hz
@@ -203,7 +202,7 @@ def _grid(
     residual: float,
     longest_s: float = np.inf,
 ) -> FloatArray:
-    """Return the windows to be tried from ``window_s`` to where the bound is ``residual``."""
+    """Return the windows to try, from ``window_s`` to the one whose bound is ``residual``."""
     bound = min(_bound_s(law, mode, move_m, residual), longest_s)
     end = max(bound, window_s + 1.0 / mode.frequency_hz)
     periods = (end - window_s) * mode.frequency_hz
@@ -219,7 +218,7 @@ def _grid(
 def _peak(
     law: Law, mode: FlexibleMode, move_m: float, windows: FloatArray, at: int
 ) -> tuple[float, float]:
-    """Return the largest residual about ``windows[at]`` and the window that has it."""
+    """Return the largest residual near ``windows[at]`` and its window."""
     low, high = windows[max(at - 1, 0)], windows[min(at + 1, len(windows) - 1)]
     for _ in range(3):
         fine = np.linspace(low, high, 33)
@@ -235,7 +234,7 @@ def _window_for(law: Law, mode: FlexibleMode, move_m: float, residual: float) ->
     windows = _grid(law, mode, move_m, begin, residual)
     near = residual_m(law, mode, move_m, windows)
     over = np.flatnonzero(near > residual)
-    # A lobe that rises above the line between two windows has its peak beside the largest of them.
+    # A lobe above the line between two windows has its peak beside the largest of them.
     lobes = 1 + np.flatnonzero((near[1:-1] >= near[:-2]) & (near[1:-1] >= near[2:]))
     last = int(over[-1]) if len(over) else 0
     for at in lobes[(lobes > last) & (near[lobes] > 0.98 * residual)][::-1]:

@@ -1,12 +1,12 @@
 """The law made for a mode: the shortest window that keeps the residual over a band of frequency.
 
-The acceleration is a spline of degree 2 on even knots. Its coefficients bound it, those of its
-derivative bound the jerk and those of its integral the velocity, so that limits and monotony are
-rows of a linear program that hold everywhere and not at samples. The residual of a frequency
-(:mod:`threadline.motion.shaping.law_residual`) is linear in the coefficients as a complex number;
-its magnitude is held by the sides of a regular polygon inside the circle. For a given window the
-program finds the least residual over the band; bisection finds the shortest window in which that
-is small enough.
+The acceleration is a spline of degree 2 on even knots. Its coefficients bound it, the coefficients
+of its derivative bound the jerk and those of its integral the velocity, so that limits and
+monotonicity are rows of a linear program that hold everywhere, not only at samples. The residual at
+a frequency (:mod:`threadline.motion.shaping.law_residual`) is linear in the coefficients as a
+complex number; its magnitude is bounded by the sides of a regular polygon inside the circle. For a
+given window the program finds the least residual over the band; bisection finds the shortest window
+in which that is small enough.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from threadline.motion.shaping.solvers import InfeasibleError, minimise
 from threadline.motion.shaping.types import FlexibleMode, ShaperError
 
 RAMPS = 16.0
-"""Default jerk limit: from none to full acceleration in this part of the rigid window."""
+"""Default jerk limit: from zero to full acceleration in this part of the rigid window."""
 _COEFFICIENTS = 80
 _LEVELS = 160
-_FREQUENCIES = 50  # for each turn that the band's two ends part over the window
+_FREQUENCIES = 50  # per turn of phase between the band's two ends over the window
 _MOST_FREQUENCIES = 161
-_KEPT = 0.996  # of the residual: between two frequencies it may bulge a little
+_KEPT = 0.996  # of the residual: it may bulge a little between two frequencies
 _SIDES = 16
 _CHECKED = 41
 _LEAST = 1e-6  # of the move: the tolerance of the solver is a tenth of it
@@ -43,18 +43,18 @@ ProgressCall = Callable[[str, float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Demand:
-    """What a law is to keep.
+    """Requirements on a law.
 
     Parameters
     ----------
     mode
-        At the middle of the band.
+        Mode at the middle of the band.
     band
-        Half width of the band, of the frequency: 0.1 is +-10 %.
+        Half width of the band as a share of the frequency: 0.1 is +-10 %.
     move_m, residual_m
         Length of the move and amplitude allowed when it ends, m.
     acceleration_m_s2, jerk_m_s3
-        Limits; the jerk's may be infinite.
+        Limits; the jerk limit may be infinite.
     """
 
     mode: FlexibleMode
@@ -106,14 +106,14 @@ def usual_jerk_m_s3(move_m: float, acceleration_m_s2: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MadeLaw:
-    """A law made for a mode, with what it is to be compared with.
+    """A law made for a mode, and bounds to compare it with.
 
     Parameters
     ----------
     law, window_s
-        The law and the window that it is made for.
+        The law and its window.
     simulated_m
-        Largest amplitude over the band after an integration that shares nothing with the program.
+        Largest amplitude over the band in an integration independent of the program.
     acceleration_m_s2, jerk_m_s3, velocity_m_s
         Peaks.
     free_levels_s
@@ -139,8 +139,8 @@ def made_law(demand: Demand, progress: ProgressCall | None = None) -> MadeLaw:
     Raises
     ------
     ShaperError
-        If no window up to 12 periods of the mode will do, a program fails, or the simulation
-        finds more than was asked for.
+        If no window up to 12 periods of the mode suffices, a program fails, or the simulation
+        exceeds the demand.
     """
     smooth = _Spline(demand, _COEFFICIENTS, 2)
     window = _shortest(smooth, demand, progress, "law for the mode", 0.0)
@@ -222,7 +222,7 @@ def _band(demand: Demand, count: int) -> FloatArray:
 
 
 class _Spline:
-    """The program for splines of one degree; what does not depend on the window is kept."""
+    """The program for splines of one degree; data independent of the window is kept."""
 
     def __init__(self, demand: Demand, count: int, degree: int) -> None:
         self.demand, self.count, self.degree = demand, count, degree
@@ -254,7 +254,7 @@ class _Spline:
             :, None
         ]
         angles = 2.0 * pi * np.arange(_SIDES) / _SIDES
-        # Sides of a polygon inside the circle: what keeps to them keeps to the circle.
+        # Sides of a polygon inside the circle: staying within them is staying in the circle.
         sides = np.exp(-1j * angles)[:, None, None] * per / cos(pi / _SIDES)
         return np.asarray(sides.real.reshape(-1, self.count))
 
@@ -320,7 +320,7 @@ def _shortest(
 
 
 def _law(spline: _Spline, coefficients: FloatArray) -> Law:
-    """Return the law of a solution; its velocity has no coefficient below 0, so it is monotone."""
+    """Return the law of a solution; its velocity has no negative coefficient, so it is monotone."""
     degree = spline.degree + 1
     velocity = np.maximum(np.concatenate(([0.0], spline.velocity @ coefficients)), 0.0)
     velocity[-1] = 0.0

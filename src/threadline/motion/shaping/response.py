@@ -1,4 +1,4 @@
-"""The response of impulse trains, and the residual vibration that they leave.
+"""The response of impulse trains, and their residual vibration.
 
 Frequencies are in units of the modelled one and times in its periods. With s = 2 pi (zeta +
 j sqrt(1 - zeta^2)) and d_k = t_k - t_n the response is H(f) = sum A_k exp(s f d_k), and
@@ -21,11 +21,11 @@ from threadline.motion.shaping.types import FlexibleMode, Shaper
 
 
 def crossing(function: Callable[[float], float], start: float, end: float, *, xtol: float) -> float:
-    """A root between ``start`` and ``end``, of which one has a positive value and one has not.
+    """A root between ``start`` and ``end``, one of which has a positive value.
 
-    Many points at once are rounded in another order than one by one. A root that lies on one of
-    the two may show a change of sign to the row that found it and none to ``function``: then the
-    end with the smaller value is the root, to rounding.
+    Values computed in an array are rounded differently from single ones. A root at one of the two
+    ends may show a change of sign in the array and none to ``function``: then the end with the
+    smaller value is the root, to rounding.
 
     >>> round(crossing(lambda x: x * x - 2.0, 1.0, 2.0, xtol=1e-12), 9)
     1.414213562
@@ -67,7 +67,7 @@ def response_gradient(
     by_delay = amplitudes * s * frequency * power * decay
     if order:
         by_delay = by_delay + amplitudes * order * s * (s * delay) ** (order - 1) * decay
-    # d_k falls with the last time for every k but the last, which stays 0.
+    # d_k decreases with the last time for every k but the last, which stays 0.
     by_times = by_delay.copy()
     by_times[-1] = -by_delay[:-1].sum()
     return by_times[1:], power * decay
@@ -86,10 +86,10 @@ def responses(
 
 
 def zero_rows(zeros: Sequence[ZeroOf], delay: FloatArray) -> list[ComplexArray]:
-    """Return what an impulse at each ``delay`` before the end, (n,), adds to every constraint.
+    """Return the contribution of an impulse at each (n,) ``delay`` before the end to constraints.
 
-    Constraints of modes that nearly coincide are replaced by their divided differences: two
-    small numbers would say the same thing twice, and a program would meet only one of them.
+    Constraints of modes that nearly coincide are replaced by their divided differences: of two
+    almost equal rows a program would meet only one.
     """
     rows: list[ComplexArray] = []
     before: tuple[complex, ComplexArray] | None = None
@@ -106,8 +106,8 @@ def zero_rows(zeros: Sequence[ZeroOf], delay: FloatArray) -> list[ComplexArray]:
 class Rows:
     """Collects residuals and Jacobian rows of one system of design equations.
 
-    The unknowns are, in this order: the times after the first, the amplitudes where they are
-    free, and the frequencies that the design finds by itself.
+    The unknowns are, in this order: the times after the first, the amplitudes if they are free, and
+    the frequencies that the design determines.
     """
 
     def __init__(
@@ -228,7 +228,7 @@ def residual_vibration(
     Returns
     -------
     FloatArray
-        V of the broadcast shape; 1 is what one unit impulse leaves.
+        V of the broadcast shape; 1 is the vibration of one unit impulse.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def residual_vibration_batch(
     OptionError
         If shapes disagree, a frequency is negative or a damping ratio is outside [0, 1).
     """
-    # Copies: locked arrays would have machine code of their own.
+    # Copies: numba compiles a separate version for locked arrays.
     a = np.array(amplitudes, dtype=np.float64, order="C")
     t = np.array(times_s, dtype=np.float64, order="C")
     f = np.ascontiguousarray(frequency_hz, dtype=np.float64)
@@ -300,13 +300,13 @@ def vibration_of(shaper: Shaper, mode: FlexibleMode) -> float:
 
 
 BAND = 0.1
-"""Share by which a frequency may be off where the shortest of a firmware's types is chosen."""
+"""Relative frequency error to cover when the shortest of a firmware's types is chosen."""
 LEFT = 0.05
 """Largest V that such a type may leave: the tolerance of the firmwares' own EI types."""
 
 
 def most_left(shaper: Shaper, modes: Sequence[FlexibleMode], *, band: float = BAND) -> float:
-    """Return the largest V that ``shaper`` leaves of ``modes`` over f (1 +- ``band``) of each."""
+    """Return the largest residual V of ``shaper`` on ``modes`` over f (1 +- ``band``) of each."""
     return max(
         float(
             residual_vibration(

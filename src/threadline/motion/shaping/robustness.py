@@ -20,9 +20,9 @@ from threadline.errors import OptionError
 from threadline.motion.shaping.response import crossing, residual_vibration, vibration_of
 from threadline.motion.shaping.types import FlexibleMode, Shaper
 
-_ROBUSTNESS_STRETCH = 16384  # points of a grid that are looked at together
+_GRID_POINTS_A_STEP = 16384  # points of a grid per step
 _SLACK = 1.0 + 1e-8
-"""Designed humps touch the tolerance; rounding must not make a gap of that."""
+"""Designed humps touch the tolerance; rounding must not turn that into a gap."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,11 +65,11 @@ class Insensitivity:
     Parameters
     ----------
     low_hz, high_hz
-        Its ends; both the modelled frequency where V is above the tolerance even there.
+        Its ends; both the modelled frequency if V exceeds the tolerance even there.
     frequency_hz
         The modelled frequency.
     tolerance
-        The V that is allowed.
+        The permitted V.
     """
 
     low_hz: float
@@ -117,14 +117,14 @@ def insensitivity(shaper: Shaper, mode: FlexibleMode, tolerance: float = 0.05) -
 
 
 def _stretches(begin: float, end: float, count: int) -> Iterator[FloatArray]:
-    """Yield the points of a grid of ``count`` steps, each stretch with a point of its neighbours.
+    """Yield the points of a grid of ``count`` steps; neighbouring stretches share a point.
 
-    The crossing is near the mode as a rule: of a long train beside a fast mode a grid of the whole
+    The crossing is usually near the mode: for a long train on a fast mode a grid over the whole
     range would have millions of points.
     """
-    for first in range(0, count, _ROBUSTNESS_STRETCH):
-        at = np.arange(max(first - 1, 0), min(first + _ROBUSTNESS_STRETCH + 1, count) + 1)
-        yield np.maximum(begin + (end - begin) / count * at, 0.0)  # a rounding below 0 is 0
+    for first in range(0, count, _GRID_POINTS_A_STEP):
+        at = np.arange(max(first - 1, 0), min(first + _GRID_POINTS_A_STEP + 1, count) + 1)
+        yield np.maximum(begin + (end - begin) / count * at, 0.0)  # clamp a rounding below 0
 
 
 def _first_crossing(
@@ -148,11 +148,11 @@ def _first_crossing(
     return crossing(excess, float(grid[stop - 1]), float(grid[stop]), xtol=1e-14)
 
 
-_HIGHER_MODES_STRETCH = 65536  # frequencies that are looked at together
-# An undamped train's V repeats: of peaks alike but for rounding the lowest is told, everywhere.
+_FREQUENCIES_A_STEP = 65536  # frequencies per step
+# An undamped train's V repeats: of peaks that are equal but for rounding the lowest is reported.
 _ALIKE = 1.0 + 1e-9
 SEARCHED_RATIO = (1.5, 10.0)
-"""Range of f / f_mode that is searched."""
+"""Searched range of f / f_mode."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +164,7 @@ class HigherModes:
     peak
         Largest V over 1.5 to 10 times the shaped frequency, at the mode's damping.
     peak_hz
-        Where; the lowest of peaks alike.
+        Its frequency; the lowest of equal peaks.
     excited
         The machine's known modes that the shaper amplifies, each with its V.
     warnings
@@ -180,7 +180,7 @@ class HigherModes:
 def check_higher_modes(
     shaper: Shaper, mode: FlexibleMode, known: Sequence[FlexibleMode] = ()
 ) -> HigherModes:
-    """Find how much ``shaper``, made for ``mode``, excites everything above it.
+    """Return how strongly ``shaper``, made for ``mode``, excites everything above it.
 
     Parameters
     ----------
@@ -195,8 +195,8 @@ def check_higher_modes(
     low, high = SEARCHED_RATIO
     peak, peak_hz = 0.0, low * mode.frequency_hz
     count = int(np.ceil((high - low) / ripple)) + 1
-    for first in range(0, count, _HIGHER_MODES_STRETCH):
-        at = np.arange(first, min(first + _HIGHER_MODES_STRETCH, count))
+    for first in range(0, count, _FREQUENCIES_A_STEP):
+        at = np.arange(first, min(first + _FREQUENCIES_A_STEP, count))
         f = mode.frequency_hz * (low + ripple * at)
         v = residual_vibration(shaper, f, mode.damping_ratio)
         most = float(v.max())

@@ -1,14 +1,13 @@
-"""A train on whole ticks that keeps what its kind was chosen for.
+"""A train on whole ticks that keeps the properties its kind was chosen for.
 
 A kind is chosen for the band of frequency in which it stays within its tolerance: a zero of V, its
-slope and its humps are all seen there. What is searched for are therefore trains on the grid with
-the least worst V over that band, and of trains that do alike those with the least mean square,
-which is what tells a zero or a flat foot from a hump. The search starts from the nearest ticks and,
-of short trains, from the best of the ticks to either side; it moves impulses one by one and in
-pairs by one or two ticks, and makes no train longer than two ticks beyond its design. Of short
-trains every one within a few ticks is looked at. A hump that rises a little above its tolerance at
-the modelled frequency leaves no band around it at all, so that trains without such a hump are kept
-beside the best.
+slope and its humps all show there. So the search looks for trains on the grid with the least worst
+V over that band, and among equal ones for the least mean square, which distinguishes a zero or a
+flat foot from a hump. It starts from the nearest ticks and, for short trains, from the best choice
+of the ticks to either side; it moves impulses singly and in pairs by one or two ticks, and makes no
+train more than two ticks longer than its design. For short trains every one within a few ticks is
+tried. A hump slightly above its tolerance at the modelled frequency leaves no band around it at
+all, so trains without such a hump are kept besides the best.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ from threadline.motion.shaping.response import pole
 from threadline.motion.shaping.types import FlexibleMode
 
 _SHIFTS = np.array([-2, -1, 1, 2])
-_ROUNDING_ROUNDS = 60
+_MOST_EXCHANGES = 60
 _MEAN_WEIGHTS = (0.2, 1.0)
 """Weights of the root mean square beside the worst V: each leads the search to other trains."""
 _EITHER_SIDE = 11  # impulses: 2**10 choices of the tick to the left or right of each
 _STARTS = 8
-_PAIRS_OF = 40  # impulses: beyond it one impulse at a time is moved, not two
+_PAIRS_OF = 40  # impulses: in longer trains one impulse at a time is moved, not two
 _LONGER = 2  # ticks that a train may end later than designed
 _KEPT = 40
-_EVERY = 20000  # trains about the start of which every one is looked at
-_FARTHEST = 8  # ticks from the start, at most, for trains of two or three impulses
+_EVERY = 20000  # trains around the start that are all tried
+_FARTHEST = 8  # most ticks from the start, for trains of two or three impulses
 _AT_ONCE = 2000
 _FEWEST, _MOST = 17, 257
 _PER_RIPPLE = 16
@@ -42,7 +41,7 @@ _PER_RIPPLE = 16
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Frequencies of one mode that count, Hz, its damping ratio held, and the V that is allowed."""
+    """Frequencies of one mode that count, Hz, with its damping ratio held, and the permitted V."""
 
     mode: FlexibleMode
     low_hz: float
@@ -50,7 +49,7 @@ class Band:
     tolerance: float
 
     def samples_hz(self, duration_s: float, finer: int = 1) -> FloatArray:
-        """Return frequencies over the band, (n,), finer than any ripple of so long a train."""
+        """Return (n,) frequencies over the band, finer than any ripple of a train so long."""
         width = self.high_hz - self.low_hz
         if width <= 0.0:
             return np.array([self.mode.frequency_hz])
@@ -62,16 +61,16 @@ class Band:
 class TickGrid:
     """V over the bands of trains whose impulses lie on whole ticks.
 
-    Where bands have tolerances of their own, V of a mode counts in proportion to the largest.
+    If bands have different tolerances, V of a mode is scaled to the largest.
 
     Parameters
     ----------
     bands
         At least one.
     tick_s
-        The controller's, s.
+        Tick of the controller, s.
     last
-        Tick about which the trains end: decays are counted from there, so that nothing overflows.
+        Approximate last tick of the trains: decays are counted from there, to avoid overflow.
     """
 
     def __init__(self, bands: Sequence[Band], tick_s: float, last: int) -> None:
@@ -110,12 +109,12 @@ class TickGrid:
         return found
 
     def impulses(self, ticks: IntArray) -> ComplexArray:
-        """Return what a unit impulse at each of ``ticks`` (...,) leaves, (..., frequencies)."""
+        """Return the response to a unit impulse at each of ``ticks`` (...,), (..., frequencies)."""
         found: ComplexArray = np.exp(self._turn * (np.asarray(ticks)[..., None] - self._last))
         return found
 
     def vibration(self, response: ComplexArray, last: IntArray) -> FloatArray:
-        """Return V of sums of impulses, (..., frequencies), of trains that end at ``last``."""
+        """Return V of sums of impulses, (..., frequencies), for trains that end at ``last``."""
         decay = np.exp(-self._turn.real * (np.asarray(last)[..., None] - self._last))
         found: FloatArray = np.abs(response) * decay / self._share
         return found
@@ -145,7 +144,7 @@ def on_ticks(
     start
         Ticks (n,), at least ``gap`` apart.
     exact
-        The times that were designed, (n,), in ticks.
+        The designed times, (n,), in ticks.
     gap
         Fewest ticks between two impulses.
     """
@@ -164,9 +163,9 @@ def on_ticks(
 
 
 class _Search:
-    """Descends from one start after the other; ``seen`` has what it passed, by cost.
+    """Descends from one start after the other; ``seen`` collects its trains, by cost.
 
-    ``sound`` are those of them that leave no more than the tolerance at the modelled frequencies.
+    ``sound`` are those within the tolerance at the modelled frequencies.
     """
 
     def __init__(
@@ -178,7 +177,7 @@ class _Search:
         self.sound: set[tuple[int, ...]] = set()
 
     def every_one_about(self, start: IntArray) -> None:
-        """Look at every train with each impulse within a few ticks of its start."""
+        """Try every train with each impulse within a few ticks of its start."""
         free = len(start) - 1
         if not free:  # a train of one impulse: its start is time 0
             return
@@ -226,11 +225,11 @@ class _Search:
         yield from choices[np.argsort(values, kind="stable")[:_STARTS]]
 
     def improve(self, start: IntArray) -> None:
-        """Follow the best shift of one impulse or two until none is better."""
+        """Apply the best shift of one impulse or two until none is better."""
         response = self._amplitudes @ self._grid.impulses(start)
         ticks, value = start, float(self._cost(response, start[-1]))
         self._note(ticks, value)
-        for _ in range(_ROUNDING_ROUNDS):
+        for _ in range(_MOST_EXCHANGES):
             better = self._one_by_one(ticks, value)
             if better is None and len(ticks) <= _PAIRS_OF:
                 better = self._pair(ticks, value)
@@ -243,13 +242,13 @@ class _Search:
         self.seen[tuple(ticks.tolist())] = value
 
     def _shifted(self, ticks: IntArray, index: int) -> ComplexArray:
-        """Return what the response gains by each shift of an impulse, (4, frequencies)."""
+        """Return the change of the response for each shift of an impulse, (4, frequencies)."""
         moved = self._grid.impulses(ticks[index] + _SHIFTS) - self._grid.impulses(ticks[index])
         found: ComplexArray = self._amplitudes[index] * moved
         return found
 
     def _one_by_one(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
-        """Go through the impulses once, each to its best place; None where all stay."""
+        """Move each impulse once to its best place; None if all stay."""
         now, best = ticks.copy(), value
         response = self._amplitudes @ self._grid.impulses(now)
         for i in range(1, len(now)):
@@ -272,7 +271,7 @@ class _Search:
         return fits
 
     def _pair(self, ticks: IntArray, value: float) -> tuple[IntArray, float] | None:
-        """Return the best shift of two impulses at once; None where none is better."""
+        """Return the best shift of two impulses at once; None if none is better."""
         n = len(ticks)
         gains = np.array([self._shifted(ticks, i) for i in range(1, n)])  # (n - 1, 4, f)
         response = self._amplitudes @ self._grid.impulses(ticks)
@@ -296,7 +295,7 @@ class _Search:
         return None if found is None else (found, best)
 
 
-_AMPLITUDES_ROUNDS = 40
+_MOST_AMPLITUDE_STEPS = 40
 _SILENCE_WEIGHT, _SUM_WEIGHT = 1e4, 1e7
 
 
@@ -309,16 +308,16 @@ def with_amplitudes(
     *,
     positive: bool,
 ) -> tuple[FloatArray, IntArray]:
-    """Return amplitudes and ticks, the amplitudes solved anew.
+    """Return amplitudes and ticks, with the amplitudes solved again.
 
     Parameters
     ----------
     starts
-        Ticks (n,) to begin with; the best of them is followed.
+        Ticks (n,) to start from; the best of them is improved.
     gap
         Fewest ticks between two impulses.
     silent
-        Modes that the design silences: they stay silent where the impulses are enough for it.
+        Modes that the design silences: they stay silent if there are enough impulses.
     positive
         No amplitude may be negative.
     """
@@ -338,7 +337,7 @@ def _descend(ticks: IntArray, gap: int, value: Callable[[IntArray], float]) -> I
     best, least = ticks, value(ticks)
     singles = [(i,) for i in range(1, len(ticks))]
     pairs = list(itertools.pairwise(range(1, len(ticks))))
-    for _ in range(_AMPLITUDES_ROUNDS):
+    for _ in range(_MOST_AMPLITUDE_STEPS):
         found = None
         for moved in [*singles, *pairs]:
             for shift in itertools.product((-2, -1, 1, 2), repeat=len(moved)):

@@ -81,11 +81,11 @@ def shaped_law(law: Law, shaper: Shaper, window_s: float) -> Law:
     Parameters
     ----------
     law
-        Runs in what the shaper leaves of the window.
+        Fills the part of the window that the shaper leaves.
     shaper
-        Impulses that sum to 1. With negative ones the law may go back, and has no inverse then.
+        Impulses that sum to 1. With negative ones the law may go back, and then has no inverse.
     window_s
-        The whole window; a shaped law is one of shape, so another window needs another.
+        The whole window; the shape of the result is specific to it.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def shaped_law(law: Law, shaper: Shaper, window_s: float) -> Law:
 def shaped_windows(law: Law, demand: Demand) -> list[ShapedWindow]:
     """Return ``law`` with a shaper of each kind, in the shortest window that keeps ``demand``.
 
-    Windows are tried in steps of a millisecond, up to four rigid windows behind the shaper. Kinds
+    Windows are tried in steps of a millisecond, up to four rigid windows beyond the shaper. Kinds
     that keep the demand in none of them are left out. The jerk is free.
     """
     d = demand
@@ -124,10 +124,10 @@ def shaped_windows(law: Law, demand: Demand) -> list[ShapedWindow]:
     left = np.array([residual_m(law, FlexibleMode(f, zeta), d.move_m, own) for f in frequencies])
     for kind in SHAPED:
         shaper = design(kind, d.mode)
-        # What the law leaves is turned by the shaper as one impulse is.
+        # The shaper scales the law's residual by its response.
         share = residual_vibration(shaper, frequencies, zeta)
         for length in own[(left * share[:, None] <= d.residual_m).all(axis=0)].tolist():
-            # To whole microseconds, so that its name says all of it.
+            # Rounded to whole microseconds, so that its name is exact.
             window = ceil((length + shaper.duration_s) * 1e6) / 1e6
             words = f"{law.name}*{kind.value}:{d.mode.frequency_hz!r}Hz:{zeta!r}"
             name = f"{words} in {round(window * 1e3, 3)!r} ms"
@@ -142,9 +142,9 @@ _EXAMPLE = 'Write it like "modified-sine*zv:12Hz:0.02 in 160 ms".'
 
 
 def law_named(text: str) -> Law:
-    """Return the law called ``text``: of the catalogue, or one that a shaper makes of it.
+    """Return the law called ``text``: from the catalogue, or shaped by a shaper.
 
-    ``"modified-sine"`` and what else ``threadline.motion.laws.law`` knows;
+    ``"modified-sine"`` and other names of ``threadline.motion.laws.law``;
     ``"modified-sine*zv:12Hz:0.02 in 160 ms"`` is a law convolved with a shaper so that both
     together take the window. Played in another window it keeps its shape, and silences
     the frequency scaled by the ratio of the windows.

@@ -21,7 +21,7 @@ RESIDUAL = 1e-11
 
 
 def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30) -> FloatArray:
-    """Solve ``system`` from ``seed``; the step is the least-squares one where it isn't square.
+    """Solve ``system`` from ``seed``; with a least-squares step if it is not square.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30)
     worst = np.inf
     for _ in range(iterations):
         try:
-            # A step that went astray overflows: that is failure to converge, not a warning.
+            # A diverging step overflows: that is failure to converge, not a warning.
             with np.errstate(over="ignore", invalid="ignore"):
                 residual, jacobian = system(x)
         except OverflowError:
@@ -52,8 +52,8 @@ def newton(system: System, seed: FloatArray, what: str, *, iterations: int = 30)
         # One more step after convergence costs little and polishes to rounding.
         if worst < RESIDUAL and previous < 1e-6:
             return x
-        # Symmetric trains make some of more constraints than unknowns repeat one another: those
-        # directions are left alone where the system is not square.
+        # In symmetric trains with more constraints than unknowns some repeat one another: these
+        # directions are ignored in a system that is not square.
         cutoff = 1e-14 if jacobian.shape[0] == jacobian.shape[1] else 1e-8
         x = x - np.linalg.lstsq(jacobian, residual, rcond=cutoff)[0]
     raise ShaperError(
@@ -95,7 +95,7 @@ def follow(
         size = end - at if abs(end - at) <= abs(size) else size
         try:
             moved = newton(system_at(at + size), x + tangent * size, what, iterations=12)
-            # A jump is another branch, not the solution that is being followed.
+            # A jump leads to another branch, not the followed solution.
             if np.abs(moved - x - tangent * size).max() > 0.1:
                 raise ShaperError(f"{what}: the followed solution was lost")
         except ShaperError:
@@ -138,7 +138,7 @@ def minimise(
     Parameters
     ----------
     seconds
-        How long the solver may take, each time that it is asked.
+        Time limit of each call of the solver, s.
 
     Raises
     ------

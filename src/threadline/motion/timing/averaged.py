@@ -1,19 +1,18 @@
-r"""Trajectories smooth enough for an inverse: averages over time as a spline of fifth degree.
+r"""Trajectories smoothed in time: moving averages as cubic or quintic splines.
 
 The motion is sampled every ``step_s``; weighted averages of its samples are the control points of a
-uniform quintic B-spline, so that four derivatives are continuous. Weights of the sum 1 that lie
-evenly about their middle make nothing late.
+uniform B-spline in time. Symmetric weights with sum 1 cause no delay.
 
-Unless weights are given, four moving averages of nine samples each are taken one after the other.
-All of that is one kernel of the width ``38 step_s``, the same for all axes: straight paths stay
-straight. The motion passes a corner of angle ``turn`` taken at speed v within
-:math:`v\,E|t|\sin(turn/2)`, where E\|t\| of the kernel is 0.111 of its width.
+A quintic spline has four continuous derivatives, enough for the inverse of an axis. By default,
+four moving averages of nine samples each are applied in turn. Together they form one kernel of the
+width ``38 step_s``, the same for all axes, so that straight paths stay straight. The motion passes
+a corner of angle ``turn`` taken at speed v within :math:`v\,E|t|\sin(turn/2)`, where E\|t\| of the
+kernel is 0.111 of its width.
 
-The motion is sampled every ``step_s``; every sample is averaged with those before it over
-``count`` samples; the averages are the control points of a uniform cubic B-spline in time.
-Means of means: where the motion keeps |v| <= V and |a| <= A, so do its averages and the spline,
-and the jerk, which is the change of the acceleration over the width of the average, is at most
-2 A / (count step_s). No sampling enters these bounds.
+A cubic spline limits the jerk: every sample is averaged with the ``count - 1`` samples before it.
+If the motion keeps |v| <= V and |a| <= A, so do its averages and the spline. The jerk, which is the
+change of the acceleration over the width of the average, is at most 2 A / (count step_s). No
+sampling enters these bounds.
 """
 
 from __future__ import annotations
@@ -52,8 +51,8 @@ class Averages(Locked):
     step_s
         Time between samples.
     starts, stops
-        Weights of steps from rest and to rest, of the same shape and first moment; None where they
-        are those of the rest of the motion.
+        Weights for steps from rest and to rest, of the same shape and first moment; None if they
+        are equal to ``weights``.
     """
 
     weights: FloatArray
@@ -74,17 +73,17 @@ class Averages(Locked):
 
     @property
     def width_s(self) -> float:
-        """How long a motion that is at rest elsewhere is touched by one of its instants."""
+        """Width in time over which one instant of the motion affects the average."""
         return (len(self.weights) + DEGREE) * self.step_s
 
     @property
     def before(self) -> int:
-        """Number of samples before an interval that have a part in it."""
+        """Number of samples before an interval that affect it."""
         return len(self.weights) // 2 + DEGREE // 2
 
     @property
     def after(self) -> int:
-        """Number of samples after the beginning of an interval that have a part in it."""
+        """Number of samples after the beginning of an interval that affect it."""
         return self.before + 1
 
 
@@ -128,10 +127,10 @@ def held_trajectory(
     Parameters
     ----------
     job
-        Where something other than a move or an empty dwell comes between two moves, the motion
-        rests for ``width_s`` more, so that it is really at rest when that happens.
+        If anything other than a move or an empty dwell comes between two moves, the motion rests
+        for ``width_s`` more, so that it has really come to rest when that happens.
     before_s, after_s
-        How long the motion stands before it begins, and after its end, s.
+        Rest before the motion begins, and after its end, s.
     """
     return Trajectory(
         axes=trajectory.axes,
@@ -149,7 +148,7 @@ def averaged_trajectory(held: Trajectory, averages: Averages) -> Trajectory:
         It must stand for half of the width of ``averages`` at both ends.
     """
     if held.duration_s / averages.step_s <= _KEPT:
-        # A short motion is worked out once and kept: it will be read many times.
+        # A short motion is computed once and kept, as it is read many times.
         return Trajectory(axes=held.axes, blocks=Stream.of(list(_averaged(held, averages))))
     return Trajectory(axes=held.axes, blocks=Stream(_averaged, held, averages))
 
@@ -172,7 +171,7 @@ def _held(
     rests = _rests(job)
     rest = next(rests, None)
     now = 0.0
-    last: tuple[FloatArray, int] | None = None  # where it stood, and the operation
+    last: tuple[FloatArray, int] | None = None  # its last standstill, and the operation
     for block in trajectory:
         if not len(block):
             continue
@@ -227,7 +226,7 @@ def _still(place: FloatArray, operation: int, start_s: float, duration_s: float)
 def _averaged(held: Trajectory, averages: Averages) -> Iterator[TrajectoryBlock]:
     basis, step_s = spline_basis(), averages.step_s
     ahead, behind = averages.before, averages.after
-    raw: FloatArray | None = None  # samples from that of number ``done - ahead`` on
+    raw: FloatArray | None = None  # samples from number ``done - ahead`` on
     labels: IntArray = np.empty(0, dtype=np.int64)
     done = sampled = labelled = 0
     end_s = 0.0
@@ -279,7 +278,7 @@ def _spline(
     """Return pieces ``done`` to ``done + count``; ``raw`` begins ``before`` samples earlier."""
     step_s = averages.step_s
     controls = np.zeros((count + DEGREE, raw.shape[1]))
-    # About the first sample, so that rest is exactly rest.
+    # Relative to the first sample, so that rest is exactly rest.
     away = raw[: count + averages.before + averages.after] - raw[0]
     for shift, weight in enumerate(averages.weights):
         controls += weight * away[shift : shift + len(controls)]
@@ -298,10 +297,10 @@ def _spline(
 
 
 class _EndsOfSpeed:
-    """What weights of their own change of the control points about steps from rest and to rest.
+    """Corrects control points near steps from rest and to rest, which have weights of their own.
 
     A step of the velocity by dv at the time t adds ``dv max(0, s - t)`` to every sample s. Two sets
-    of weights of one sum and one first moment differ by that only near the step.
+    of weights with equal sum and first moment differ by that only near the step.
     """
 
     def __init__(self, averages: Averages) -> None:
@@ -309,10 +308,10 @@ class _EndsOfSpeed:
         own = (averages.starts, averages.stops)
         self._more = [None if weights is None else weights - averages.weights for weights in own]
         self._half = len(averages.weights) // 2
-        self._still = True  # at the end of what was read
+        self._still = True  # at the end of the read part
         self._last: FloatArray = np.zeros(1)
         self._fastest = 0.0
-        self._due: list[tuple[int, FloatArray]] = []  # first control point, and the changes
+        self._due: list[tuple[int, FloatArray]] = []  # first control point, and the corrections
 
     def read(self, block: TrajectoryBlock) -> None:
         """Find the steps of the next block."""
@@ -353,7 +352,7 @@ class _EndsOfSpeed:
         self._due.append((first, change * by))
 
     def add_to(self, controls: FloatArray, first: int) -> None:
-        """Add what is due to control points, of which the first is that about sample ``first``."""
+        """Add due corrections to control points, the first of them around sample ``first``."""
         end = first + len(controls)
         self._due = [(at, change) for at, change in self._due if at + len(change) > first]
         for at, change in self._due:
@@ -363,10 +362,10 @@ class _EndsOfSpeed:
 
 
 def denser(weights: FloatArray, times: int) -> FloatArray:
-    """Return the weights of the same averages, of samples ``times`` as dense; one column an axis.
+    """Return the weights of the same averages for samples ``times`` as dense; one column per axis.
 
-    A uniform B-spline of degree d is a sum of narrower ones: those of d + 1 moving averages over
-    their steps (the two-scale relation of splines).
+    A uniform B-spline of degree d is a sum of narrower ones, with the weights of d + 1 moving
+    averages over their steps (the two-scale relation of splines).
     """
     mask = np.ones(1)
     for _ in range(DEGREE + 1):
@@ -388,7 +387,7 @@ class Smoother:
         self._labels = np.full(self._lag + 2, operation, dtype=np.int64)
 
     def extend(self, samples: FloatArray, operation: IntArray) -> tuple[FloatArray, IntArray]:
-        """Return the (n, 4, axes) coefficients and (n,) operations that ``samples`` settle."""
+        """Return the (n, 4, axes) coefficients and (n,) operations that ``samples`` complete."""
         raw = np.concatenate([self._raw, samples])
         fresh = len(samples)
         mean = np.zeros_like(samples)
@@ -409,6 +408,6 @@ class Smoother:
         return bspline_coefficients(controls), out
 
     def finish(self, end: FloatArray, operation: int) -> tuple[FloatArray, IntArray]:
-        """Return what is left once the axes stand still at ``end``."""
+        """Return the remaining pieces once the axes stand still at ``end``."""
         count = self._count + 2
         return self.extend(np.tile(end, (count, 1)), np.full(count, operation, dtype=np.int64))

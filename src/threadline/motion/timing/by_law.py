@@ -1,17 +1,17 @@
 """Chords timed one by one: by a motion law, at programmed times, or with steps of speed.
 
-A trajectory is of polynomial pieces (decision 0003): a law of sines goes in as quintic pieces that
-have its rise, velocity and acceleration at their ends. The peaks that the limits are held by are
-those of the pieces, so that nothing is lost between the two.
+A trajectory consists of polynomial pieces (decision 0003): a law of sines is converted to quintic
+pieces that share its rise, velocity and acceleration at their ends. Limits are checked with the
+peaks of the pieces, so that the conversion loses nothing.
 
-Velocity steps at every vertex, as in the linear interpolation of the 1994 controller, but no
-travel time is rounded to ticks: a needle of constant speed stays one. Rapid moves, which have no
-programmed time, go from rest to rest.
+With programmed times velocity steps at every vertex, as in the linear interpolation of the 1994
+controller, but no travel time is rounded to ticks: a needle's constant speed stays constant. Rapid
+moves, which have no programmed time, go from rest to rest.
 
-A leg that starts from rest takes longer for its first stitches, as its run-up asks for, but along
-chords at programmed times every stitch has one mean speed, which steps at its ends. Here the leg
-rests for as long as the run-up costs, and then has its speed; a stop is the same backwards. What
-smooths the motion gives the one step its shape. Times, places and the way of the whole leg stay.
+A leg of a seam that starts from rest takes longer for its first stitches, to run up, but at
+programmed times every stitch has one mean speed, which steps at its ends. ``with_steps`` lets the
+leg rest for the time that the run-up costs, and then start at its full speed; a stop is the same
+backwards. The smoothing shapes the single step. Times, places and the path of the whole leg stay.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ def law_pieces(law: Law) -> tuple[FloatArray, FloatArray, tuple[float, float, fl
     ends : (n + 1,)
         From 0 to 1.
     powers : (n, 6)
-        Of the time since a piece began over its length.
+        Powers of the time since the beginning of a piece over its length.
     peaks
-        Of velocity, acceleration and jerk of the pieces.
+        Peaks of velocity, acceleration and jerk of the pieces.
     """
     looks = np.linspace(0.0, 1.0, 9)[1:-1]
     ends, powers = law.edges, np.zeros((0, 6))
@@ -72,7 +72,7 @@ def _quintic(law: Law, ends: FloatArray) -> FloatArray:
     h = np.diff(ends)
     s, v = law(ends), h * law(ends, 1)[:-1]
     w = h * law(ends, 1)[1:]
-    # Between two stretches the acceleration may step: each piece has that of its own side.
+    # Between two stretches the acceleration may step: each piece takes the value on its side.
     a = h**2 * law(ends[:-1] + 1e-9 * h, 2)
     b = h**2 * law(ends[1:] - 1e-9 * h, 2)
     gained, speed, bend = np.diff(s) - v - 0.5 * a, w - v - a, b - a
@@ -102,14 +102,14 @@ def _largest(powers: FloatArray) -> float:
 def by_law(path: PlannedPath, machine: Machine, law: Law) -> Iterator[PieceBlock]:
     """Yield the timed pieces of every chord: from rest to rest, as fast as limits and feed allow.
 
-    The peak of the velocity meets the programmed feed; the time of a move is the least that keeps
-    it and, for every axis, the limits of velocity, acceleration and jerk. Where the jerk of the law
-    is infinite, its limit does not bind.
+    The peak of the velocity equals the programmed feed at most; the time of a move is the shortest
+    that keeps it and, for every axis, the limits of velocity, acceleration and jerk. If the jerk of
+    the law is infinite, its limit is ignored.
 
     Raises
     ------
     OptionError
-        If the law goes back: an axis would turn where none was programmed.
+        If the law goes back: an axis would reverse without being programmed to.
     """
     refuse_descent(law)
     ends, powers, found = law_pieces(law)
@@ -148,28 +148,28 @@ def by_law(path: PlannedPath, machine: Machine, law: Law) -> Iterator[PieceBlock
 
 
 def breaks_jerk(law: Law, axes: tuple[str, ...], machine: Machine) -> bool:
-    """Say whether the law asks for infinite jerk where an axis has a limit."""
+    """Return whether the law has infinite jerk and an axis has a jerk limit."""
     column = [machine.axis_names.index(axis) for axis in axes]
     return law.jerk is None and bool(np.isfinite(machine.jerk_limit[column]).any())
 
 
-# The law 10 u^3 - 15 u^4 + 6 u^5: its peaks, and where it is looked at for current.
+# The law 10 u^3 - 15 u^4 + 6 u^5: its peaks, and the places at which the current is checked.
 _PEAKS = (1.875, 10.0 / np.sqrt(3.0), 60.0)
 _U = np.linspace(0.0, 1.0, 65)
 _SPEED = 30.0 * _U**2 * (1.0 - _U) ** 2
 _ACCELERATION = 60.0 * _U * (1.0 - _U) * (1.0 - 2.0 * _U)
-_CURRENT_SHARE = 0.8  # the rest is for what bends on the way
+_CURRENT_SHARE = 0.8  # the rest is for elastic motion
 
 
 def as_programmed(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
-    """Yield one timed piece per chord: straight at its programmed time, quintic where it is rapid.
+    """Yield one timed piece per chord: straight at its programmed time, quintic if it is rapid.
 
     Parameters
     ----------
     path
-        Chords, their nominal time 0 where they are rapid.
+        Chords, with nominal time 0 for rapid ones.
     machine
-        Its limits are those of rapid moves.
+        Machine with the limits of rapid moves.
     """
     for block in path:
         start, displacement = block.coefficients[:, 0], block.coefficients[:, 1]
@@ -193,10 +193,10 @@ def as_programmed(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
 
 
 def rapid_time_s(displacement: FloatArray, axes: tuple[str, ...], machine: Machine) -> FloatArray:
-    """Return the (n,) least time of moves from rest to rest along the law 10 u^3 - 15 u^4 + 6 u^5.
+    """Return the (n,) shortest times of moves from rest to rest by the law 10 u^3 - 15 u^4 + 6 u^5.
 
-    Within the limits of velocity, acceleration and jerk of every axis, and with four fifths of
-    the current of its motor, all links taken as rigid.
+    They keep the limits of velocity, acceleration and jerk of every axis, and four fifths of the
+    current of its motor, with all links taken as rigid.
 
     Parameters
     ----------
@@ -216,11 +216,11 @@ def rapid_time_s(displacement: FloatArray, axes: tuple[str, ...], machine: Machi
 
 
 def _current_time_s(way: FloatArray, axis: str, machine: Machine) -> FloatArray:
-    """Return (n,) times at which the current of a rigid axis stays within its share.
+    """Return (n,) times that keep the current of a rigid axis within its share.
 
     At each u the current is f + c v/T + k a/T^2, so that 1/T is bounded by a quadratic equation.
     """
-    if machine.axes[axis].drive:  # told positions: its torque is judged
+    if machine.axes[axis].drive:  # a position interface: its torque is judged
         return np.zeros(len(way))
     drive = machine.drive_of(axis)
     most = drive.amplifier.current_limit
@@ -231,20 +231,20 @@ def _current_time_s(way: FloatArray, axis: str, machine: Machine) -> FloatArray:
     spare = max(_CURRENT_SHARE * most.si - friction, 0.05 * most.si)
     a = current_needed(machine, axis, 0.0, 1.0) * way[:, None] * _ACCELERATION
     b = per_speed * way[:, None] * _SPEED
-    # Where the motor brakes the curve may stay below its bound at any speed.
+    # If the motor brakes, the curve may stay below its bound at any speed.
     root = np.sqrt(np.maximum(b * b + 4.0 * a * spare, 0.0))
     bound = np.where(b * b + 4.0 * a * spare >= 0.0, b + root, 0.0)
     return np.asarray((bound / (2.0 * spare)).max(axis=1))
 
 
 _ALIKE = 1e-9
-_MOST = 4  # pieces in which a leg comes to its speed
-_AROUND = _MOST + 1  # pieces before and after one that say to which group it belongs
+_MOST = 4  # most pieces in which a leg reaches its speed
+_AROUND = _MOST + 1  # pieces before and after one that determine its group
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Leads:
-    """How long legs rest at their ends in place of their run-ups: the least and the most, s."""
+    """Shortest and longest rest at the ends of legs that replaces their run-ups, s."""
 
     starts_s: tuple[float, float]
     stops_s: tuple[float, float]
@@ -252,7 +252,7 @@ class Leads:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Group:
-    """Slower pieces ``first`` to ``end`` at one end of a leg of the velocity ``full``."""
+    """Slower pieces ``first`` to ``end`` at one end of a leg with the velocity ``full``."""
 
     first: int
     end: int
@@ -262,11 +262,11 @@ class _Group:
 
 
 def with_steps(planned: Trajectory) -> Trajectory:
-    """Return ``planned`` with one step of speed where its legs come to their speed, and leave it.
+    """Return ``planned`` with a single step of speed where its legs run up, and where they stop.
 
-    Only straight pieces are changed: up to four at either end of a leg, each faster than the one
-    before it (after it, at a stop) and slower than the leg. A leg goes from rest to rest: there is
-    an operation between two moves, or it is at rest.
+    Only straight pieces are changed: up to four at either end of a leg, each faster than its
+    predecessor (successor, at a stop) and slower than the leg. A leg goes from rest to rest: there
+    is an operation between two moves, or the motion is at rest.
     """
     return Trajectory(
         axes=planned.axes,
@@ -276,7 +276,7 @@ def with_steps(planned: Trajectory) -> Trajectory:
 
 
 def leads_of(planned: Trajectory) -> Leads:
-    """Return how long the legs of ``planned`` rest in :func:`with_steps`, 0 where they do not."""
+    """Return the rests of the legs of ``planned`` in :func:`with_steps`, 0 without any."""
     found: dict[bool, list[float]] = {False: [], True: []}
     for whole, done, ready in _windows(planned):
         for group in _groups(whole):
@@ -287,7 +287,7 @@ def leads_of(planned: Trajectory) -> Leads:
 
 
 def _windows(planned: Trajectory) -> Iterator[tuple[TrajectoryBlock, int, int]]:
-    """Yield pieces ``done`` to ``ready`` of blocks, with enough around them."""
+    """Yield pieces ``done`` to ``ready`` of blocks, with enough neighbours around them."""
     whole: TrajectoryBlock | None = None
     done = 0
     for block in planned:
@@ -351,7 +351,7 @@ def _stepped(planned: Trajectory) -> Iterator[TrajectoryBlock]:
 
 
 def _changed(whole: TrajectoryBlock, group: _Group, first: int, end: int) -> TrajectoryBlock:
-    """Return pieces ``first`` to ``end`` of a group: still, at full speed, or cut into both."""
+    """Return pieces ``first`` to ``end`` of a group: at rest, at full speed, or split in two."""
     last = group.end - 1
     if group.stop:
         step_s = float(whole.start_s[last] + whole.duration_s[last]) - group.rest_s
@@ -415,6 +415,6 @@ def _velocity(block: TrajectoryBlock) -> FloatArray:
 
 
 def _alike(first: FloatArray, second: FloatArray) -> NDArray[np.bool_]:
-    """Say where two velocities, neither of them 0, have one direction."""
+    """Return where two nonzero velocities have the same direction."""
     size = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
     return np.asarray((size > 0.0) & (np.sum(first * second, axis=1) >= (1.0 - _ALIKE) * size))

@@ -1,10 +1,10 @@
-"""Exact extremes of many polynomial pieces, of which only the promising are solved.
+"""Exact extremes of many polynomial pieces; only pieces that can contain one are solved.
 
-The planner checks its limits with it and the judge measures with it: it is mathematics of the
-pieces and knows neither limit nor criterion. Tests hold both against dense sampling.
+The planner checks its limits with it and the judge measures with it: it is pure mathematics of
+pieces and knows neither limits nor criteria. Tests compare both with dense sampling.
 
-Polynomials are (order, n) arrays, one row per power of u in [0, 1]: long rows, which numpy goes
-through several times as fast as through many short ones.
+Polynomials are (order, n) arrays, one row per power of u in [0, 1]: numpy is several times faster
+on long rows than on many short ones.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.motion.timing.types import TrajectoryBlock
 
 _ROUNDED = 1.0 + 1e-12
-"""A bound is taken to be so much further: it is rounded otherwise than the value that it bounds."""
+"""Relative margin on a bound, which is rounded otherwise than the value that it bounds."""
 _TURNED = 1e-12
-"""Of the largest coefficient of a velocity: by so much it is no motion back."""
-_NOTHING = 1e-14  # leading coefficients that are nothing beside the others would spoil the roots
+"""Share of a velocity's largest coefficient below which a reverse motion is rounding."""
+_NOTHING = 1e-14  # relative: smaller leading coefficients would spoil the roots
 
 
 def derivatives(block: TrajectoryBlock, column: int, highest: int) -> list[FloatArray]:
@@ -36,21 +36,21 @@ def derivatives(block: TrajectoryBlock, column: int, highest: int) -> list[Float
 
 
 def hull_of(poly: FloatArray) -> FloatArray:
-    """Return Bernstein's coefficients of (order, n) polynomials, between which each stays."""
+    """Return the Bernstein coefficients of (order, n) polynomials, which enclose them."""
     return _bernstein(len(poly)) @ poly
 
 
 @cache
 def _bernstein(order: int) -> FloatArray:
-    """Return the (order, order) change to Bernstein's basis, whose hull holds the polynomial."""
+    """Return the (order, order) change to the Bernstein basis, whose hull encloses a polynomial."""
     return np.array([[comb(i, k) / comb(order - 1, k) for k in range(order)] for i in range(order)])
 
 
 def highest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
     """Return the highest value of (order, n) polynomials on [0, 1], its piece and its place.
 
-    None where no piece rises above ``above``. Pieces are solved in the order of their bounds,
-    until no bound is above the highest value found.
+    None if no piece exceeds ``above``. Pieces are solved in the order of their bounds, until no
+    bound exceeds the highest value found.
     """
     ends = np.maximum(poly[0], poly.sum(axis=0))
     first = int(np.argmax(ends))
@@ -70,7 +70,7 @@ def highest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
 
 
 def farthest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
-    """Return the largest absolute value of polynomials, as ``highest`` does the highest."""
+    """Return the largest absolute value of polynomials, in the form of ``highest``."""
     hull = hull_of(poly)
     above_hull, below_hull = float(hull.max()), -float(hull.min())
     up = None if above_hull * _ROUNDED <= above else highest(poly, above)
@@ -82,7 +82,7 @@ def farthest(poly: FloatArray, above: float) -> tuple[float, int, float] | None:
 def in_direction(
     velocity: FloatArray, push: FloatArray
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray]:
-    """Return accelerations in the direction of the motion, of parts on which that does not turn.
+    """Return accelerations in the direction of motion, on parts where the direction is constant.
 
     Parameters
     ----------
@@ -92,8 +92,8 @@ def in_direction(
     Returns
     -------
     tuple
-        (order, m) polynomials over [0, 1] of each part, above 0 where the axis becomes faster; the
-        (m,) pieces that the parts are of, and where in these they begin and how wide they are.
+        (order, m) polynomials over [0, 1] of each part, positive if the axis speeds up; the (m,)
+        pieces of the parts, and where in these they begin and how wide they are.
     """
     hull = hull_of(velocity)
     rounding = _TURNED * np.abs(hull).max(axis=0)
@@ -141,7 +141,7 @@ def _highest_of(poly: FloatArray) -> tuple[float, float]:
     if slope.any():
         kept = np.flatnonzero(np.abs(slope) > _NOTHING * np.abs(slope).max())[-1]
         for root in np.atleast_1d(np.roots(slope[kept::-1])):
-            # Any place may be tried: the real part of a pair that rounding drove apart is near.
+            # Extra candidates do no harm: rounding may have split a double root into a pair.
             if 0.0 < root.real < 1.0:
                 places.append(float(root.real))
     values = np.polynomial.polynomial.polyval(np.array(places), poly)

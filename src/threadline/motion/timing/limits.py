@@ -1,4 +1,4 @@
-"""The exact extremes of a trajectory, held against the limits of the machine."""
+"""The exact extremes of a trajectory, compared with the limits of the machine."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _ORDER: tuple[Quantity, ...] = ("travel", "velocity", "acceleration", "jerk")
 _BRAKING: Quantity = "deceleration"
 _LISTED: tuple[Quantity, ...] = ("travel", "velocity", "acceleration", _BRAKING, "jerk")
 _UNIT = {"travel": "", "velocity": "/s", "acceleration": "/s^2", _BRAKING: "/s^2", "jerk": "/s^3"}
-# Joints: a larger step of the velocity or acceleration, in parts of the limit, is a jump.
+# Joints: a step of the velocity or acceleration above this share of the limit is a jump.
 _STEP = 1e-6
-_ROUNDING = 8 * float(np.finfo(np.float64).eps)  # of a place
+_ROUNDING = 8 * float(np.finfo(np.float64).eps)  # of a position
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,12 +37,12 @@ class Peak:
     ----------
     value_si, limit_si
         m, m/s ... or rad, rad/s ...; for travel the position nearest to or farthest beyond an
-        end and that end. A step of the velocity counts as infinite acceleration and jerk, one of
+        end and that end. A step of the velocity counts as infinite acceleration and jerk, a step of
         the acceleration as infinite jerk.
     ratio
-        How much of the limit is used; for travel 1 at the end and 0 in the middle.
+        Used share of the limit; for travel 1 at the end and 0 in the middle.
     time_s, operation
-        Where.
+        Time and operation.
     """
 
     axis: str
@@ -58,8 +58,8 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
     """Return the peak of every axis and limit, in the order of the axes.
 
     Extremes within the pieces count: each piece whose Bernstein coefficients could exceed the
-    peak so far is searched for the roots of its next derivative. Where an axis brakes otherwise
-    than it speeds up, both are searched, each as a quantity of its own.
+    peak so far is searched for the roots of its next derivative. If an axis has a braking limit of
+    its own, speeding up and braking are searched separately.
     """
     column = [machine.axis_names.index(axis) for axis in trajectory.axes]
     low, high = machine.travel[column].T
@@ -101,12 +101,12 @@ def limit_peaks(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
 
 
 def check_limits(trajectory: Trajectory, machine: Machine) -> tuple[Peak, ...]:
-    """Return the peaks; refuse a trajectory that breaks a limit, unless it is historical.
+    """Return the peaks; refuse a trajectory that exceeds a limit, unless it is historical.
 
     Raises
     ------
     LimitError
-        If a peak is above 1.001 of its limit, or the tool of one along the path (``path_use``).
+        If a peak exceeds 1.001 of its limit, or the tool a limit along the path (``path_use``).
     """
     peaks = limit_peaks(trajectory, machine)
     if trajectory.historical:
@@ -230,8 +230,8 @@ def _joints(
     ):
         first = rest if before is None else before[k][None]
         step = np.abs(begin[k] - np.concatenate([first, end[k][:-1]]))
-        # Where the values themselves are huge, so are their roundings; and of a piece that lasts
-        # microseconds the rounding of a place is a step.
+        # Huge values have large roundings, and in a piece of microseconds the rounding of a
+        # position is a step.
         coarse = _STEP * np.maximum(limits[name], np.abs(begin[k]).max(axis=0))
         shortest_s = np.minimum(block.duration_s, np.roll(block.duration_s, 1))[:, None]
         coarse = np.maximum(coarse, _ROUNDING * np.abs(places) / shortest_s ** (k + 1))

@@ -17,7 +17,7 @@ from threadline.motion.timing.extremes import hull_of
 from threadline.motion.timing.optimal.along_path import across, true_shares
 from threadline.motion.timing.optimal.elements import restricted
 from threadline.motion.timing.optimal.motion_limits import Limits
-from threadline.motion.timing.optimal.rows import asked
+from threadline.motion.timing.optimal.rows import used_shares
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 
 _PARTS = 4  # of a polynomial in time: the bounds of its parts are nearer to it
@@ -76,7 +76,7 @@ def _of_block(block: TrajectoryBlock, limits: Limits) -> dict[str, FloatArray]:
     own = limits.along
     out = {
         "velocity": np.abs(v).max(axis=(0, 1)) / limits.velocity,
-        "acceleration": asked(v, a, limits.sides).max(axis=0),
+        "acceleration": used_shares(v, a, limits.sides).max(axis=0),
         "jerk": np.abs(j).max(axis=(0, 1)) / limits.jerk,
     }
     if own is not None:
@@ -137,7 +137,7 @@ def check_budget(job: Job, machine: Machine, feed: Feed | None = None) -> None:
     budget = machine.tick_budget.si
     period_s = float(machine.tick_clock.period_s)
     position = np.array(job.start)
-    asked: defaultdict[int, float] = defaultdict(float)  # ticks by line
+    ticks_by_line: defaultdict[int, float] = defaultdict(float)
     total = work = 0.0
     for operation, times, call in job.folded():
         item = gathered([operation]) if isinstance(operation, Move) else operation
@@ -150,11 +150,11 @@ def check_budget(job: Job, machine: Machine, feed: Feed | None = None) -> None:
             line, ticks = item.source.line, times * item.duration_s / period_s
         else:
             continue
-        asked[call or line] += ticks
+        ticks_by_line[call or line] += ticks
         total += ticks
         work += _WORK_PER_ITEM + (len(item) if isinstance(item, MoveRun) else 0)
         if total > budget:
-            worst = max(asked, key=asked.__getitem__)
+            worst = max(ticks_by_line, key=ticks_by_line.__getitem__)
             raise BudgetError(
                 f"the job takes more than {total:.3g} ticks of {period_s * 1e3:g} ms at its "
                 f"feeds; the tick budget of {machine.name!r} is {budget:.3g}",

@@ -1,4 +1,4 @@
-"""Trajectory of a path whose shape alone is settled: as fast as limits and feed allow."""
+"""Trajectory of a planned path: as fast as limits and feed allow, as programmed, or by a law."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from threadline.motion.timing.pieces import (
 from threadline.motion.timing.timed import held_block, smoothed_blocks, timed_blocks
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 
-SAMPLES = 16384  # in hand at once
-MOST_PENDING = 200_000  # pieces that wait for what follows; a longer wait is cut short by a stop
+SAMPLES = 16384  # buffered at once
+MOST_PENDING = 200_000  # pieces that wait for later ones; a longer wait is ended by a stop
 
 
 def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryBlock]:
@@ -58,14 +58,14 @@ def followed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryB
 
 
 def _refuse_endless(smoothing: Smoothing, machine: Machine, axes: tuple[str, ...]) -> None:
-    """Refuse a jerk limit that by itself asks for more ticks than the machine file allows."""
+    """Refuse a jerk limit that alone needs more ticks than the machine file allows."""
     ticks = smoothing.width_s / float(machine.tick_clock.period_s)
     if ticks <= machine.tick_budget.si:
         return
     column = [machine.axis_names.index(axis) for axis in axes]
     k = int(np.argmax(machine.acceleration_limit[column] / machine.jerk_limit[column]))
     raise BudgetError(
-        f"with the jerk limit of axis {axes[k]}, its own or that along the path, its acceleration "
+        f"with the jerk limit of axis {axes[k]}, its own or the path's, its acceleration "
         f"takes {smoothing.width_s:.3g} s to come and go, {ticks:.3g} ticks; the machine file "
         f"allows {machine.tick_budget.si:.3g}",
         place=machine.place,
@@ -75,22 +75,22 @@ def _refuse_endless(smoothing: Smoothing, machine: Machine, axes: tuple[str, ...
 
 @dataclass(slots=True)
 class _Run:
-    """The run under way between two rests."""
+    """The current run between two rests."""
 
     limits: tuple[FloatArray, FloatArray]
     allowed: Allowance
     pending: Pieces | None = None
-    run_over: int = 0  # leading pending pieces that are done, kept for what they ask of the next
+    run_over: int = 0  # leading pending pieces that are done, kept as neighbours of the next
     speed: float = 0.0  # u'^2 at the start of the first piece that is not done
     time_s: float = 0.0  # from there to its first sample
-    begin_s: float = 0.0  # when the run began
-    done: int = 0  # spline pieces of the run that are out
+    begin_s: float = 0.0  # start of the run
+    done: int = 0  # yielded spline pieces of the run
     smoother: Smoother | None = None
 
     def extend(
         self, block: PieceBlock, first: int, stop: int, *, ends: bool
     ) -> Iterator[TrajectoryBlock]:
-        """Take in pieces ``first`` to ``stop`` and yield what they settle."""
+        """Add pieces ``first`` to ``stop`` and yield the part that is settled."""
         rows = slice(first, stop)
         here = block.coefficients[rows]
         moves = np.any(here[:, 1:], axis=(1, 2))
@@ -122,7 +122,7 @@ class _Run:
         p = self.pending = divide(self.pending, self.allowed, ends=ends)
         factor = factors(p.c, self.allowed.radius)
         cap = caps(p, factor, self.allowed)
-        # Pieces that are done are never whole: their number does not change.
+        # Finished pieces are never whole: their number does not change.
         new = slice(self.run_over, None)
         c, straight, cap, factor = p.c[new], p.straight[new], cap[new], factor[new]
         path = (c, straight, cap, factor)
@@ -132,7 +132,7 @@ class _Run:
         settled = count
         if not ends:
             settled = profile.backward(*path, *self.limits, np.inf, most, True)
-            # What comes later may still lower the caps of the last stretch.
+            # Later pieces may still lower the caps of the last stretch.
             left = np.cumsum(p.length[new][::-1])[::-1]
             far = self.allowed.reach_s * self.allowed.top_m_s
             settled = min(settled, int(np.searchsorted(-left, -far)), count - 1)
@@ -145,7 +145,7 @@ class _Run:
         after = profile.forward(c, straight, factor[:settled], *self.limits, self.speed, most, x)
         yield from self._sample(c, straight, cap, x, p.operation[new][:settled])
         self.speed = after
-        # The last pieces that are done still ask something of those to come.
+        # The last finished pieces still affect the next ones.
         over = self.run_over + settled
         far = self.allowed.reach_s * self.allowed.top_m_s
         passed = np.cumsum(p.length[:over][::-1])[::-1]
@@ -191,7 +191,7 @@ _MOST_KEPT = 20_000  # pieces of a path whose fastest motion is kept
 
 
 class Pace(StrEnum):
-    """How the time along a path is chosen."""
+    """How the timing along a path is chosen."""
 
     LIMITED = "limited"  # as fast as the limits and the feed allow
     PROGRAMMED = "programmed"  # every programmed time exactly, for a smoothing in time afterwards
@@ -210,39 +210,39 @@ def plan_trajectory(
 ) -> Trajectory:
     """Return the axis positions over time.
 
-    A path whose pieces have their times keeps them, smoothed where the path leaves room for it
+    A path whose pieces have times keeps them, smoothed if the path leaves room for it
     (``smoothing_m``) because its acceleration steps; the shape of any other is followed as fast
     as the limits of ``machine`` and the programmed feed allow, or at its programmed times.
 
     Parameters
     ----------
     path
-        What is to be followed.
+        The path to follow.
     machine
-        Its limits.
+        The machine with the limits.
     pace
-        ``PROGRAMMED`` of chords keeps every programmed time; their velocity steps, so that the
+        ``PROGRAMMED`` for chords keeps every programmed time; their velocity steps, so that the
         trajectory is historical until it is smoothed. ``LAW`` makes every chord a move from rest
-        to rest; it is historical where its jerk is infinite and an axis limits it.
+        to rest; it is historical if its jerk is infinite and an axis limits it.
     law
         The motion law for the pace ``LAW``.
     contour_m
-        How far the loads may be from a path that is timed as the fastest, while their loops
-        follow it; infinite where that is no limit.
+        For a path timed as the fastest: allowed contour error of the loads due to their loops;
+        infinite for no limit.
     of_loads
-        Whether loads are to follow a path that is timed as the fastest, and no motors.
+        For a path timed as the fastest: whether the loads follow it, not the motors.
     along_m_s2
-        Most acceleration along a path that is timed as the fastest, at the tool.
+        For a path timed as the fastest: largest acceleration along it, at the tool.
 
     Raises
     ------
     OptionError
-        If a curved path is to keep programmed times or to follow a law, or the law goes back.
+        If a curved path should keep programmed times or follow a law, or the law goes back.
     BudgetError
         While the trajectory is read: if the programmed feeds and dwells alone take more ticks
         than the machine file allows. It comes before any sample of the pieces that are too long.
     PlanError
-        While the trajectory of ``contour_m`` is read: if loads stray farther however slow it is.
+        While the trajectory with ``contour_m`` is read: if loads exceed it however slow it is.
     """
     if path.timing not in (Timing.FASTEST, Timing.FIRMWARE):
         machine = within_path(machine, path.axes, path.radius_m)
@@ -285,7 +285,7 @@ def plan_trajectory(
         blocks = Stream(
             fastest_blocks, path, machine, contour_m, of_loads=of_loads, along_m_s2=along_m_s2
         )
-        # It will be read many times: a short motion is worked out once and kept.
+        # A short motion is computed once and kept, as it is read many times.
         return Trajectory(
             axes=path.axes, blocks=Stream.of(list(blocks)) if _short(path) else blocks
         )
@@ -293,7 +293,7 @@ def plan_trajectory(
 
 
 def _short(path: PlannedPath) -> bool:
-    """Say whether all pieces of a path may be kept."""
+    """Return whether all pieces of a path may be kept in memory."""
     count = 0
     for block in path:
         count += len(block)
@@ -305,7 +305,7 @@ def _short(path: PlannedPath) -> bool:
 def _longest(
     block: PieceBlock, moved_s: FloatArray, axes: tuple[str, ...], fastest: FloatArray
 ) -> str:
-    """Say which of the pieces takes longest, and what makes it so long."""
+    """Return which of the pieces takes longest, and why."""
     lasts_s = moved_s + block.dwell_s
     k = int(np.argmax(lasts_s))
     ways = np.abs(block.coefficients[k, 1:].sum(axis=0)) / fastest
@@ -323,13 +323,13 @@ def _within_budget(path: PlannedPath, machine: Machine) -> Iterator[PieceBlock]:
     period_s = float(machine.tick_clock.period_s)
     budget = machine.tick_budget.si
     least_s = 0.0
-    # A geometric piece takes as long as its slowest axis takes over the way between its ends.
+    # A geometric piece takes as long as its slowest axis needs between its ends.
     fastest = np.array([machine.axes[axis].velocity.si for axis in path.axes])
     bound = path.timing is not Timing.TIME
     for block in path:
         moved_s, order = block.nominal_s, block.coefficients.shape[1]
         if bound:
-            # Column by column: numpy adds and compares along short inner axes slowly.
+            # Column by column: numpy is slow along short inner axes.
             way = block.coefficients[:, 1].copy()
             for k in range(2, order):
                 way += block.coefficients[:, k]

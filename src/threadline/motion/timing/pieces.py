@@ -1,4 +1,4 @@
-"""The pieces of a path, with what feed and smoothing in time allow on each."""
+"""The pieces of a path, with their speed limits by feed and by smoothing in time."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 _ALONG = 1e-4  # least weight of the part of q_uu along the path, squared
 _HAT = 0.25  # of the larger curvature: the smaller one at the end of a corner's piece
 _CUSP = 1e-5  # of the piece's size: a slower end is a cusp
-_TAILS = 20.0  # times what the tails of the smoothing may cut: a tolerance below is fine
-_ZONES = 6  # lengths over which curves of different speed reach into one straight piece
-_ALIKE = 1.1  # zones nearer in length are one
-_WIDE = 1.11  # so that a cap may hold a little farther than it must
-_NEAR = 1e-10  # of a straight piece: it is not cut nearer to its ends
+_TAILS = 20.0  # times the cut by the smoothing's tails: a smaller tolerance counts as fine
+_ZONES = 6  # number of lengths over which curves of different speed reach into a straight piece
+_ALIKE = 1.1  # zones whose lengths differ by less are merged
+_WIDE = 1.11  # so that a cap may hold a little farther than necessary
+_NEAR = 1e-10  # of a straight piece: it is not cut closer to its ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Allowance:
-    """What the smoothing may cut off a curve at the tool.
+    """Permitted cut of a curve by the smoothing, at the tool.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Allowance:
     slack_m
         Deviation that the average over time may cause, m.
     reach_s
-        How long before and after a curve its speed must be kept.
+        Time before and after a curve for which its speed must be kept.
     top_m_s
         Highest speed at the tool that the velocity limits allow, m/s.
     """
@@ -54,10 +54,10 @@ def allowance(
     limit_v: FloatArray,
     limit_a: FloatArray,
 ) -> Allowance:
-    """Return how ``room_m`` is used.
+    """Return the use of the tolerance ``room_m``.
 
-    The weights of the smoothing reach a little beyond the average. A large tolerance has room
-    for what an acceleration there does; a small one asks for even speed up to there.
+    The weights of the smoothing reach a little beyond the average. A large tolerance has room for
+    the effect of an acceleration there; a small one requires even speed up to there.
     """
     tail_m = smoothing.tail_s2 * float(size(limit_a, radius))
     fine = room_m < _TAILS * tail_m
@@ -81,17 +81,17 @@ class Pieces:
     straight
         (n,) 0/1.
     feed, smooth
-        (n,) largest u'^2 at the feed, and at which the smoothing cuts no more than it may.
+        (n,) largest u'^2 at the feed, and at which the smoothing keeps its permitted cut.
     ahead, behind
         (n,) part of the length over which the curvature falls towards the end, and the start.
     length
         (n,) m at the tool.
     leave, enter
-        (n,) m at the tool: |q_u| at the end and at the start, which times u' is the speed there.
+        (n,) m at the tool: |q_u| at the end and at the start; times u' it is the speed there.
     operation
         (n,) int.
     whole
-        (n,) 0/1: a straight piece that was not yet divided.
+        (n,) 0/1: a straight piece that was not divided yet.
     """
 
     c: FloatArray
@@ -168,7 +168,7 @@ def prepare(
 def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
     """Cut straight pieces where the speed of a curve before or after them may be left.
 
-    The last piece stays whole unless the run ``ends`` there: what follows it is not known.
+    The last piece stays whole unless the run ``ends`` there: the next piece is not known.
     """
     due = pieces.whole == 1
     if not ends:
@@ -199,7 +199,7 @@ def divide(pieces: Pieces, allowed: Allowance, *, ends: bool) -> Pieces:
 
 
 def caps(pieces: Pieces, factor: FloatArray, allowed: Allowance) -> FloatArray:
-    """Return the (n,) largest u'^2, with what the curves nearby ask for."""
+    """Return the (n,) largest u'^2, with the requirements of nearby curves."""
     cap = np.minimum(pieces.feed, pieces.smooth)
     _spread(
         cap, pieces.smooth, factor, pieces.length, pieces.leave, pieces.enter, pieces.straight,
@@ -232,7 +232,7 @@ def size(vectors: FloatArray, radius: FloatArray) -> FloatArray:
 def _sum(values: FloatArray) -> FloatArray:
     """Return the (...) sums over the axes of (..., axes) values.
 
-    The axes are added one after another: numpy adds along a short inner dimension slowly.
+    The axes are added one after another: numpy is slow along a short inner dimension.
     """
     total: FloatArray = values[..., 0].copy()
     for axis in range(1, values.shape[-1]):
@@ -241,10 +241,10 @@ def _sum(values: FloatArray) -> FloatArray:
 
 
 def factors(c: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return the (n,) ratios of u'^2 after and before the joint behind each piece, 1 at the end.
+    """Return the (n,) ratios of u'^2 after and before the joint after each piece, 1 at the end.
 
-    The path is smooth in a common parameter, so that its derivatives tell the ratio; at a cusp,
-    where the axes turn back and the first derivative vanishes, the second one does.
+    The path is smooth in a common parameter, so its derivatives give the ratio; at a cusp, where
+    the axes turn back and the first derivative vanishes, the second derivatives do.
     """
     first, second = size(slope(c[:-1]), radius), size(c[1:, 1], radius)
     largest = np.abs(c[:, 1:] * radius).max(axis=(1, 2), initial=0.0)
@@ -258,7 +258,7 @@ def factors(c: FloatArray, radius: FloatArray) -> FloatArray:
 def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the (n,) q_uu at the tool at both ends, its part along the path at a discount.
 
-    What the smoothing shifts along the path is no deviation, unless the path turns back there.
+    A shift along the path is no deviation, unless the path turns back there.
     """
     first, last = c[:, 1] * radius, slope(c) * radius
     large = np.sqrt(_sum(first**2)), np.sqrt(_sum(last**2))
@@ -275,7 +275,7 @@ def _cutting(c: FloatArray, radius: FloatArray) -> tuple[FloatArray, FloatArray]
 
 @njit()
 def _note(zones, reach):  # type: ignore[no-untyped-def]
-    """Note a zone of length ``reach``; zones of nearly the same length are noted as one."""
+    """Note a zone of length ``reach``; zones of nearly the same length are merged."""
     for k in range(len(zones)):
         if zones[k] == 0.0:
             zones[k] = reach
@@ -283,7 +283,11 @@ def _note(zones, reach):  # type: ignore[no-untyped-def]
         if reach <= zones[k] <= reach * _ALIKE or zones[k] <= reach <= zones[k] * _ALIKE:
             zones[k] = max(zones[k], reach)
             return
-    zones[np.argmax(zones)] = max(reach, zones.max())
+    longest = 0
+    for k in range(1, len(zones)):  # argmax() and max() take longer to compile than all of this
+        if zones[k] > zones[longest]:
+            longest = k
+    zones[longest] = max(reach, zones[longest])
 
 
 @njit()
@@ -325,7 +329,13 @@ def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  
                 if end[i, k] > 0.0:
                     places[used] = 1.0 - end[i, k] / length[i]
                     used += 1
-            for place in np.sort(places[:used]):
+            for k in range(1, used):  # np.sort() takes as long to compile as all of this
+                place, m = places[k], k
+                while m > 0 and places[m - 1] > place:
+                    places[m] = places[m - 1]
+                    m -= 1
+                places[m] = place
+            for place in places[:used]:
                 if place > at + _NEAR and place < 1.0 - _NEAR:
                     rows[n], start[n], stop[n] = i, at, place
                     n += 1
@@ -337,7 +347,7 @@ def _cut(due, cap, length, leave, enter, straight, ahead, behind, reach, top):  
 
 @njit()
 def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, reach, top):  # type: ignore[no-untyped-def]
-    """Let the cap of a curved piece hold for all pieces that the smoothing sees from there."""
+    """Apply the cap of a curved piece to all pieces within reach of the smoothing."""
     for i in range(len(own)):
         if straight[i] or np.sqrt(own[i]) * length[i] >= top:
             continue
@@ -345,7 +355,7 @@ def _spread(cap, own, factor, length, leave, enter, straight, ahead, behind, rea
         x = own[i]
         gone = ahead[i] * length[i]
         for j in range(i + 1, len(own)):
-            # A straight piece that is not seen whole was cut where it need not be.
+            # A straight piece beyond the reach was cut without need.
             if gone >= far or (straight[j] and gone + length[j] > far * _WIDE):
                 break
             x = x * factor[j - 1]

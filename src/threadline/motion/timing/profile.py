@@ -5,7 +5,7 @@ equal parts of a curved piece u'' is constant, so that x is linear in u and the 
 q_u u'' + q_uu x of an axis is a quadratic in u; its three Bernstein coefficients, linear in the
 values of x at both ends, bound it everywhere on the part. On a straight piece the run
 accelerates, cruises and brakes at the limits. A backward pass finds the largest x from which the
-rest can be done, a forward pass takes the largest x that is allowed: reachability analysis as in
+rest is feasible, a forward pass takes the largest permitted x: reachability analysis as in
 Pham and Pham (2018), "A new approach to time-optimal path parameterization based on reachability
 analysis", IEEE Transactions on Robotics 34(3).
 """
@@ -56,8 +56,8 @@ def largest_start(p, s, bound, end_most, start_most):
     for i in range(len(p)):
         if abs(s[i]) * max(end_most, x0) < 1e-15 * bound[i] and abs(p[i]) > _TINY:
             x0 = min(x0, bound[i] / abs(p[i]))
-    # lowest(x0) - highest(x0) is convex and not positive at 0: Newton's steps from the right end
-    # at the largest root after finitely many rows.
+    # lowest(x0) - highest(x0) is convex and not positive at 0: Newton's method from the right end
+    # reaches the largest root after finitely many rows.
     for _ in range(100):
         low, low_slope = 0.0, 0.0
         high, high_slope = end_most, 0.0
@@ -108,11 +108,11 @@ def straight_limits(c, limit_v, limit_a):
 
 @njit()
 def backward(c, straight, cap, factor, limit_v, limit_a, end_x, most, merge):
-    """Fill ``most`` (n, PARTS + 1) with the largest x from which the rest can be done.
+    """Fill ``most`` (n, PARTS + 1) with the largest x from which the rest is feasible.
 
-    ``end_x`` is allowed at the end. With ``merge`` the pass stops at the first piece, seen from
-    the end, where it meets what ``most`` holds already; the index of that piece is returned, and
-    nothing after it counts.
+    ``end_x`` is allowed at the end. With ``merge`` the pass stops at the first piece, seen from the
+    end, where it meets the values already in ``most``; that piece's index is returned, and later
+    pieces are unchanged.
     """
     rows = 3 * c.shape[2]
     p = np.empty(rows)
@@ -184,8 +184,8 @@ def cruise(x0, x1, push, top):
 def sample(c, straight, cap, x, limit_v, limit_a, step, state, out, owner):
     """Write positions every ``step`` into ``out`` until it is full or the pieces end.
 
-    ``state`` is [piece, part, time since its start of the next sample]; it is moved on. Returns
-    the number of samples written.
+    ``state`` is [piece, part, time since its start of the next sample]; it is updated. Returns the
+    number of samples written.
     """
     count = 0
     piece, part = int(state[0]), int(state[1])

@@ -14,7 +14,7 @@ from threadline.motion.path.types import PieceBlock, PlannedPath
 from threadline.motion.timing.averaged import Smoother
 from threadline.motion.timing.types import TrajectoryBlock
 
-SAMPLES = 8192  # in hand at once: arrays of more are paged in anew each time
+SAMPLES = 8192  # buffered at once: larger arrays are paged in anew each time
 
 
 def timed_blocks(path: PlannedPath) -> Iterator[TrajectoryBlock]:
@@ -28,9 +28,9 @@ def timed_blocks(path: PlannedPath) -> Iterator[TrajectoryBlock]:
 
 
 def smoothed_blocks(path: PlannedPath, machine: Machine) -> Iterator[TrajectoryBlock]:
-    """Yield the timed pieces of ``path`` smoothed as far as the jerk limits ask for.
+    """Yield the timed pieces of ``path`` smoothed as far as the jerk limits require.
 
-    The pieces must keep within the limits of velocity and acceleration.
+    The pieces must keep the limits of velocity and acceleration.
     """
     smoothing = smoothing_for(machine, path.axes)
     smoother: Smoother | None = None
@@ -103,7 +103,7 @@ def _placed(
 def _pieces_by_samples(
     pieces: PieceBlock, first: int, stop: int, step_s: float
 ) -> Iterator[PieceBlock]:
-    """Yield pieces ``first`` to ``stop`` without their dwells, few enough samples at a time."""
+    """Yield pieces ``first`` to ``stop`` without their dwells, in parts with few samples."""
     passed = np.cumsum(pieces.nominal_s[first:stop]) // (SAMPLES * step_s)
     edges = first + np.flatnonzero(np.diff(passed, prepend=-1.0))
     for begin, end in zip(edges, [*edges[1:], stop], strict=True):
@@ -127,7 +127,7 @@ def _block(pieces: PieceBlock, begin_s: float) -> TrajectoryBlock | None:
             operation=pieces.operation,
         )
     count, order, axes = pieces.coefficients.shape
-    # Row 2i is piece i, row 2i + 1 the dwell after it; rows without duration fall away.
+    # Row 2i is piece i, row 2i + 1 its dwell; rows of zero duration are dropped.
     duration = np.stack([pieces.nominal_s, pieces.dwell_s], axis=1).reshape(-1)
     coefficients = np.zeros((count, 2, order, axes))
     coefficients[:, 0] = pieces.coefficients

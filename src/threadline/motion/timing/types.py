@@ -66,11 +66,11 @@ class TrajectoryBlock(Locked):
     def evaluate(self, time_s: FloatArray, derivative: int = 0) -> FloatArray:
         """Return the (m, axes) ``derivative``-th time derivative at times within the block."""
         piece = np.searchsorted(self.start_s, time_s, side="right") - 1
-        # Of a few instants np.clip takes three times as long as both its halves.
+        # For a few instants np.clip takes three times as long as both its halves.
         piece = np.minimum(np.maximum(piece, 0), len(self.start_s) - 1)
         duration = self.duration_s[piece]
         u = np.minimum(np.maximum((time_s - self.start_s[piece]) / duration, 0.0), 1.0)
-        # The times of an axis side by side: loops over two or three axes take four times as long.
+        # One row per axis: loops over a short inner axis would take four times as long.
         result = np.zeros((self.coefficients.shape[2], len(time_s)))
         for k in range(self.coefficients.shape[1] - 1, derivative - 1, -1):
             own = self.coefficients[:, k].T.take(piece, axis=1)
@@ -107,7 +107,7 @@ def _checked_times(time_s: FloatArray | float) -> FloatArray:
 
 
 _SPAN = "span_s"
-"""Under this name a trajectory keeps its duration and when it moves, once it was read."""
+"""Attribute in which a trajectory keeps its duration and its time of motion, once it was read."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,13 +132,13 @@ class Trajectory:
         return iter(self.blocks) if _SPAN in self.__dict__ else self._first_reading()
 
     def _first_reading(self) -> Iterator[TrajectoryBlock]:
-        """Yield the blocks; after the last keep what they tell of the whole."""
+        """Yield the blocks; after the last keep duration and time of motion."""
         end_s, moves_s = 0.0, (0.0, 0.0)
         moved = False
         for block in self.blocks:
             end_s = block.end_s
             goes = block.coefficients[:, 1:]
-            if goes[-1].any() and (moved or goes[0].any()):  # by far the most often
+            if goes[-1].any() and (moved or goes[0].any()):  # by far the most frequent case
                 moves_s = moves_s[0] if moved else float(block.start_s[0]), end_s
                 moved = True
             else:
@@ -159,12 +159,12 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes; reads the whole trajectory, unless it was read before."""
+        """Duration; reads the whole trajectory, unless it was read before."""
         return self._span_s()[0]
 
     @property
     def moves_s(self) -> tuple[float, float]:
-        """When it begins to move and when it comes to rest for good, s; read as ``duration_s``."""
+        """Start of the motion and its final rest, s; read like ``duration_s``."""
         return self._span_s()[1]
 
     def __call__(self, time_s: FloatArray | float, derivative: int = 0) -> FloatArray:
@@ -201,7 +201,7 @@ class Trajectory:
 
 
 class TrajectoryReader:
-    """Reads position and derivatives of a trajectory at times that ``drop`` has not let go of.
+    """Reads position and derivatives of a trajectory at times that ``drop`` has not discarded.
 
     The trajectory is held at its first and last position before and after.
     """
@@ -213,7 +213,7 @@ class TrajectoryReader:
         self._ended = False
 
     def ladder(self, time_s: FloatArray, orders: int) -> FloatArray:
-        """Return the (n, orders, axes) position and derivatives at (n,) rising times."""
+        """Return the (n, orders, axes) position and derivatives at (n,) ascending times."""
         found = np.zeros((len(time_s), orders, self._axes))
         if not len(time_s):
             return found
@@ -234,7 +234,7 @@ class TrajectoryReader:
         return found
 
     def drop(self, before_s: float) -> None:
-        """Let go of what ends before an instant, but for the last block that is known."""
+        """Discard pieces that end before an instant, except the last known block."""
         while len(self._blocks) > 1 and self._blocks[0].end_s < before_s:
             self._blocks.pop(0)
 

@@ -1,4 +1,4 @@
-"""The table of kinds of work: how each plans, simulates, is varied, measured and written."""
+"""The table of kinds of work: how each plans, simulates, varies, measures and writes."""
 
 from threadline.files import Commands
 from threadline.machine import Machine
@@ -8,7 +8,7 @@ from threadline.proof.kinds.switches import SWITCHES
 from threadline.proof.kinds.ticks import TICKS, check_loops
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in (TICKS, SWITCHES, STEPS)}
-"""Every kind of work, by the name that its machines are commanded by."""
+"""Every kind of work, by its value of ``Machine.commanded_by``."""
 
 
 def kind_of(machine: Machine) -> Kind:

@@ -1,4 +1,4 @@
-"""What every kind of work defines, so that nothing else asks which kind it has."""
+"""What every kind of work defines, so that no other code asks for the kind."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Kind:
     name
         Value of ``Machine.commanded_by`` for machines of this kind.
     takes
-        Names of the formats of jobs that its machines do (``jobs/reading.py``).
+        Names of the job formats that its machines accept (``jobs/reading.py``).
     commands, intent
-        Type of the commands that its controllers take, and type of what its plans intend. By the
-        type of the intent the judge knows how to read a recording (``verdict/judge.py``)
-        and a report what to draw (``report/proof.py``).
+        Type of the commands that its controllers take, and type of its plans' intent. The type of
+        the intent selects how a recording is read (``verdict/judge.py``) and what a report draws
+        (``report/proof.py``).
     check
-        Refuses a machine that cannot do any work, before a job is read.
+        Refuses an unusable machine before a job is read.
     check_options
         Refuses options that have no meaning for this kind.
     plan
@@ -42,20 +42,20 @@ class Kind:
     simulate
         Returns the recording of one run of the commands on a machine.
     days
-        Simulates the commands on a number of days: on the first the machine is as its file says, on
-        the others friction, supply and encoder phases are drawn from the generator.
+        Simulates the commands on a number of days: the first with the machine as its file says, the
+        others with friction, supply and encoder phases drawn from the generator.
     others
         Simulates the commands on k machines within the tolerances of the file: a (k, n) array
         places each number within its tolerance (``machine/variants.py``), and encoder phases are
         drawn from the generator.
     together
-        Whether many machines that differ in numbers alone are simulated in one call.
-    asked
-        Returns a specification with the criteria added that the options ask to have reported.
+        Whether machines that differ only in numbers are simulated in one call.
+    with_criteria
+        Returns a specification with the criteria added that the options ask to report.
     release
         Refuses a plan that must not reach a controller.
     compared
-        Options, with their values, that ``compare`` sets side by side by default.
+        Options, with their values, that ``compare`` compares by default.
     targets
         Formats in which its plans can be written, by name.
     """
@@ -71,14 +71,14 @@ class Kind:
     days: Callable[[Commands, Machine, int, np.random.Generator], Sequence[Recording]]
     others: Callable[[Commands, Machine, FloatArray, np.random.Generator], Sequence[Recording]]
     together: Callable[[Machine], bool]
-    asked: Callable[[Spec, Options], Spec]
+    with_criteria: Callable[[Spec, Options], Spec]
     release: Callable[[Plan], None]
     compared: Mapping[str, tuple[str, ...]]
     targets: Mapping[str, Target]
 
     @property
     def planned_by(self) -> tuple[str, ...]:
-        """Options of planning that have a meaning for it, as a command line names them."""
+        """Planning options that apply to this kind, as a command line names them."""
         return planned_by(self.name)
 
 
@@ -88,19 +88,19 @@ WRITING = "simulating and writing the recording"
 
 
 class Share:
-    """The share of all runs that has been read.
+    """Reports the share of all runs that has been read.
 
     Parameters
     ----------
     plan
-        Its duration, which may cost a reading of the whole trajectory, is asked for only after a
-        second.
+        The plan; its duration, which may need a pass over the whole trajectory, is read only after
+        a second.
     progress
-        Is told what is done, and the share of it; None to tell nobody.
+        Receives the activity and the share done; None reports nothing.
     runs
-        How many runs there are.
+        Number of runs.
     doing
-        What is done with them, in words.
+        The activity, in words.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Share:
         self._began = time.monotonic()
 
     def of(self, recordings: Sequence[Recording], before: int = 0) -> Sequence[Recording]:
-        """Return recordings that tell how far they are; ``before`` runs come before them."""
+        """Return recordings that report progress as they are read; ``before`` runs precede them."""
         if self._progress is None:
             return recordings
         return [
@@ -124,7 +124,7 @@ class Share:
         ]
 
     def tell(self, number: int, block: RecordingBlock | None) -> None:
-        """Note that a run was read up to a block, or to its end."""
+        """Note that a run was read up to a block, or to its end (None)."""
         assert self._progress is not None
         if block is None:
             self._done[number] = 1.0
@@ -139,7 +139,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Watched:
-    """The blocks of a recording. It is no ``Stream``: a callback cannot go to another process."""
+    """The blocks of a recording. Not a ``Stream``: its callback cannot go to another process."""
 
     blocks: Iterable[RecordingBlock]
     share: Share

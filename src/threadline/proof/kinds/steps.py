@@ -1,4 +1,4 @@
-"""The kind of work in steps: step tables move a frame between the strokes of its needles."""
+"""Work by step tables, which move a frame between the strokes of its needles."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from threadline.verdict import Spec
 
 
 def _check(machine: Machine) -> None:
-    """Refuse a frame that no servo moves by steps, or that is not linear."""
+    """Refuse a frame that is not linear, or not driven by step servos."""
     driven_of(machine)
 
 
@@ -39,7 +39,7 @@ def _check_options(machine: Machine, options: Options) -> None:
         )
     if options.feed is not None and options.feed.mode is not FeedMode.SHAFT:
         raise OptionError(
-            f"the speed of {machine.name} is that of its shaft, in stitches",
+            f"the speed of {machine.name} is the speed of its shaft, in stitches",
             remedy='Write it like --feed "120 stitch/min".',
         )
 
@@ -48,7 +48,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     """Plan the turns of the shaft: all at the given speed, else each as slow as its move needs."""
     if job.paced_by != "shaft":
         raise PlanError(
-            f"{machine.name} sews embroidery designs, and {job.name} is none",
+            f"{machine.name} sews embroidery designs, and {job.name} is not one",
             place=Place(job.file),
             remedy="Give a design such as .dst, or take a machine for such jobs.",
         )
@@ -77,22 +77,22 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate with the damping of bodies and links within +-30 %.
+    """Simulate with the damping of bodies and links varied within +-30 %.
 
-    Nothing else varies from day to day: the steps of a servo are exact at any supply voltage.
+    Nothing else varies from day to day: a servo's steps are exact at any supply voltage.
     """
     machines = [machine]
     machines += [vary(machine, damping=random.uniform(*DAMPING_OF_DAYS)) for _ in range(count - 1)]
     return [_simulate(commands, one) for one in machines]
 
 
-def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
-    """Return the specification as it is: no option of this kind adds a criterion."""
+def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+    """Return the specification unchanged: no option of this kind adds a criterion."""
     return spec
 
 
 def _release(plan: Plan) -> None:
-    """Refuse nothing: tables that cannot be played are not planned at all."""
+    """Accept every plan: tables that cannot be played were refused during planning."""
 
 
 STEPS = Kind(
@@ -107,7 +107,7 @@ STEPS = Kind(
     days=_days,
     others=partial(one_by_one, _simulate),
     together=lambda _: False,
-    asked=_asked,
+    with_criteria=_with_criteria,
     release=_release,
     compared={
         "interpolation": (

@@ -1,4 +1,4 @@
-"""The kind of work in switchings: cylinders are switched on and off at the scans of a PLC."""
+"""Work by switchings: cylinders are switched on and off at the scans of a PLC."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from threadline.verdict import Spec
 
 
 def _check(machine: Machine) -> None:
-    """Refuse nothing: without a loop nothing can be unstable."""
+    """Accept every machine: without a loop nothing can be unstable."""
 
 
 def _plan(job: Job, machine: Machine, options: Options) -> Plan:
-    """Plan the schedule, with each cylinder's switching shaped as the options say."""
+    """Plan the schedule; the options shape each cylinder's switching."""
     shaping = (
         {}
         if options.shaper is None
@@ -52,8 +52,8 @@ def _simulate(commands: Commands, machine: Machine) -> Recording:
     return simulate_switching(switch_schedule(commands), machine)
 
 
-def _asked(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
-    """Return the specification as it is: there is no path that a shaper could change."""
+def _with_criteria(spec: Spec, options: Options) -> Spec:  # noqa: ARG001
+    """Return the specification unchanged: there is no path that a shaper could change."""
     return spec
 
 
@@ -62,8 +62,8 @@ def _days(
 ) -> Sequence[Recording]:
     """Simulate with friction of the cylinders within +-30 % and supply within +-5 %.
 
-    The phase of the scan is not varied: every move begins at a scan, and an input from outside the
-    machine is taken to be there when the schedule waits for it.
+    The phase of the scan does not vary: every move begins at a scan, and an external input is
+    assumed present when the schedule waits for it.
     """
     machines = [machine]
     for _ in range(count - 1):
@@ -73,7 +73,7 @@ def _days(
 
 
 def _release(plan: Plan) -> None:
-    """Refuse nothing: a schedule that its valves cannot follow is not planned at all."""
+    """Accept every plan: a schedule that its valves cannot follow was refused during planning."""
 
 
 SWITCHES = Kind(
@@ -88,7 +88,7 @@ SWITCHES = Kind(
     days=_days,
     others=partial(one_by_one, _simulate),
     together=lambda _: False,
-    asked=_asked,
+    with_criteria=_with_criteria,
     release=_release,
     compared={"shaper": ("none", "zv", "um-zv", "um-zvd")},
     targets=SWITCH_TARGETS,

@@ -1,4 +1,4 @@
-"""Columns of a seam's table beside its rows: needle-down instants, needle to be up, trims."""
+"""Work by tick tables: plan, simulate and write motions of axes, and the needle of a seam."""
 
 from __future__ import annotations
 
@@ -55,23 +55,23 @@ _SLACK = 1e-6  # ticks: a needle-down at most this long before a tick counts as 
 
 
 class NeedleColumns:
-    """Tells the needle beside the rows of a seam's table, block by block.
+    """Computes the needle's columns beside the rows of a seam's table, block by block.
 
-    The needle goes down at the end of every stitch, and once before the first one of a contour: a
-    turn of it earlier. Before that and after a contour's last needle-down it must be up.
+    The needle goes down at the end of every stitch, and once before the first stitch of a contour,
+    one turn earlier. Before that and after a contour's last needle-down it must be up.
 
     Parameters
     ----------
     plan
-        Of a job with stitches.
+        Plan of a job with stitches.
     clock
-        Of the rows.
+        Clock of the rows.
     """
 
     def __init__(self, plan: Plan, clock: Clock) -> None:
         self._clock = clock
         self._runs = planned_stitches(plan)
-        self._down_s: FloatArray = np.zeros(0)  # still to be told, in order
+        self._down_s: FloatArray = np.zeros(0)  # needle-downs still to write, in order
         self._begin_s: list[float] = []  # first and last needle-down of every contour so far
         self._end_s: list[float] = []
         self._known_s = -np.inf
@@ -79,7 +79,7 @@ class NeedleColumns:
         self._trim_until = 0  # tick
 
     def rows(self, block: TickBlock) -> NeedleRows:
-        """Return the needle's columns for the rows of ``block``, which is the next of the table."""
+        """Return the needle's columns for the rows of ``block``, the next one of the table."""
         first, rows = block.first_tick, len(block)
         period_s = float(self._clock.period_s)
         self._pull(float(self._clock.time_s(first + rows)) + period_s)
@@ -112,7 +112,7 @@ class NeedleColumns:
             self._known_s = float(run.down_s[-1])
 
     def _trims(self, block: TickBlock) -> NDArray[np.bool_]:
-        """Return (rows,) whether the thread is trimmed while the row is played."""
+        """Return (rows,) whether the thread is trimmed during the row."""
         first, rows = block.first_tick, len(block)
         trims = np.zeros(rows, dtype=bool)
         trims[: max(self._trim_until - first, 0)] = True
@@ -129,12 +129,12 @@ class NeedleColumns:
 
 
 def check_loops(machine: Machine) -> None:
-    """Refuse a machine without loops, or with an unstable one, before any motion is planned.
+    """Refuse a machine without loops, or with an unstable loop, before any motion is planned.
 
     Raises
     ------
     PlanError
-        Naming the axis and how far the loop is beyond its limit; or that the machine has no loop.
+        Names the axis and how far the loop exceeds its limit, or says that there is no loop.
     """
     if not machine.axes:
         raise PlanError(
@@ -155,7 +155,7 @@ def check_loops(machine: Machine) -> None:
 def _check_options(machine: Machine, options: Options) -> None:
     if options.shaper_mode is not None or options.shaper_damping is not None:
         raise OptionError(
-            f"--mode and --damping are of on/off machines, which {machine.name} is not",
+            f"--mode and --damping are for on/off machines, which {machine.name} is not",
             remedy='Write both with the shaper: --shaper "zv:12Hz:0.02".',
         )
     if options.feed is not None and options.feed.mode is FeedMode.SHAFT:
@@ -166,14 +166,14 @@ def _check_options(machine: Machine, options: Options) -> None:
         )
     if options.following is Following.LOAD and machine.told_positions:
         raise OptionError(
-            f"--feed-forward goes in through the controllers of the axes, and {machine.name} has "
-            f"none: drives.{machine.axes[next(iter(machine.axes))].drive} is told positions",
+            f"--feed-forward acts through the controllers of the axes, and {machine.name} has "
+            f"none: drives.{machine.axes[next(iter(machine.axes))].drive} receives positions",
             remedy="Leave it out; --shaper keeps the load from ringing.",
         )
     if math.isfinite(options.contour_m or math.inf) and machine.told_positions:
         raise OptionError(
-            f"--contour bounds what loops make of a motion, and {machine.name} has none: "
-            f"drives.{machine.axes[next(iter(machine.axes))].drive} is told positions",
+            f"--contour bounds the following error of loops, and {machine.name} has none: "
+            f"drives.{machine.axes[next(iter(machine.axes))].drive} receives positions",
             remedy="Leave it out.",
         )
     if options.following is Following.LOAD and options.timing.shaper is not None:
@@ -189,7 +189,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     if timing.feed is not None and timing.feed.mode is FeedMode.OVERRIDE and job.paced_by != "feed":
         raise OptionError(
             f"feed {timing.feed.value * 100.0:g} %: {job.name} has no feeds to multiply, its speed "
-            f"is that of the {job.paced_by}",
+            f"is set by the {job.paced_by}",
             remedy='Give a speed, like "36 mm/s", or change it in the job.',
         )
     tick_s = float(machine.tick_clock.period_s)
@@ -211,7 +211,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         along_m_s2=job.along_m_s2,
     )
     warnings: tuple[str, ...] = ()
-    # A demand above its limit is no error: the verdict shows what comes of it.
+    # A demand above its limit is no error here: the verdict shows the effect.
     if timing.smoothing_s is None:
         followed = followed_by_motors(timed, machine, job, shaper)
     elif timing.robust_share is None:
@@ -261,15 +261,15 @@ _RECORDED = (
     ChannelKind.CURRENT,
     ChannelKind.OPERATION,
 )
-"""Channels that the judge reads of a simulated machine; it reads loads, hence no encoders."""
+"""Channels of a simulated machine that the judge reads: loads, hence no encoders."""
 
 
 def _days(
     commands: Commands, machine: Machine, count: int, random: np.random.Generator
 ) -> Sequence[Recording]:
-    """Simulate runs with other friction, supply and encoder phases; the first is as typed."""
+    """Simulate runs with other friction, supply and encoder phases; the first is nominal."""
     table = tick_table(commands)
-    if count == 1 or machine.without_dynamics:  # of limits alone no day differs from another
+    if count == 1 or machine.without_dynamics:  # limits alone do not vary from day to day
         return [simulate(table, machine)]
     days = drawn_days(count, len(table.axes), random)
     if machine.position_sources:
@@ -305,10 +305,10 @@ def _others(
     ]
 
 
-def _asked(spec: Spec, options: Options) -> Spec:
-    """Return the specification, with ``shaping_deviation`` where the motion is shaped or smoothed.
+def _with_criteria(spec: Spec, options: Options) -> Spec:
+    """Add ``shaping_deviation`` to the specification if the motion is shaped or smoothed.
 
-    The deviation that shaping causes is always reported, with or without a limit.
+    The deviation caused by shaping is always reported, with or without a limit.
     """
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
     named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
@@ -318,12 +318,12 @@ def _asked(spec: Spec, options: Options) -> Spec:
 
 
 def _release(plan: Plan) -> None:
-    """Refuse a plan that breaks a limit of its machine anywhere."""
+    """Refuse a plan that exceeds a limit of its machine anywhere."""
     check_limits(plan.motion.trajectory, plan.machine)
 
 
 def _of_table(writer: TableWriter) -> Target:
-    """Return a target of the rows; of a seam with the columns of the needle."""
+    """Return a target that writes the rows; for a seam also the columns of the needle."""
 
     def write(plan: WrittenPlan, path: Path) -> list[Written]:
         table = tick_table(plan.commands)
@@ -346,7 +346,7 @@ TICKS = Kind(
     days=_days,
     others=_others,
     together=lambda machine: not machine.told_positions,
-    asked=_asked,
+    with_criteria=_with_criteria,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},
     targets={**{name: _of_table(writer) for name, writer in TABLES.items()}, **TICK_TARGETS},

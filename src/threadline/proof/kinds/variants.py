@@ -1,4 +1,4 @@
-"""Other machines under the same commands: rejects, machines that never end, commands replayed."""
+"""Machines within the tolerances under the same commands: rejects, and runs that never end."""
 
 from __future__ import annotations
 
@@ -29,22 +29,21 @@ def rejects(
     wished: float,
     random: np.random.Generator,
 ) -> tuple[Result, int]:
-    """Judge machines within the tolerances; return the criterion of rejects and their number.
+    """Judge machines within the tolerances; return the criterion of rejects and the number judged.
 
     The measured value is the upper end of the exact 95 % interval (Clopper and Pearson) of the
     share of machines out of specification. A machine that cannot be simulated, or that waits
     forever for an input, counts as out of specification. Judging ends early once the limit would be
-    exceeded even if all remaining machines were in specification. The number that is returned is
-    that of the machines judged.
+    exceeded even if all remaining machines were in specification.
 
     Parameters
     ----------
     parts
-        (k, n) place of each of the n numbers of k machines within its tolerance.
+        (k, n) position of each of the n numbers of k machines within its tolerance.
     wished
         Wanted yield, a share from 0 to 1; the limit is ``1 - wished``.
     random
-        Generator from which encoder phases are drawn.
+        Generator for encoder phases.
     """
     tried = failed = 0
     most, limit = 1.0, 1.0 - wished
@@ -73,8 +72,8 @@ def _failed(
 ) -> int:
     """Return how many machines are out of specification.
 
-    One machine that cannot be simulated or judged raises an error for all that share the call, so
-    halves of them are tried until it is alone.
+    A machine that cannot be simulated or judged raises an error for the whole call, so the machines
+    are halved until it is alone.
     """
     try:
         others = kind.others(plan.commands, plan.machine, parts, random)
@@ -93,16 +92,16 @@ UNANSWERED = "unanswered"
 def answering(
     kind: Kind, commands: Commands, machine: Machine, parts: FloatArray, random: np.random.Generator
 ) -> tuple[list[Recording], list[str]]:
-    """Return recordings of the machines that reach the end, and the reason of each other one.
+    """Return recordings of the machines that reach the end, and a reason for each other machine.
 
     Every recording is read through once.
 
     Parameters
     ----------
     parts
-        (k, n) place of each of the n numbers of k machines within its tolerance.
+        (k, n) position of each of the n numbers of k machines within its tolerance.
     random
-        Generator from which encoder phases are drawn.
+        Generator for encoder phases.
     """
     if not len(parts):
         return [], []
@@ -124,7 +123,7 @@ def answering(
 def unanswered(machines: int, why: list[str]) -> Result:
     """Return the criterion that all of ``machines`` reach the end of the job.
 
-    Measured is the share of machines that do not; ``why`` has the reason for each of those.
+    The measured value is the share that does not; ``why`` gives the reason for each of those.
     """
     return Result(
         name=UNANSWERED,
@@ -138,19 +137,19 @@ def unanswered(machines: int, why: list[str]) -> Result:
     )
 
 
-def retold(commands: Commands, machine: Machine) -> Commands:
-    """Return ``commands`` with the hash of ``machine``, so that a simulation of it accepts them.
+def with_machine_hash(commands: Commands, machine: Machine) -> Commands:
+    """Return ``commands`` with the hash of ``machine``, so that its simulation accepts them.
 
-    A simulation refuses commands that were made for a machine with another hash. A machine within
-    the tolerances has its own hash, and is meant to play the commands of the nominal machine.
+    A simulation refuses commands made for a machine with another hash. A machine within the
+    tolerances has its own hash, but plays the commands of the nominal machine.
     """
     return replace(commands, machine_sha256=machine.sha256)
 
 
 def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands:
-    """Return the commands that were made for ``machine``, for ``actual`` to play.
+    """Return commands made for ``machine``, ready for ``actual`` to play.
 
-    Tick tables are returned as they are: their simulation compares axes, clocks and counts.
+    Tick tables are returned unchanged: their simulation compares axes, clocks and counts.
 
     Raises
     ------
@@ -166,11 +165,11 @@ def played_by(commands: Commands, machine: Machine, actual: Machine) -> Commands
     ):
         if own.keys() != others.keys() or machine.commanded_by != actual.commanded_by:
             raise OptionError(
-                f"{actual.name} cannot do what is planned for {machine.name}: they differ in "
+                f"{actual.name} cannot play what is planned for {machine.name}: they differ in "
                 f"{what}, and not in numbers alone",
                 remedy="Give a machine file that has the planned one as its base.",
             )
-    return retold(commands, actual)
+    return with_machine_hash(commands, actual)
 
 
 def one_by_one(
@@ -180,9 +179,9 @@ def one_by_one(
     parts: FloatArray,
     random: np.random.Generator,  # noqa: ARG001
 ) -> Sequence[Recording]:
-    """Simulate machines within the tolerances one after the other, as ``Kind.others`` does it.
+    """Simulate machines within the tolerances one after the other; usable as ``Kind.others``.
 
-    For kinds whose sensors do not differ from run to run: nothing is drawn from the generator.
+    For kinds whose sensors do not vary from run to run: the generator is not used.
     """
     machines = [variant(machine, row) for row in parts]
-    return [simulate(retold(commands, one), one) for one in machines]
+    return [simulate(with_machine_hash(commands, one), one) for one in machines]

@@ -1,16 +1,16 @@
-"""The engine of the twin, behind one door: what writes machine code, runs it, and owns its memory.
+"""The engine of the twin: it writes machine code, runs it, and owns its memory.
 
-The rest of the package imports from here and from nowhere deeper:
+Other rooms import only these names:
 
-- ``Engine``: a machine, or many variants of it, ready to be run.
-- ``Run``: one run of an engine; rows in, samples out, its state kept between.
-- ``Reading``, ``Signal``: what can be sampled; ``Measures``: what is kept at every tick.
-- ``Snapshot``: all that a run has changed so far, to go on in another process.
+- ``Engine``: a machine, or many variants of it, ready to run.
+- ``Run``: one run of an engine; rows in, samples out, with its state in between.
+- ``Reading``, ``Signal``: quantities to sample; ``Measures``: extremes over all ticks.
+- ``Snapshot``: the state of a run, to continue in another process.
 
 Inside, data flows like this: ``piece`` (equations, instants and tables of one connected piece),
-``shape`` (what its code is written for), ``layout`` (where each number lies), ``run`` (the code,
-with ``tick``, ``profile``, ``events``, ``exits``), ``state`` (the workspace and the calls).
-``docs/twin-kernel.md`` shows all of it at work.
+``shape`` (the structure that determines the code), ``layout`` (the place of each number), ``run``
+(the code, with ``tick``, ``controller_profile``, ``mode_changes``, ``exits``), ``state`` (the
+workspace and the calls). ``docs/twin-kernel.md`` explains it with an example.
 """
 
 from threadline.twin.kernel.engine import NEVER, Engine, Measures, Reading, Run, Signal

@@ -1,8 +1,8 @@
-"""Machine code from Python: values with operators, loops and branches, over LLVM.
+"""Write machine code from Python: values with operators, loops and branches, over LLVM.
 
-A kernel is written once for the plain number and for the vector of ``width`` variants: the same
-operations in the same order, and a fused multiply-add only where ``fma`` is written. Nothing is
-left to the optimiser that would change a bit of a result.
+A kernel is written once for plain numbers and for vectors of ``width`` variants: the same
+operations in the same order, and a fused multiply-add only at ``fma``. The optimiser may not do
+anything that changes a bit of a result.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ DOUBLE, INTEGER, POINTER, BIT, VOID = (
 
 
 class Value:
-    """A number, a vector of numbers, a truth value or a vector of them, while code is written."""
+    """A number or truth value, or a vector of either, in the code being written."""
 
     __slots__ = ("code", "ir")
 
@@ -67,7 +67,7 @@ class Value:
         return self.code.compare(">=", self, other)
 
     def equals(self, other: Number) -> Value:
-        """Return whether both are the same."""
+        """Return whether both are equal."""
         return self.code.compare("==", self, other)
 
 
@@ -80,15 +80,15 @@ class Code:
     Parameters
     ----------
     module
-        Where the function goes.
+        Module of the function.
     name
-        Its name there.
+        Its name in the module.
     arguments
         Types of its arguments.
     width
-        Numbers in a vector; 1 makes plain numbers of them.
+        Numbers in a vector; 1 for plain numbers.
     apart
-        Whether it must not be copied into its callers.
+        Whether it must not be inlined.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Code:
     # --- numbers ---------------------------------------------------------------------------
 
     def lift(self, number: Number, like: Any) -> Any:
-        """Return the operand of type ``like`` that ``number`` stands for."""
+        """Return ``number`` as an operand of type ``like``."""
         if isinstance(number, Value):
             value = number.ir
             if value.type == like or isinstance(like, ir.IntType):
@@ -140,7 +140,7 @@ class Code:
         return Value(self, getattr(self.at, prefix + what)(one, other))
 
     def compare(self, sign: str, a: Value, b: Number) -> Value:
-        """Return whether ``a sign b``; false where either isn't a number."""
+        """Return whether ``a sign b``; false if either is NaN."""
         one, other = self._pair(a, b)
         if isinstance(one.type, ir.IntType):
             return Value(self, self.at.icmp_signed(sign, one, other))
@@ -155,7 +155,7 @@ class Code:
         return Value(self, ir.Constant(INTEGER, value))
 
     def call(self, name: str, *operands: Value, flags: tuple[str, ...] = ()) -> Value:
-        """Return what an intrinsic such as ``floor`` makes of its operands, all of one type."""
+        """Return the result of an intrinsic such as ``floor``; its operands have one type."""
         kind = operands[0].ir.type
         suffix = f"v{self.width}f64" if isinstance(kind, ir.VectorType) else "f64"
         return Value(self, self.at.call(
@@ -165,25 +165,25 @@ class Code:
         ))  # fmt: skip
 
     def ones(self, bits: Value) -> Value:
-        """Return how many bits of an integer are set."""
+        """Return the number of set bits of an integer."""
         count = _declared(self.at.module, "llvm.ctpop.i64", INTEGER, [INTEGER])
         return Value(self, self.at.call(count, [bits.ir]))
 
     def first_bit(self, bits: Value) -> Value:
-        """Return the place of the lowest bit that is set."""
+        """Return the index of the lowest set bit."""
         count = _declared(self.at.module, "llvm.cttz.i64", INTEGER, [INTEGER, BIT])
         return Value(self, self.at.call(count, [bits.ir, ir.Constant(BIT, 1)]))
 
     def to_integer(self, value: Value) -> Value:
-        """Return a number without its fraction as an integer."""
+        """Return a whole number as an integer."""
         return Value(self, self.at.fptosi(value.ir, INTEGER))
 
     def to_number(self, value: Value) -> Value:
-        """Return a vector of an integer."""
+        """Return an integer as a vector of equal numbers."""
         return self.splat(Value(self, self.at.sitofp(value.ir, DOUBLE)))
 
     def splat(self, number: Value) -> Value:
-        """Return a vector of one number."""
+        """Return a vector of equal numbers."""
         return Value(self, self.lift(number, self.vector))
 
     def fma(self, a: Value, b: Number, c: Number) -> Value:
@@ -193,7 +193,7 @@ class Code:
         return self.call("fma", Value(self, one), Value(self, other), Value(self, last))
 
     def choose(self, which: Value, a: Number, b: Number) -> Value:
-        """Return a where ``which`` holds, else b."""
+        """Return a where ``which`` is true, else b."""
         like = self.vector
         if not isinstance(which.ir.type, ir.VectorType):
             like = next((v.ir.type for v in (a, b) if isinstance(v, Value)), self.vector)
@@ -208,14 +208,14 @@ class Code:
         return self.call("minnum", a, b, flags=("nnan",))
 
     def total(self, terms: list[tuple[Value, Value]], start: Value | None = None) -> Value:
-        """Return ``start`` and the products of the terms, summed in their order."""
+        """Return ``start`` plus the products of the terms, summed in order."""
         total = start
         for a, b in terms:
             total = a * b if total is None else self.fma(a, b, total)
         return self.number(0.0) if total is None else total
 
     def any_negative(self, values: list[Value]) -> Value:
-        """Return where one of the values has its sign set."""
+        """Return the lanes in which one of the values is negative."""
         kind = INTEGER if self.width == 1 else ir.VectorType(INTEGER, self.width)
         signs = self.at.bitcast(values[0].ir, kind)
         for value in values[1:]:
@@ -238,13 +238,13 @@ class Code:
         return Value(self, value if self.width == 1 else self.at.bitcast(value, self.mask))
 
     def any(self, mask: Value) -> Value:
-        """Return whether a mask holds anywhere."""
+        """Return whether a mask is true in any lane."""
         return ~self.bits(mask).equals(0)
 
     # --- memory ----------------------------------------------------------------------------
 
     def place(self, base: Value, index: Number, kind: Any = DOUBLE) -> Value:
-        """Return the address of element ``index`` behind ``base``."""
+        """Return the address of element ``index`` from ``base``."""
         at = self.lift(index, INTEGER)
         return Value(self, self.at.gep(base.ir, [at], source_etype=kind))
 
@@ -266,13 +266,13 @@ class Code:
         self.at.store(self.lift(value, self.vector), self.place(base, index).ir, align=8)
 
     def space(self, count: int) -> Value:
-        """Return room for so many numbers, for as long as the function runs."""
+        """Return memory for ``count`` numbers, valid while the function runs."""
         room = self.head.alloca(DOUBLE, ir.Constant(ir.IntType(32), count))
         room.align, room.type = 64, POINTER
         return Value(self, room)
 
     def variable(self, kind: Any, value: Number) -> Variable:
-        """Return a variable of the function that is written, with a value to begin with."""
+        """Return a variable of the function being written, with an initial value."""
         made = Variable(self, Value(self, self.head.alloca(kind)), kind)
         made.set(value)
         return made
@@ -281,19 +281,19 @@ class Code:
 
     @contextmanager
     def when(self, condition: Value) -> Iterator[None]:
-        """Run what is written inside only when ``condition`` holds."""
+        """Write code that runs only if ``condition`` is true."""
         with self.at.if_then(condition.ir):
             yield
 
     @contextmanager
     def when_seldom(self, condition: Value) -> Iterator[None]:
-        """Like ``when``, for what hardly ever happens."""
+        """Like ``when``, for a rarely true condition."""
         with self.at.if_then(condition.ir, likely=False):
             yield
 
     @contextmanager
     def count(self, begin: Number, end: Number, step: int = 1) -> Iterator[Value]:
-        """Run what is written inside for begin, begin + step, ... below ``end``."""
+        """Write code that runs for begin, begin + step, ... below ``end``."""
         index = self.variable(INTEGER, begin)
         with self.loop() as leave:
             now = index.get()
@@ -303,7 +303,7 @@ class Code:
 
     @contextmanager
     def loop(self) -> Iterator[Callable[[Value], None]]:
-        """Run what is written inside until the yielded function is called with a true value."""
+        """Write code that repeats until the yielded function gets a true value."""
         begin = self.at.append_basic_block("again")
         after = self.at.append_basic_block("after")
         self.at.branch(begin)
@@ -330,7 +330,7 @@ class Code:
 
 
 class Variable:
-    """A variable in the code that is written."""
+    """A variable in the code being written."""
 
     __slots__ = ("code", "kind", "where")
 
@@ -338,7 +338,7 @@ class Variable:
         self.code, self.where, self.kind = code, where, kind
 
     def get(self) -> Value:
-        """Return what it is now."""
+        """Return its present value."""
         return Value(self.code, self.code.at.load(self.where.ir, typ=self.kind))
 
     def set(self, value: Number) -> None:

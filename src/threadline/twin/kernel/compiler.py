@@ -1,8 +1,8 @@
-"""Modules of LLVM to machine code of this processor.
+"""Compile LLVM modules to machine code for this processor.
 
-To write the module of a kernel takes as long as to compile it. So its machine code is kept by what
-the module would be written from, and the module is written where there is none: by the shape, and
-by a digest of the sources that write.
+Writing the module of a kernel takes as long as compiling it. Machine code is therefore cached by
+its inputs: the shape, and a digest of the sources that write the module. The module is written only
+if the cache has no entry.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from threadline.twin.kernel.kept_code import KeptCode
 
 _OPTIMISES = 3  # level of the code generator
 _PASSES = "sroa", "instruction_combine", "simplify_cfg", "new_gvn", "dead_code_elimination"
-"""What is done before it. Kernels are written as vectors, with their loops as short as they can be:
-all else that LLVM would try takes as long as the code generator, and gains a twentieth at most."""
+"""Optimiser passes. Kernels are written as vectors with short loops, so all other passes would take
+as long as the code generator and gain at most 5 %."""
 _OTHERS = controllers, timeline
-"""Modules outside this folder that those which write a kernel take numbers from."""
+"""Modules outside this folder whose numbers are used in kernels."""
 
 
 def _digest() -> str:
-    """Return a digest of the sources that write kernels; empty where they cannot be read."""
+    """Return a digest of the sources that write kernels; empty if they cannot be read."""
     files = sorted(Path(__file__).parent.glob("*.py"))
     files += [Path(str(module.__file__)) for module in _OTHERS]
     try:
@@ -39,17 +39,17 @@ def _digest() -> str:
         return ""
 
 
-# Read with the sources: a file that is changed later is not what this process writes by.
+# Computed at import, because this process does not use later changes of the files.
 _WRITTEN_BY = _digest()
 
 
 class Compiler:
-    """Turns modules into machine code for this computer's processor, and keeps it.
+    """Compiles modules for this processor, and owns the machine code.
 
     Parameters
     ----------
     kept
-        Machine code that other processes made; beside this file when None.
+        Cache of machine code on disk; None for the cache folder of this file.
     """
 
     def __init__(self, kept: KeptCode | None = None) -> None:
@@ -59,10 +59,10 @@ class Compiler:
         self._kept = KeptCode(where_kept(_compiled)) if kept is None else kept
 
     def address(self, write: Callable[[], ir.Module], name: str, shape: str = "") -> int:
-        """Compile the module that ``write`` returns; return the address of one of its functions.
+        """Compile the module that ``write`` returns; return the address of its function ``name``.
 
-        ``shape`` is all that ``write`` is told, where that is one of this package. Where its
-        machine code is kept, nothing is written.
+        ``shape`` identifies the input of ``write``, if that is a function of this package. With
+        cached machine code, ``write`` is not called.
         """
         target = llvm.Target.from_default_triple()
         cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()

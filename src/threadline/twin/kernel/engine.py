@@ -1,4 +1,4 @@
-"""The door of the engine: machines that can be run, and runs that can be advanced."""
+"""Interface of the engine: machines to run, and runs to advance."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from threadline.twin.kernel.piece import Piece, prepared
 from threadline.twin.kernel.state import Snapshot, State, new_state
 
 NEVER = 1 << 62
-"""A tick that no run reaches."""
+"""A tick beyond any run."""
 
 
 class Signal(StrEnum):
-    """What can be read of a run."""
+    """A quantity that can be sampled in a run."""
 
-    READ = "read"  # what the axis' own encoder reads, counts from the start
+    READ = "read"  # of the axis' encoder, counts from the start
     VOLTS = "volts"  # at the amplifier's input of the axis, V
     LOAD = "load"  # of the axis from its start, m or rad
     FRAME = "frame"  # of the axis, m or rad
     CURRENT = "current"  # in the motor of the axis, A
-    CURRENT_PEAK = "current peak"  # of largest magnitude since the sample before, A
-    TRIPPED = "tripped"  # 1 from the instant at which a limit switch has cut its drive
+    CURRENT_PEAK = "current peak"  # of largest magnitude since the preceding sample, A
+    TRIPPED = "tripped"  # 1 after a limit switch has cut its drive
 
 
 class Reading(NamedTuple):
-    """A signal, and the axis or limit switch of which it is."""
+    """A signal and the name of its axis or limit switch."""
 
     signal: Signal
     name: str
@@ -45,16 +45,16 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Measures:
-    """What was kept of every axis at every tick; (variants, axes) each, axes as in the file.
+    """Extremes of every axis over all ticks; each (variants, axes), axes as in the file.
 
     Parameters
     ----------
     worst
         Largest |commanded - load|, m or rad.
     lowest, highest
-        Load from the first tick of the window on, from the start of the axis, m or rad.
+        Load position in the window, relative to the start of the axis, m or rad.
     last
-        Load at the last tick, from the start of the axis, m or rad.
+        Load position at the last tick, relative to the start of the axis, m or rad.
     current_peak
         Current of largest magnitude since the last sample, A.
     """
@@ -67,22 +67,22 @@ class Measures:
 
 
 class Engine:
-    """A machine, or many variants of it, that can be run any number of times.
+    """A machine, or many variants of it, for any number of runs.
 
-    It owns equations, schedules and, through its runs, compiled code, tables and workspaces; the
-    code for one shape of machine is compiled once in a process and shared by all engines.
+    It owns equations, schedules and, through its runs, compiled code, tables and workspaces. The
+    code for one shape of machine is compiled once per process and shared by all engines.
 
     Parameters
     ----------
     machine
-        Its structure, and every number that ``values`` does not replace.
+        Structure and all numbers not in ``values``.
     values
         The numbers of the variants.
     start_si
-        (axes,) where the machine stands before the first tick, m or rad.
+        (axes,) position before the first tick, m or rad.
     least_rates
-        Of each connected piece, 1/s: time steps are at least as fine as for that, in whatever
-        company a variant is; those of the variants alone when empty.
+        Per connected piece, 1/s: time steps are at least as fine as for this rate, independent of
+        the other variants in the batch; empty: the rates of these variants.
 
     Raises
     ------
@@ -114,7 +114,7 @@ class Engine:
     def __reduce__(
         self,
     ) -> tuple[type[Engine], tuple[Machine, Values, FloatArray, tuple[float, ...]]]:
-        # Another process makes its own: code, tables and workspaces cannot be sent.
+        # Code, tables and workspaces cannot be pickled, so another process makes them again.
         return Engine, self._made_of
 
     def start(
@@ -125,16 +125,16 @@ class Engine:
         quantised: bool = True,
         threads: int = 1,
     ) -> Run:
-        """Return a run: the machine at rest, nothing commanded.
+        """Return a run: the machine at rest, before any command.
 
         Parameters
         ----------
         phases
-            (variants, axes) where between two counts each encoder stands, in [0, 1).
+            (variants, axes) position of each encoder between two counts, in [0, 1).
         watch_current
-            False leaves out what ``CURRENT_PEAK`` tells, for speed.
+            False omits ``CURRENT_PEAK``, for speed.
         quantised
-            False leaves out the rounding of encoders and DACs (not their limits).
+            False omits the rounding of encoders and DACs (not their limits).
         threads
             Cores to use. Results do not depend on it.
         """
@@ -154,14 +154,14 @@ class Engine:
         return Run(self, tuple(zip(states, self._wired, strict=True)), threads)
 
     def readings(self) -> tuple[Reading, ...]:
-        """Return everything that can be read of a run."""
+        """Return all readings of a run."""
         return tuple(reading for wiring in self._wired for reading in wiring.columns)
 
 
 class Run:
-    """A run of a machine, or of its variants: it takes rows, gives samples, and keeps the state.
+    """A run of a machine or its variants: it takes rows, returns samples, and holds the state.
 
-    A context manager: its threads end with it. Made by ``Engine.start``.
+    A context manager, which ends its threads. Made by ``Engine.start``.
     """
 
     def __init__(
@@ -197,19 +197,19 @@ class Run:
         every: int = 1,
         window: int = NEVER,
     ) -> Mapping[Reading, FloatArray]:
-        """Go on for as many ticks as ``travelled`` has rows; return what is wanted.
+        """Advance by as many ticks as ``travelled`` has rows; return the wanted samples.
 
-        The same rows in pieces of any length give the same samples, to the bit, as long as the
-        other arguments stay the same.
+        The samples are the same bit by bit however the rows are divided into calls, if the other
+        arguments stay the same.
 
         Parameters
         ----------
         travelled
-            (ticks, axes) counts commanded at each tick, from the start.
+            (ticks, axes) commanded counts at each tick, from the start.
         wanted
-            What to sample at the ticks that are whole multiples of ``every``.
+            Readings to sample at ticks that are multiples of ``every``.
         window
-            First tick of which the least and the greatest load are kept.
+            First tick of the window for the smallest and largest load position.
 
         Returns
         -------
@@ -233,11 +233,11 @@ class Run:
     def _room(
         self, wanted: tuple[Reading, ...], samples: int
     ) -> tuple[dict[Reading, FloatArray], dict[Reading, tuple[int, int]]]:
-        """Return (samples, lanes) for each reading: those of one signal are rows of one array.
+        """Return (samples, lanes) for each reading; readings of one signal share an array.
 
-        What is read of all axes then lies together, (samples, axes, lanes), axes as in the file,
-        and nobody has to copy it there. Of each reading the address and the numbers from sample to
-        sample come with it.
+        The readings of all axes are then adjacent, (samples, axes, lanes), axes as in the file,
+        without copying. The second result gives the address of each reading and its stride in
+        numbers.
         """
         order = self._lying.get(wanted)
         if order is None:
@@ -254,7 +254,7 @@ class Run:
         return found, lying
 
     def _ordered(self, wanted: tuple[Reading, ...]) -> list[list[Reading]]:
-        """Return the readings of each signal in the order in which they lie."""
+        """Return the readings of each signal in memory order."""
         machine = self._engine.machine
         order = {name: at for at, name in enumerate((*machine.axis_names, *machine.inputs))}
         found: dict[Signal, list[Reading]] = {}
@@ -267,7 +267,7 @@ class Run:
         if self._pool is None:
             state.run(0, blocks, *given)
             return
-        # More parts than cores, so that a core busy with other programs does not delay the rest.
+        # More parts than cores, so that a busy core does not delay the others.
         cuts = np.linspace(0, blocks, 8 * self._threads + 1).astype(int)
         jobs = [
             self._pool.submit(state.run, int(a), int(b), *given) for a, b in pairwise(cuts) if a < b
@@ -276,17 +276,17 @@ class Run:
             job.result()
 
     def sample_bytes(self, wanted: Collection[Reading]) -> int:
-        """Return how many bytes one sample of the readings ``wanted`` takes while it is made."""
+        """Return the memory in bytes of one sample of the readings ``wanted``."""
         lanes = max((len(state.clock) * state.shape.lanes for state in self._states), default=0)
         return 8 * lanes * len(wanted)
 
     def failure(self) -> tuple[tuple[str, ...], str] | None:
-        """Return which axes have no answer and why; None where all have one.
+        """Return the axes without a solution, and the reason; None if all have one.
 
         Raises
         ------
         MachineError
-            If modes take too much memory.
+            If modes need too much memory.
         """
         for state in self._states:
             why = state.failure()
@@ -304,7 +304,7 @@ class Run:
         raise ValueError(f"no limit switch {name!r}")
 
     def measures(self) -> Measures:
-        """Return what was kept of every axis."""
+        """Return the extremes of every axis so far."""
         machine, variants = self._engine.machine, self._engine.variants
         shape = (variants, len(machine.axes))
         found = Measures(
@@ -324,25 +324,25 @@ class Run:
 
     @property
     def slow_ticks(self) -> int:
-        """Advances of all variants in which a mode changed or might have."""
+        """Advances of all variants with a possible change of mode."""
         return sum(int(state.counts[:, Count.SLOW].sum()) for state in self._states)
 
     @property
     def events(self) -> int:
-        """Changes of modes of all variants."""
+        """Mode changes of all variants."""
         return sum(int(state.counts[:, Count.EVENTS].sum()) for state in self._states)
 
     def snapshot(self) -> tuple[Snapshot, ...]:
-        """Return all that has changed so far; it can be pickled."""
+        """Return the state of the run, which can be pickled."""
         return tuple(state.snapshot() for state in self._states)
 
     def restore(self, kept: tuple[Snapshot, ...]) -> None:
-        """Go on from ``kept``, of a run started in the same way, here or in another process.
+        """Continue from ``kept``, of a run started in the same way in any process.
 
         Raises
         ------
         ValueError
-            If it is of another machine or of other variants.
+            If it belongs to another machine or other variants.
         """
         if len(kept) != len(self._states):
             raise ValueError(
@@ -354,16 +354,16 @@ class Run:
 
 
 class _Wiring:
-    """How a piece hangs together with the axes of its machine.
+    """Connections between a piece and the axes of its machine.
 
     Attributes
     ----------
     columns
-        Everything that can be read of the piece, and in which column of a sample.
+        Readings of the piece, and their columns in a sample.
     width
         Columns of a sample.
     references
-        Axes, as in the machine file, and the controller that each tells where to be.
+        Index of each axis in the machine file, and of the controller that takes its reference.
     """
 
     def __init__(self, machine: Machine, piece: Piece) -> None:

@@ -1,15 +1,15 @@
-"""Kernel code: where a polynomial leaves its bounds first.
+"""Kernel code: first exit of a polynomial from its bounds.
 
-What is promised of a guard g on (0, until], part of a cell in which the fastest rate makes a half
-at most, where g is inside its bounds at 0:
+Guarantees for a guard g on (0, until], in a cell with fastest rate x length at most 1/2, with g
+inside its bounds at 0:
 
-- Where an exit is reported, g is on that bound, to rounding.
-- Where g is outside at the end, an exit is reported; it is the first, but for excursions as below.
-- An excursion out and back before it may escape only if it is smaller than a hundredth of
-  ``until^4`` times the largest fourth derivative: the cubic through both ends can hide a 384th, and
-  the secant of the slope, which looks for the peak of a section, the rest.
-- A guard that only rises or only falls is found whenever its end is outside.
-- A lane has the same exit at any width and beside any others; lanes outside the mask have none.
+- At a reported exit, g is on that bound, to rounding.
+- If g is outside at the end, an exit is reported: the first one, except for excursions as below.
+- An earlier excursion out and back is missed only if it is smaller than a hundredth of ``until^4``
+  times the largest fourth derivative: the cubic through both ends can hide a 384th, and the secant
+  of the slope, which finds the peak of a section, the rest.
+- The exit of a monotone guard is always found if its end is outside.
+- The exit of a lane does not depend on width or other lanes; lanes outside the mask have none.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MOST_STEPS = 60
 
 
 class _Polynomial:
-    """A guard within a cell: its coefficients, its bounds, and how much of the cell is left."""
+    """A guard within a cell: coefficients, bounds, and the remaining length of the cell."""
 
     def __init__(self, code: Code, terms: int, poly: Value, more: Value) -> None:
         self.code = code
@@ -36,7 +36,7 @@ class _Polynomial:
         )
 
     def at(self, s: Value, order: int) -> list[Value]:
-        """Return the value, the slope and half the bend, as many as ``order`` tells."""
+        """Return value, slope and half the second derivative, up to ``order``."""
         found = [self.q[-1]] + [self.code.number(0.0)] * order
         for coefficient in self.q[-2::-1]:
             for m in range(order, 0, -1):
@@ -45,12 +45,12 @@ class _Polynomial:
         return found
 
     def beyond(self, value: Value) -> Value:
-        """Return where a value is out of bounds."""
+        """Return the lanes in which a value is out of bounds."""
         return (value > self.high) | (value < self.low)
 
 
 class _Bracket(NamedTuple):
-    """Where a polynomial is inside, where it is outside, values there and slopes there."""
+    """A point inside the bounds, a point outside, and the values and slopes at both."""
 
     left: Value
     right: Value
@@ -61,10 +61,11 @@ class _Bracket(NamedTuple):
 
 
 def write_first_exit(module: ir.Module, layout: Layout, monotone: bool) -> Any:
-    """Write the function that finds where a polynomial of (0, until] leaves its bounds first.
+    """Write the function that finds the first exit of a polynomial on (0, until].
 
-    Arguments: coefficients, [low, high, until, side], mask of lanes; ``until`` and ``side``
-    (+1 above, -1 below, 0 where it stays) are set. A monotone one is outside where its end is.
+    Arguments: coefficients, [low, high, until, side], mask of lanes; ``until`` and ``side`` (+1
+    above, -1 below, 0 for no exit) are set. A monotone polynomial has an exit if its end is
+    outside.
     """
     name = "first_exit_monotone" if monotone else "first_exit"
     width = layout.shape.width
@@ -106,7 +107,7 @@ def write_first_exit(module: ir.Module, layout: Layout, monotone: bool) -> Any:
 def _bracketed(
     guard: _Polynomial, sections: int, end: tuple[Value, Value], lanes: Value
 ) -> tuple[Value, _Bracket]:
-    """Return where there is an exit, and the section with the first, or its part up to a peak."""
+    """Return the lanes with an exit, and the section of the first one, or its part up to a peak."""
     code = guard.code
     zero = code.number(0.0)
     found = ~lanes & lanes
@@ -115,7 +116,7 @@ def _bracketed(
     for section in range(sections):
         b = guard.until * ((section + 1) / sections)
         value_b, slope_b = end if section + 1 == sections else guard.at(b, 1)
-        # Where the slope turns within the section: the secant of the slope finds the peak.
+        # If the slope changes sign in the section, the secant of the slope finds the peak.
         turns = slope_a * slope_b < 0.0
         middle = code.fma(b - a, slope_a / (slope_a - slope_b), a)
         middle = code.choose(turns, middle, b)
@@ -138,9 +139,9 @@ def _bracketed(
 
 
 def _root(guard: _Polynomial, found: Value, sign: Value, bound: Value, bracket: _Bracket) -> Value:
-    """Write Halley's method, kept within a bracket; each lane stops by itself."""
+    """Write Halley's method with a bracket; each lane stops independently."""
     code = guard.code
-    # Inverse cubic Hermite interpolation; the secant where that leaves the bracket.
+    # Inverse cubic Hermite interpolation, or the secant if that leaves the bracket.
     span, rise = bracket.right - bracket.left, bracket.after - bracket.before
     x = (bound - bracket.before) / rise
     one, other = rise / bracket.falls, rise / bracket.rises

@@ -1,6 +1,6 @@
-"""Machine code on disk, by what it was made from: another process need not make it again.
+"""Cache of machine code on disk, by its inputs, shared by processes.
 
-Of processes that want the same at once, one makes it and the others wait for it.
+If several processes need the same code, one compiles it and the others wait.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from pathlib import Path
 from threadline.base.compiled import FileLock
 
 _MOST = 512
-"""Number of files that are kept; the one that was not asked for the longest goes first."""
+"""Largest number of files; the least recently used one is removed first."""
 _DIGEST_BYTES = 32
 
 
 class KeptCode:
-    """Files of machine code, each behind a digest of its bytes.
+    """Files of machine code, each preceded by a digest of its bytes.
 
-    Half a file, or one that somebody has changed, is as good as none: to run it would crash.
+    A partial or modified file is ignored, because running it would crash.
 
     Parameters
     ----------
     folder
-        Where they are; nothing is kept when None.
+        Folder of the files; None for no cache.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -34,9 +34,9 @@ class KeptCode:
         self._making: dict[Path, FileLock] = {}
 
     def read(self, made_from: str) -> bytes | None:
-        """Return the machine code that was made from a text; None if whoever asks has to make it.
+        """Return the machine code for the inputs ``made_from``; None if the caller must compile it.
 
-        Who asks for the same in the meantime, in another process, waits for ``write``.
+        Other processes that need the same code then wait for ``write``.
         """
         if self._folder is None:
             return None
@@ -63,7 +63,7 @@ class KeptCode:
         return code
 
     def write(self, made_from: str, code: bytes) -> None:
-        """Keep machine code; where that cannot be written, the next process makes it again."""
+        """Write machine code; if that fails, the next process compiles again."""
         if self._folder is None:
             return
         path = self._path(self._folder, made_from)

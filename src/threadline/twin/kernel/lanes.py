@@ -1,4 +1,4 @@
-"""Rows of the workspace as vectors, while code for some lanes side by side is written."""
+"""Rows of the workspace as vectors, for code over several lanes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from threadline.twin.kernel.shape import Pattern
 
 
 class Context:
-    """The array of integers that a kernel is given, see ``Slot``."""
+    """The integer array argument of a kernel, see ``Slot``."""
 
     def __init__(self, code: Code, array: Value) -> None:
         self.code, self.array = code, array
@@ -28,18 +28,18 @@ class Context:
 
 
 class Lanes:
-    """The lanes of one vector: a row's name stands for their numbers.
+    """The lanes of one vector; a row's name gives their numbers.
 
     Parameters
     ----------
     code
-        The function that is being written.
+        The function being written.
     layout
-        Where rows lie.
+        Positions of the rows.
     base
         Address of their rows.
     uniform
-        Rows that have been read already.
+        Rows that are already read.
     """
 
     def __init__(
@@ -70,22 +70,22 @@ class Lanes:
         self._known[row] = lifted
 
     def leave_behind(self, row: Row, value: Value) -> None:
-        """Set a row in memory for other code; this code goes on with the value that it has read."""
+        """Set a row in memory for other code; this code keeps using the value that it has read."""
         self.code.write_lanes(self.base, self.layout[row] * self.shape.width, value)
 
     def forget(self) -> None:
-        """Read everything anew from here on: other code may have changed it."""
+        """Read all rows again from here on, because other code may have changed them."""
         self._known = self._uniform.copy()
 
     def choose_length(self, gather: Any, number: Value, length: Value, array: Value) -> None:
-        """Read the rows of one of several advances from here on.
+        """From here on, read the rows of one of several advances.
 
         Parameters
         ----------
         gather
-            The function that puts them together where lanes are in several modes.
+            The function that collects them if lanes are in different modes.
         number
-            Of these lanes among all such groups.
+            Index of these lanes among all groups.
         """
         code, layout, width = self.code, self.layout, self.shape.width
         if self.shape.lengths == 1:
@@ -107,7 +107,7 @@ class Lanes:
     def product(
         self, field: Field, index: int, pattern: Pattern, columns: list[Value] | None = None
     ) -> Value:
-        """Return the product of a row with the columns, its own when None."""
+        """Return the product of a row with ``columns``; None for the present columns."""
         constant = self.shape.columns - 1
         start = self[field, index, constant] if constant in pattern else None
         terms = [
@@ -118,7 +118,7 @@ class Lanes:
         return self.code.total(terms, start)
 
     def advanced(self) -> list[Value]:
-        """Return the columns after an advance, as long as no guard is left."""
+        """Return the columns after an advance, valid if no guard is violated."""
         reach, unit = self.shape.reach()
         after = []
         for i, pattern in enumerate(reach):
@@ -133,9 +133,9 @@ class Lanes:
         return after + [self.column(j) for j in range(len(after), self.shape.columns)]
 
     def outside(self, w: int, ends: list[Value], turns: list[Value]) -> list[Value]:
-        """Return numbers that are negative where a value lies outside the bounds of guard w.
+        """Return numbers that are negative if a value lies outside the bounds of guard w.
 
-        The values are the ends, and each end plus its turn.
+        The values are the ends, and both ends plus or minus their turns.
         """
         guard, code = self.shape.guards[w], self.code
         values = ends + ([ends[0] + turns[0], ends[1] - turns[1]] if turns else [])
@@ -147,11 +147,11 @@ class Lanes:
         return found
 
     def may_leave(self, after: list[Value]) -> Value:
-        """Return where a guard may be left on the way to ``after``.
+        """Return the lanes in which a guard may be violated on the way to ``after``.
 
-        A cubic on an interval lies within the hull of its four Bezier points; those of a guard's
-        Hermite interpolant are its ends and ``g + g' h/3``, ``g - g' h/3``. A monotone guard lies
-        between its ends.
+        A cubic on an interval lies within the hull of its four Bezier points; the points of a
+        guard's Hermite interpolant are its ends and ``g + g' h/3``, ``g - g' h/3``. A monotone
+        guard lies between its ends.
         """
         found: list[Value] = []
         for w, rate in enumerate(self.shape.rates()):
@@ -167,9 +167,9 @@ class Lanes:
         return self.outside(w, ends, turns)
 
     def may_be_near(self, after: list[Value]) -> Value | None:
-        """Return where an advance might leave a guard, by a cheaper look; None where there is none.
+        """Return the lanes in which an advance might violate a guard, by a cheaper test, or None.
 
-        The four Bezier points are rows times the columns at the start; all of them lie within
+        The four Bezier points are rows times the columns at the start; all lie within
         ``middle . z +- spread . |z|``.
         """
         found: list[Value] = []
@@ -188,7 +188,7 @@ class Lanes:
         return self.code.any_negative(found) if found else None
 
     def jumped(self) -> Value:
-        """Return where a guard is left already."""
+        """Return the lanes in which a guard is already violated."""
         found: list[Value] = []
         for w, guard in enumerate(self.shape.guards):
             found += self.outside(w, [self.product(Field.GUARD, w, guard.row)], [])

@@ -1,8 +1,8 @@
-"""Where each number lies in the workspace of a kernel.
+"""Layout of the workspace of a kernel.
 
 The workspace of a group of variants ("lanes") is rows of ``width`` numbers, so that one vector
-instruction serves all of them; a block is as many groups as fit the fastest memory. Only entries
-of matrices that can differ from zero (and, on the diagonal of a propagator, from one) have rows.
+instruction serves all of them; a block is as many groups as fit the fastest cache. Only matrix
+entries that can differ from zero (and, on the diagonal of a propagator, from one) have rows.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ _LINE, _PAGE = 64, 4096
 
 
 class Layout:
-    """Rows of the workspace by name; the rows of a mode come last, those of an advance at the end.
+    """Rows of the workspace by name; the rows of a mode come last, and of these the advances.
 
-    With several distinct advances their rows stay in the tables of the modes: ``SOURCE`` is the
-    address of the first there, while all lanes are in one mode. Where they are not, the rows of one
-    advance at a time are put together in the workspace.
+    With several distinct advances their rows stay in the tables of the modes: while all lanes are
+    in one mode, ``SOURCE`` is the address of the first row there. Otherwise the rows of one advance
+    at a time are collected in the workspace.
 
     Attributes
     ----------
     fixed
-        Rows that do not belong to a mode.
+        Number of rows independent of the mode.
     of_mode, copied
-        Rows in the table of a mode, and the first of them that a change of modes copies.
+        Rows in the table of a mode, and how many of them a mode change copies.
     per_length
         Rows of one advance.
     stride
         Rows from one group of lanes to the next.
     plan
-        What the integers of a mode's plan mean.
+        Meaning of the integers in a mode's plan.
     """
 
     def __init__(self, shape: Shape) -> None:
@@ -108,8 +108,8 @@ class Layout:
         self.of_mode = common + shape.lengths * self.per_length
         self.copied = common + (self.per_length if shape.lengths == 1 else 0)
 
-        # A load waits for an earlier store whose address is alike in its last twelve bits: what
-        # changes must not look like anything that is read of the vector of lanes after it.
+        # A load waits for an earlier store to an address with equal last twelve bits (4K aliasing),
+        # so changing rows must not alias rows that the next vector of lanes reads.
         lines = max(1, 8 * shape.width // _LINE)
         period = _PAGE // _LINE // lines
         self.stride = self.rows
@@ -117,7 +117,7 @@ class Layout:
             self.stride += (changing - self.rows) % period
 
     def _unused(self, controller: ControllerShape) -> set[Field]:
-        """Return the rows that a controller does without."""
+        """Return the rows that a controller does not need."""
         unused: set[Field] = set()
         if not controller.second:
             unused |= {Field.ERROR_2, Field.OUTPUT_2, Field.B2, Field.A2}
@@ -143,12 +143,12 @@ class Layout:
 
     @property
     def table_rows(self) -> int:
-        """Rows of the whole table of a mode; the values of held states are the last of them."""
+        """Rows of the whole table of a mode; the last ones are the values of held states."""
         return self.of_mode + 2 * self.plan.guards
 
 
 def aligned(shape: tuple[int, ...]) -> FloatArray:
-    """Return zeros that begin at a cache line: a vector that straddles two costs twice."""
+    """Return zeros that begin at a cache line; a vector across two lines would cost twice."""
     count = int(np.prod(shape))
     room = np.zeros(8 * count + _LINE, dtype=np.uint8)
     first = -room.ctypes.data % _LINE

@@ -1,12 +1,11 @@
-"""Kernel code: an advance in which modes change, every change located.
+"""Kernel code: an advance with mode changes, each located exactly.
 
-A guard is watched over an advance through the four Bezier points of its cubic Hermite
-interpolant, one that only rises or only falls through its ends; only an advance with all of
-them inside is taken at once. Otherwise it is made cell by cell: within a cell the guards are
-polynomials, Taylor's series with a remainder below 1e-17 of the state, whose first exit is found
-to rounding. A guard that turns, is left and entered again within a watched interval h escapes only
-when it goes beyond its bound by less than the error of the interpolant, ``h^4 max|g''''| / 384``;
-h times the fastest rate is at most 1, within a cell 1/2.
+A guard is checked over an advance by the four Bezier points of its cubic Hermite interpolant, a
+monotone guard by its ends. If all of them are inside the bounds, the advance is made in one step.
+Otherwise it is made cell by cell: within a cell the guards are polynomials, Taylor series with a
+remainder below 1e-17 of the state, whose first exit is found to rounding. An excursion out and back
+within a checked interval h is missed only if it exceeds the bound by less than the error of the
+interpolant, ``h^4 max|g''''| / 384``; h times the fastest rate is at most 1, within a cell 1/2.
 """
 
 from __future__ import annotations
@@ -26,9 +25,8 @@ _MOST_EVENTS = 2000.0
 def write_change(module: ir.Module, layout: Layout) -> Any:
     """Write the function that changes the modes of some lanes.
 
-    Arguments: their rows, their number among all such groups, their events (w + 1 above guard w,
-    -w - 1 below, 0 for none), counts, context. Lanes that leave the same mode in the same way go
-    together.
+    Arguments: rows of the lanes, their group index, their events (w + 1 above guard w, -w - 1
+    below, 0 for none), counts, context. Lanes with the same mode and event are handled together.
     """
     plan_at, width = layout.plan, layout.shape.width
     arguments = (POINTER, INTEGER, POINTER, POINTER, POINTER)
@@ -84,7 +82,7 @@ def write_change(module: ir.Module, layout: Layout) -> Any:
 
 
 def _table(context: Context, tables: Value, mode: Value) -> Value:
-    """Return the table of a mode, filled if this is the first to meet it; 0 where it can't be."""
+    """Return the table of a mode, filled at its first use; 0 if it cannot be filled."""
     code = context.code
     table = code.variable(POINTER, code.read(tables, mode, POINTER))
     with code.when_seldom(_is_null(code, table.get())):
@@ -94,7 +92,7 @@ def _table(context: Context, tables: Value, mode: Value) -> Value:
 
 
 def _copy(code: Code, target: Value, source: Value, rows: int, where: Value) -> None:
-    """Write rows to some lanes; where it is all, by far the most often, nothing is read first."""
+    """Write rows to some lanes; for all lanes, the usual case, without reading first."""
     width = code.width
     everywhere = code.bits(where).equals((1 << width) - 1)
     with code.when(everywhere), code.count(0, rows) as row:
@@ -106,7 +104,7 @@ def _copy(code: Code, target: Value, source: Value, rows: int, where: Value) -> 
 
 
 def _choose_source(code: Code, rows: Lanes, tables: Value, offset: Value) -> None:
-    """Write where the rows of advances are: in the table of a mode, 0 for several modes."""
+    """Write the address of the rows of advances: in the table of a mode, 0 for several modes."""
     layout, width = rows.layout, rows.shape.width
     mode = code.to_integer(code.read(code.place(rows.base, layout[Field.MODE,] * width), 0))
     same = rows[Field.MODE,].equals(code.to_number(mode))
@@ -118,9 +116,9 @@ def _choose_source(code: Code, rows: Lanes, tables: Value, offset: Value) -> Non
 
 
 def write_gather(module: ir.Module, layout: Layout) -> Any:
-    """Write the function that puts the rows of one advance together for lanes of several modes.
+    """Write the function that collects the rows of one advance for lanes in several modes.
 
-    Arguments: rows of the lanes, their number among all such groups, length, context.
+    Arguments: rows of the lanes, their group index, length, context.
     """
     width = layout.shape.width
     code = Code(module, "gather", (POINTER, INTEGER, INTEGER, POINTER), width, True)
@@ -149,11 +147,11 @@ def _is_null(code: Code, pointer: Value) -> Value:
 
 
 def write_events(module: ir.Module, layout: Layout, change: Any, first_exit: Any) -> Any:
-    """Write the function that advances ``width`` lanes with events.
+    """Write the function that advances ``width`` lanes with mode changes.
 
-    Arguments: their rows, their number among all such groups, length, mask, whole advance or none
-    (only modes that don't hold are left), counts, context. ``first_exit`` has the functions for
-    guards that may turn (False) and for monotone ones (True).
+    Arguments: rows of the lanes, their group index, length, mask, whole advance or none (then it
+    only leaves modes whose guards are violated), counts, context. ``first_exit`` holds the
+    functions for monotone (True) and other guards (False).
     """
     shape = layout.shape
     n, width, K = shape.states, shape.width, shape.terms
@@ -217,7 +215,7 @@ def _cell(
     spaces: tuple[Value, Value],
     first_exit: Any,
 ) -> None:
-    """Write an advance to the end of the cell or to the first event in it."""
+    """Write an advance to the end of the cell or to its first event."""
     shape, (cells, fraction, event), (poly, more) = rows.shape, variables, spaces
     n, width, K = shape.states, shape.width, shape.terms
     time = code.choose(moving, fraction.get() * span, 0.0)

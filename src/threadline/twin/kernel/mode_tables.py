@@ -1,9 +1,9 @@
-"""Modes of a piecewise linear system as tables: guards, transitions, propagators.
+"""Tables of the modes of a piecewise linear system: guards, transitions, propagators.
 
-Every combination of the elements' modes is one mode of the whole, numbered in mixed radix; its
-tables, for all variants at once, are filled when the first variant meets it. Propagators are
-matrix exponentials: ``E(t / 2^s) = exp(Z t / 2^s)`` by its series (the fastest rate times that
-time is at most 1/4, the remainder below 1e-18), then squared s times.
+Every combination of the elements' modes is a mode of the system, numbered in mixed radix. Its
+tables, for all variants at once, are filled when the first variant enters it. Propagators are
+matrix exponentials: ``E(t / 2^s) = exp(Z t / 2^s)`` by its series (the fastest rate times that time
+is at most 1/4, the remainder below 1e-18), then squared s times.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from threadline.twin.kernel.tables import NET_GUARD, PlantTables
 _PER_RATE = 0.25
 _REMAINDER = 1e-18
 _MOST_BYTES = 1 << 31
-_FEW = 64  # variants: what is done for all rows of a matrix at once takes little memory
+_FEW = 64  # variants: up to so many, temporaries for all rows of a matrix are small
 _OF_VARIANTS = (
     "base", "direction", "law", "held_at", "net_scale", "guard_row", "guard_low", "guard_high",
 )  # fmt: skip
 
 
 def _product(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Return A[i, k] B[k, j] summed over k in order; the variants are the last index of both."""
+    """Return A[i, k] B[k, j] summed over k in order; variants are the last index of both."""
     found = np.zeros((A.shape[0], *B.shape[1:]))
     there = np.any(A, axis=2)
     if A.shape[2] > _FEW:
@@ -39,7 +39,7 @@ def _product(A: FloatArray, B: FloatArray) -> FloatArray:
             found[i] += A[i, k] * B[k]
         return found
     for k in range(A.shape[1]):
-        # Of few variants a call takes longer than its sums: all rows at once, the same sums.
+        # For few variants the calls cost more than the sums, so add all rows at once.
         rows = np.flatnonzero(there[:, k])
         found[rows] += A[rows, k, None] * B[k]
     return found
@@ -83,16 +83,16 @@ class Propagators:
 
 
 class ModeTables:
-    """Tables of the modes met so far, for all variants; used by several threads at once.
+    """Tables of the modes entered so far, for all variants; shared by threads.
 
     Parameters
     ----------
     plant
         The piece.
     which
-        (V,) the variant of ``plant`` that each lane simulates.
+        (V,) the variant of ``plant`` in each lane.
     layout
-        Rows of a mode, in this order.
+        Order of the rows of a mode.
     lengths_s
         Distinct advances.
     rate
@@ -101,11 +101,11 @@ class ModeTables:
     Attributes
     ----------
     tables, plans
-        Address of the table and of the plan of each mode, 0 while it has not been met.
+        Addresses of the table and plan of each mode, 0 before its first use.
     address
-        Of the function that fills those of a mode.
+        Address of the function that fills the tables of a mode.
     failure
-        Why a mode could not be filled.
+        Error of a mode that could not be filled.
     """
 
     def __init__(
@@ -136,14 +136,14 @@ class ModeTables:
         self.address = cast(self._callback, c_void_p).value or 0
 
     def _meet(self, mode: int) -> None:
-        # Called from machine code: nothing may be raised there.
+        # Called from machine code, so it must not raise.
         try:
             self.meet(mode)
         except ThreadlineError as error:
             self.failure = error
 
     def meet(self, mode: int) -> FloatArray:
-        """Return the (groups, table rows, width) table of a mode; held values come last."""
+        """Return the (groups, table rows, width) table of a mode, with held values last."""
         with self._lock:
             if mode not in self.kept:
                 size = 8 * self.lanes * self.layout.table_rows
@@ -190,7 +190,7 @@ class ModeTables:
             own = table[x * self.layout.per_length :]
             step = propagators.over(time_s)
             self._put(own, Field.STEP, step)
-            # Of a guard, a third of what its rate makes in that time: to its inner Bezier points.
+            # A third of a guard's rate times the length: offset of its inner Bezier points.
             self._put(own, Field.THIRD, rate * (time_s / 3.0))
             if self.layout.shape.nearness():
                 self._put_near(own, bounds, (guard, rate * (time_s / 3.0)), step)
@@ -203,7 +203,7 @@ class ModeTables:
     def _put(
         self, table: FloatArray, field: Field, values: FloatArray, *, of: int | None = None
     ) -> None:
-        """Write the (..., V) values of a field into its rows; ``of``: those of one of its parts."""
+        """Write the (..., V) values of a field, or of its part ``of``, into its rows."""
         if (field, of) in self._lying:
             rows, places = self._lying[field, of]
             table[rows] = values[places]
@@ -215,7 +215,7 @@ class ModeTables:
         guard: tuple[FloatArray, FloatArray],
         step: FloatArray,
     ) -> None:
-        """Write the range of a guard's Bezier points, which ``Lanes.may_be_near`` takes."""
+        """Write the range of the guards' Bezier points, for ``Lanes.may_be_near``."""
         n, (row, third) = len(step), guard
         points = [row, row + third]
         for before in (row - third, row):
@@ -234,8 +234,8 @@ class ModeTables:
     ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
         """Return rows (W, N, V), bounds (W, 2, V), values of held states (W, 2, V), plan.
 
-        The plan has the limit switch that each guard is (W), the next mode (W, 2) and the state
-        that is held then (W, 2), each below and above.
+        The plan has the limit switch of each guard (W), the next mode (W, 2) and the state that it
+        holds (W, 2), below and above each.
         """
         plant, W = self.plant, self.guards
         size = generator.shape[1]
@@ -255,7 +255,7 @@ class ModeTables:
                     bounds[w] = plant.guard_low[e, m, g], plant.guard_high[e, m, g]
                     rows[w] = plant.guard_row[e, m, g]
                 if kind == NET_GUARD:
-                    # The force on a held state, whatever else is held, before it is taken out.
+                    # The force on a held state, before its row is set to 0.
                     rows[w] = plant.net_scale[e, m] * generator[plant.holds[e, m]]
                 for side, next_mode in enumerate(plant.guard_to[e, m, g]):
                     if next_mode >= 0:
@@ -277,9 +277,9 @@ class ModeTables:
 def _lying(
     layout: Layout,
 ) -> dict[tuple[Field, int | None], tuple[IntArray, tuple[IntArray, ...]]]:
-    """Return the rows of a mode's table that each field has, and the place of each in the field.
+    """Return the rows of each field in a mode's table, and their indices in the field.
 
-    Currents are told by their drives, and have a place in those.
+    Currents are listed per drive, with indices within the drive.
     """
     found: dict[tuple[Field, int | None], list[tuple[int, ...]]] = {}
     for (field, *place), row in layout.row.items():

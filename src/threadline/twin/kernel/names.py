@@ -1,7 +1,7 @@
-"""What the numbers of the engine are called: rows, slots, counters, actions and readings.
+"""Names of the numbers of the engine: rows, slots, counters, actions and readings.
 
-Machine code and Python agree on these names and on nothing else: where a name lies is worked out by
-``Layout`` (rows of the workspace, for one shape of machine) or is the value of the member itself.
+These names are the only interface between machine code and Python. ``Layout`` gives the position of
+a row in the workspace; other positions are the value of the member.
 """
 
 from __future__ import annotations
@@ -13,24 +13,24 @@ from threadline.twin.timeline import ARRIVE, CONTROL, TICK
 
 
 class Field(IntEnum):
-    """What a row of the workspace holds; most fields have a row for each of something.
+    """Content of a row of the workspace; most fields have a row per state, controller, axis ...
 
-    The comments say for what, and in which unit.
+    The comments give the unit and the owner of the rows.
     """
 
     COLUMN = auto()  # states, then the inputs of drives
-    OLD = auto()  # states before the advance under way
-    # Of a controller, in counts and levels, one and two of its ticks ago.
+    OLD = auto()  # states before the present advance
+    # Of a controller, in counts and levels, one and two ticks earlier.
     ERROR_1 = auto()
     ERROR_2 = auto()
     OUTPUT_1 = auto()
     OUTPUT_2 = auto()
     LEVEL = auto()  # of its DAC
-    HELD = auto()  # level that has arrived after the dead time
-    # Of a controller that makes its own profile, in counts and counts per tick.
+    HELD = auto()  # level after the dead time
+    # Of a controller that generates positions, in counts and counts per tick.
     POSITION = auto()
     SPEED = auto()
-    GOAL = auto()  # speed or target that it goes to
+    GOAL = auto()  # intended speed or target
     SEEN = auto()  # last reference
     # Of an axis, m or rad.
     WORST = auto()  # largest |commanded - load|
@@ -39,8 +39,8 @@ class Field(IntEnum):
     LAST = auto()
     SCALE = auto()  # m or rad per count
     PEAK = auto()  # of a drive's current, since the last sample, A
-    TRIPPED = auto()  # of a limit switch: 1 once it has cut its drive
-    MODE = auto()  # number of the mode in force
+    TRIPPED = auto()  # of a limit switch: 1 after it has cut its drive
+    MODE = auto()  # number of the present mode
     SOURCE = auto()  # address of the rows of advances, 0 while lanes are in several modes
     # Of a controller, fixed: u = b0 e + b1 e' + b2 e'' - a1 u' - a2 u''.
     B0 = auto()
@@ -56,7 +56,7 @@ class Field(IntEnum):
     PHASE = auto()  # of the encoder, counts
     ACCELERATION = auto()  # counts per tick squared
     FASTEST = auto()  # counts per tick
-    PER_TICK = auto()  # ticks of the references in one of the filter
+    PER_TICK = auto()  # reference ticks per filter tick
     SENSOR = auto()  # row: counts read
     LOAD = auto()  # row of an axis
     FRAME = auto()  # row of an axis
@@ -68,22 +68,21 @@ class Field(IntEnum):
     MATRIX = auto()  # row of a state's derivative
     # Of a mode and of one length of advance.
     STEP = auto()  # row of a state's propagator
-    THIRD = auto()  # row of a guard: a third of what its rate makes in an advance
-    NEAR_LOW = auto()  # bounds of the cheap first look at a guard
+    THIRD = auto()  # row of a guard: a third of its rate times the length of the advance
+    NEAR_LOW = auto()  # bounds of the cheap test of a guard
     NEAR_HIGH = auto()
-    MIDDLE = auto()  # rows of that look
+    MIDDLE = auto()  # rows of that test
     SPREAD = auto()
 
 
 Row = tuple[Field, *tuple[int, ...]]
-"""A row of the workspace, ``width`` numbers, one for each lane: its field, of which thing, and of
-which column where the field is itself a row, as in ``rows[Field.SENSOR, controller, column]``.
-"""
+"""A row of the workspace, with a number per lane: its field, the index of its owner, and the column
+for a field that is a row, as in ``rows[Field.SENSOR, controller, column]``."""
 
 OF_LENGTH = frozenset(
     (Field.STEP, Field.THIRD, Field.NEAR_LOW, Field.NEAR_HIGH, Field.MIDDLE, Field.SPREAD)
 )
-"""Fields of which every length of advance has rows of its own."""
+"""Fields with separate rows for every length of advance."""
 
 CHANGING = (
     Field.ERROR_1, Field.ERROR_2, Field.OUTPUT_1, Field.OUTPUT_2, Field.LEVEL, Field.HELD,
@@ -94,13 +93,13 @@ NUMBERS = (
     Field.B0, Field.B1, Field.B2, Field.A1, Field.A2, Field.LEVEL_LOW, Field.LEVEL_HIGH, Field.VOLT,
     Field.GAIN, Field.LIMIT, Field.PHASE, Field.ACCELERATION, Field.FASTEST, Field.PER_TICK,
 )  # fmt: skip
-"""Rows of a controller that do not."""
+"""Rows of a controller that do not change."""
 AXIS_CHANGING = (Field.WORST, Field.LOWEST, Field.HIGHEST, Field.LAST)
 """Rows of an axis that change."""
 
 
 class Slot(IntEnum):
-    """What machine code is given: an array of integers, addresses and counts of what lies there."""
+    """Entries of the integer array that machine code gets: addresses and counts."""
 
     WORK = 0  # (groups, rows, width) the workspace
     CLOCK = 1  # (blocks, entries) see ``ClockEntry``
@@ -108,49 +107,49 @@ class Slot(IntEnum):
     TABLES = 3  # (modes,) addresses
     PLANS = 4  # (modes,) addresses, see ``PlanLayout``
     CELLS = 5  # (lengths,) cells of each advance
-    CELL_S = 6  # (lengths,) how long they are
+    CELL_S = 6  # (lengths,) length of these cells, s
     MEET = 7  # address of the function that fills the tables of a mode
     KINDS = 8  # (steps,) kind of each step of the hyperperiod
-    LENGTHS = 9  # (steps,) length of the advance of each
+    LENGTHS = 9  # (steps,) index of the length of each step's advance
     STEPS = 10
     REFERENCES = 11  # (rows, controllers) counts
     ROWS = 12
     EVERY = 13  # ticks from sample to sample, 0 for none
-    WINDOW = 14  # first tick of which the least and the greatest load are kept
-    RECORDS = 15  # (columns, 2) where samples go: address, or 0; numbers from sample to sample
+    WINDOW = 14  # first tick of the window of smallest and largest load
+    RECORDS = 15  # (columns, 2) address of the samples, or 0; stride in numbers
     RING = 16  # (blocks, controllers, length, lanes) levels in the dead times
     RING_LENGTH = 17
 
 
 class ClockEntry(IntEnum):
-    """Entries of a block's clock; from ``HEADS`` on two for each controller."""
+    """Entries of a block's clock; from ``HEADS`` on two per controller."""
 
     STEP = 0  # of the hyperperiod
     UNTIL_SAMPLE = 1  # ticks
     NOW = 2  # tick
-    HEADS = 3  # places in a controller's dead time: written, read
+    HEADS = 3  # positions in a controller's dead-time ring: writing, reading
 
 
 class Count(IntEnum):
-    """What is counted in a block."""
+    """Counters of a block."""
 
     EVENTS = 0  # changes of modes
-    SLOW = 1  # advances in which a mode changed or might have
-    ENDLESS = 2  # changes without end
+    SLOW = 1  # advances with a possible change of mode
+    ENDLESS = 2  # endless changes
     UNMET = 3  # modes without a table
 
 
 class Exit(IntEnum):
-    """What the search for a guard's first exit is given and what it answers."""
+    """Arguments and results of the search for a guard's first exit."""
 
     LOW = 0
     HIGH = 1
-    UNTIL = 2  # end of the cell; the exit, where there is one
-    SIDE = 3  # +1 above, -1 below, 0 where the guard stays within its bounds
+    UNTIL = 2  # end of the cell; afterwards the exit, if any
+    SIDE = 3  # +1 above, -1 below, 0 for no exit
 
 
 class Do(IntEnum):
-    """What a step does."""
+    """Kind of an action."""
 
     TICK = TICK  # loads, sample, the next row
     CONTROL = CONTROL  # a controller acts
@@ -159,17 +158,17 @@ class Do(IntEnum):
 
 
 class Action(NamedTuple):
-    """One thing that a step does."""
+    """One action of a step."""
 
     do: Do
     controller: int = 0
 
 
 class PlanLayout(NamedTuple):
-    """The integers that tell what a change of modes does, for a number of guards.
+    """Positions of the integers of a mode's plan, which describe its transitions.
 
-    ``which`` counts sides of guards: two for each, below before above. All methods add only, so
-    that they serve integers and values of machine code alike.
+    Sides of guards are numbered in pairs, below before above. Users only add to these positions, so
+    that they apply to integers and to machine code values.
     """
 
     guards: int
@@ -181,17 +180,17 @@ class PlanLayout(NamedTuple):
 
     @property
     def switch(self) -> int:
-        """Where the limit switches of the guards begin; -1 for none."""
+        """First of the guards' limit switches; -1 means none."""
         return 0
 
     @property
     def to(self) -> int:
-        """Where the next modes of the sides begin."""
+        """First of the next modes of the sides."""
         return self.guards
 
     @property
     def held(self) -> int:
-        """Where the states begin that are held from then on; -1 for none."""
+        """First of the states held in the next modes; -1 means none."""
         return 3 * self.guards
 
 
@@ -204,7 +203,7 @@ class SampleLayout(NamedTuple):
     inputs: int
 
     def read(self, controller: int) -> int:
-        """Return the column of what a controller's encoder reads, counts."""
+        """Return the column of a controller's encoder reading, counts."""
         return 2 * controller
 
     def volts(self, controller: int) -> int:
@@ -228,10 +227,10 @@ class SampleLayout(NamedTuple):
         return self.current(drive) + 1
 
     def tripped(self, switch: int) -> int:
-        """Return the column of a limit switch, 1 once it has cut its drive."""
+        """Return the column of a limit switch, 1 after it has cut its drive."""
         return 2 * (self.controllers + self.axes + self.drives) + switch
 
     @property
     def columns(self) -> int:
-        """Return their number."""
+        """Number of columns."""
         return self.tripped(self.inputs)

@@ -1,4 +1,4 @@
-"""Which numbers of a machine can differ from zero: the shape of its kernel."""
+"""The shape of a kernel: which numbers of a machine can differ from zero."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def shape_of(
     Parameters
     ----------
     cell
-        The fastest rate times the longest cell. At most 1/2 where there is a guard.
+        The fastest rate times the longest cell; at most 1/2 if there is a guard.
     rest
-        The fields of the shape that are named alike.
+        Fields of the shape with these names.
     """
     matrix = _somewhere(plant.base)
     for e, count in enumerate(plant.modes):
@@ -41,7 +41,7 @@ def shape_of(
         matrix = matrix | (_somewhere(plant.direction[:, e])[:, None] & laws)
     guards = _guards(plant, matrix)
     if not guards:
-        cell = 0.0  # without a guard no cell is watched, however long it is: no series is needed
+        cell = 0.0  # without a guard no series is needed
     terms = next(k for k in range(4, 40) if cell ** (k + 1) / factorial(k + 1) < _REMAINDER)
     return Shape(
         matrix=tuple(_pattern(row) for row in matrix),
@@ -99,7 +99,7 @@ def _guards(plant: PlantTables, matrix: NDArray[np.bool_]) -> tuple[GuardShape, 
 
 
 def _somewhere(values: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return where any variant, the first index, differs from zero."""
+    """Return a mask of the numbers that differ from zero in any variant (first index)."""
     return np.asarray((values != 0.0).any(axis=0))
 
 

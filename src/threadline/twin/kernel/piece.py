@@ -1,4 +1,4 @@
-"""One connected piece of a machine, its equations, instants and tables: ready to be run."""
+"""One connected piece of a machine, ready to run: equations, instants and tables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from threadline.twin.kernel.tables import ControlTables, PlantTables, control_ta
 from threadline.twin.timeline import Schedule, make_schedule
 
 _CACHE_BYTES = 16_000
-"""What a block of variants may take: it should stay in the fastest memory."""
+"""Largest memory of a block of variants, which should stay in the fastest cache."""
 _WIDTH = 8
 _WATCH_PER_RATE = 1.0
 _CELL_PER_RATE = 0.5
@@ -30,25 +30,25 @@ _MOST_RATE = float(1 << 20)
 _MOST_PIECES = 1 << 12
 _MOST_MODES = 1 << 20
 _MOST_KINDS = 12
-# Another dead time cuts time into a few lengths more or less: kernels are written for these numbers
-# of lengths, so that machines that differ in their dead times share a few of them.
+# The number of lengths depends on dead times. It is rounded up to a multiple of this, so that
+# machines with different dead times share kernels.
 _LENGTHS_AT_ONCE = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Steps:
-    """One hyperperiod as a kernel sees it.
+    """One hyperperiod in the form of kernels.
 
     Parameters
     ----------
     kinds
-        Distinct lists of actions; an advance is the last of one. Those with a tick come first.
+        Distinct lists of actions; an advance is the last action. Kinds with a tick come first.
     kind, length
-        (steps,) which of the kinds, and which of the lengths its advance has.
+        (steps,) index of the kind, and of the length of the advance.
     lengths_s
-        Distinct advances; beyond eight the last again, up to a multiple of eight.
+        Distinct advances; more than eight are padded to a multiple of eight by repeating the last.
     cells
-        (lengths,) pieces of each in which the state is a short Taylor series.
+        (lengths,) number of cells of each, in which the state is a short Taylor series.
     """
 
     kinds: tuple[tuple[Action, ...], ...]
@@ -60,29 +60,29 @@ class Steps:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Piece:
-    """A connected piece ready to be run.
+    """A connected piece, ready to run.
 
     Parameters
     ----------
     equations, schedule, plant, control
         Equations, instants and tables; every array has the variants first.
     steps
-        The schedule cut so that guards can be watched.
+        The schedule, divided so that guards can be checked.
     axis_controller
-        (axes,) of the piece.
+        (axes,) index of the controller of each axis.
     shared
-        Whether at every tick each controller, one for each axis in order, reads its axis' load.
+        Whether there is one controller per axis, in order, that reads its axis' load at every tick.
     rate
-        The fastest rate, 1/s, that its tables are made for.
+        The fastest rate, 1/s, for which its tables are made.
     rates
         (V,) the fastest rate of each variant.
     kept
-        Tables of its modes for each kernel that has run it: the same for all runs.
+        Tables of its modes for each kernel that has run it, shared by all runs.
     begun
-        These tables and the workspace of a run that begins, by the lanes, the width, what is asked
-        for, and which encoders stand alike in all variants.
+        These tables and the initial workspace of a run, by lanes, width, options, and the encoders
+        with equal phases in all variants.
     lanes
-        Variants in a block and in a vector, by what is asked for.
+        Variants in a block and in a vector, by options.
     """
 
     equations: PiecewiseLinear
@@ -109,7 +109,7 @@ class Piece:
         )
 
     def lanes_of(self, peak: bool, quantised: bool) -> tuple[int, int]:
-        """Return how many variants in a block, what fits the fastest memory, and in a vector."""
+        """Return the number of variants in a block, limited by the cache, and in a vector."""
         if self.equations.variants < _WIDTH:
             return 1, 1
         known = self.lanes.get((peak, quantised))
@@ -158,13 +158,13 @@ def prepared(
     Parameters
     ----------
     least_rate
-        1/s: time steps are at least as fine as for that rate. As long as no variant is faster,
-        the result of one does not depend on which others are simulated with it.
+        1/s: time steps are at least as fine as for this rate. If no variant is faster, the result
+        of a variant does not depend on the others in the batch.
 
     Raises
     ------
     MachineError
-        If its clocks do not fit together, it has a rate too fast for its ticks, or too many modes.
+        If its clocks are incompatible, a rate is too fast for its ticks, or it has too many modes.
     """
     schedule = make_schedule(machine, piece.group)
     longest_s = float(schedule.grid_s * int(schedule.lengths.max()))
@@ -202,7 +202,7 @@ def prepared(
 
 
 def _steps(schedule: Schedule, rate: float) -> Steps:
-    """Cut every advance into equal pieces of at most one period of the fastest rate."""
+    """Divide every advance into equal parts of at most one period of the fastest rate."""
     whole = [float(schedule.grid_s * int(x)) for x in schedule.lengths]
     if len(whole) > _LENGTHS_AT_ONCE:
         whole += whole[-1:] * (-len(whole) % _LENGTHS_AT_ONCE)
@@ -243,7 +243,7 @@ def _shared(machine: Machine, piece: PiecewiseLinear, values: Values) -> bool:
 def _fastest_rates(piece: PiecewiseLinear) -> FloatArray:
     """Return the (V,) largest spectral radius over the modes of every element, in 1/s.
 
-    The modes of one element at a time, the others in their first.
+    One element at a time takes each of its modes, all others are in their first mode.
     """
     n = len(piece.states)
     start = piece.base.copy()
@@ -251,8 +251,8 @@ def _fastest_rates(piece: PiecewiseLinear) -> FloatArray:
         start += element.direction[:, :, None] * element.modes[0].law[:, None, :]
     laws = [(np.zeros((1, n)), np.zeros((1, start.shape[2])))]
     for element in piece.elements:
-        # Modes that differ in constants alone have the same rates: looked up by their bytes, as an
-        # eccentric gear has thousands. Adding 0 makes one of both signs of it.
+        # Modes that differ only in constants have equal rates and are skipped, compared by bytes,
+        # because an eccentric gear has thousands. Adding 0.0 turns -0.0 into 0.0.
         known = {(element.modes[0].law[:, :n] + 0.0).tobytes()}
         for mode in element.modes[1:]:
             rows = (mode.law[:, :n] + 0.0).tobytes()

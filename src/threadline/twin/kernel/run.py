@@ -1,9 +1,9 @@
-"""The kernel: one connected piece under its controllers, tick by tick, many variants side by side.
+"""The kernel: one connected piece with its controllers, tick by tick, for many variants.
 
-It is written for the shape of the piece and compiled at once, in a few tenths of a second, or read
-where another process left it: sizes, the pattern of every matrix and the actions of every kind of
-step are known to the compiler, the numbers are not. With one lane it is the kernel of a single
-machine: scalar and batch run the same operations in the same order, so that they agree to the bit.
+It is written for the shape of the piece and compiled in a few tenths of a second, or read from the
+cache. The compiler knows sizes, the pattern of every matrix and the actions of every kind of step,
+but not the numbers. With one lane it is the kernel of a single machine: scalar and batch run the
+same operations in the same order, so they agree bit by bit.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _module(shape: Shape) -> Any:
 
 
 class _Run:
-    """What the pieces of the outermost function share while it is written."""
+    """Shared values while the outermost function is written."""
 
     def __init__(self, code: Code, layout: Layout, functions: Any, array: Value) -> None:
         self.code, self.layout, self.shape = code, layout, layout.shape
@@ -81,7 +81,7 @@ class _Run:
         self.window = self.context.integer(Slot.WINDOW)
 
     def block(self, b: Value) -> None:
-        """Set what belongs to block b."""
+        """Set the addresses and variables of block b."""
         code, shape, context = self.code, self.shape, self.context
         K = len(shape.controllers)
         self.b, self.first = b, b * (shape.lanes // shape.width)
@@ -94,7 +94,7 @@ class _Run:
         self.taken = code.variable(INTEGER, 0)
 
     def over_lanes(self, write: Callable[[Value, Value, Lanes], None]) -> None:
-        """Write a loop over the vectors of the block: number among all, first lane, rows."""
+        """Write a loop over the vectors of the block; arguments: group index, first lane, rows."""
         code, shape, layout = self.code, self.shape, self.layout
         if shape.lanes == shape.width:
             write(self.first, code.integer(0), Lanes(code, layout, self.work))
@@ -110,7 +110,7 @@ class _Run:
             write(self.first + group, group * shape.width, rows)
 
     def tick(self) -> None:
-        """Write what comes before the actions of a tick: loads, sample, the next row."""
+        """Write the part of a tick before its actions: loads, sample, the next row."""
         code, shape, row = self.code, self.shape, self.row
         now = code.read(self.clock, ClockEntry.NOW, INTEGER)
         in_window = now >= self.window
@@ -131,7 +131,7 @@ class _Run:
             code.write(self.clock, ClockEntry.UNTIL_SAMPLE, until.get() - 1, INTEGER)
 
     def sent(self, actions: tuple[Action, ...]) -> dict[Action, Value]:
-        """Return where these actions write and read in the rings of dead times; advance them."""
+        """Return the addresses of these actions in the dead-time rings, and advance the rings."""
         code, shape = self.code, self.shape
         found: dict[Action, Value] = {}
         if not shape.delayed:
@@ -151,7 +151,7 @@ class _Run:
         return found
 
     def step(self, actions: tuple[Action, ...], length: Value) -> None:
-        """Write a step of one kind; a length below zero is no advance."""
+        """Write a step of one kind; a negative length means no advance."""
         code, shape = self.code, self.shape
         ticks = any(a.do == Do.TICK for a in actions)
         advances = Action(Do.ADVANCE) in actions
@@ -185,8 +185,7 @@ class _Run:
         if len(actions) > advances:
             self.over_lanes(write)
         if advances and (shape.guards or len(actions) == 1):
-            # In a loop of its own: processors overlap short chains of operations better than long
-            # ones.
+            # In a separate loop: processors overlap short chains of operations better.
             self.over_lanes(advance)
 
 

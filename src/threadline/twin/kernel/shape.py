@@ -1,4 +1,4 @@
-"""What a kernel is written for: all that is fixed when its code is made."""
+"""The shape of a kernel: everything that is fixed when its code is written."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from threadline.twin.kernel.names import Action, Row, SampleLayout
 _FEW = 3
 
 Pattern = tuple[int, ...]
-"""Columns of a row that may differ from zero."""
+"""Columns of a row that can differ from zero."""
 
 
 class ControllerShape(NamedTuple):
-    """What of a controller is fixed when its kernel is written."""
+    """Fixed properties of a controller."""
 
     drive: int
     sensor: Pattern
     feedback: bool  # it uses its earlier outputs
-    second: bool  # it looks two ticks back
-    reversal: bool  # a zero tick where its level changes sign
-    limited: bool  # its drive's input has a limit of its own
-    encoder: str = "nearest"  # how its encoder rounds: "nearest", "floor", "truncate"
-    dac: str = "nearest"  # how its DAC rounds
-    profile: str = ""  # what it makes positions from: "speed", "target"; "" where it does not
+    second: bool  # it uses values from two ticks earlier
+    reversal: bool  # its DAC outputs 0 for a tick at a change of sign
+    limited: bool  # its drive's input has a limit
+    encoder: str = "nearest"  # rounding of its encoder: "nearest", "floor", "truncate"
+    dac: str = "nearest"  # rounding of its DAC
+    profile: str = ""  # it generates positions from "speed" or "target"; "" for none
 
 
 class AxisShape(NamedTuple):
-    """What of an axis is fixed."""
+    """Fixed properties of an axis."""
 
     controller: int
     load: Pattern
@@ -35,7 +35,7 @@ class AxisShape(NamedTuple):
 
 
 class GuardShape(NamedTuple):
-    """What of a guard is fixed; its bounds have taken up the constant of its row."""
+    """Fixed properties of a guard; the constant of its row is included in its bounds."""
 
     row: Pattern
     bounded_below: bool
@@ -43,11 +43,11 @@ class GuardShape(NamedTuple):
 
 
 class Shape(NamedTuple):
-    """Everything that a kernel is written for; columns are states, drives' inputs and 1."""
+    """Fixed properties of a kernel; columns are states, drives' inputs and 1."""
 
     lanes: int  # of a block
     width: int  # of a vector
-    matrix: tuple[Pattern, ...]  # of the derivative, one for each state, of all modes together
+    matrix: tuple[Pattern, ...]  # of the derivative of each state, over all modes
     drives: tuple[Pattern, ...]  # of their currents
     controllers: tuple[ControllerShape, ...]
     axes: tuple[AxisShape, ...]
@@ -55,13 +55,13 @@ class Shape(NamedTuple):
     inputs: int  # limit switches
     lengths: int  # distinct advances
     terms: int  # of Taylor's series over a cell
-    sections: int  # of a cell in which guards are looked at one after the other
+    sections: int  # of a cell, in which guards are checked one after the other
     peak: bool  # currents are watched
     quantised: bool
-    delayed: bool  # some command is under way longer than no time
-    shared: bool  # every tick each controller reads just what is its axis' load
+    delayed: bool  # a command has a dead time above 0
+    shared: bool  # each controller reads its axis' load at every tick
     kinds: tuple[tuple[Action, ...], ...]  # the actions of each kind of step
-    uniform: tuple[Row, ...]  # rows that hold one number for all lanes, for good
+    uniform: tuple[Row, ...]  # constant rows with equal numbers in all lanes
 
     @property
     def states(self) -> int:
@@ -79,10 +79,10 @@ class Shape(NamedTuple):
         return SampleLayout(len(self.controllers), len(self.axes), len(self.drives), self.inputs)
 
     def reach(self) -> tuple[tuple[Pattern, ...], tuple[bool, ...]]:
-        """Return the pattern of a propagator's rows, and which have 1 on the diagonal exactly.
+        """Return the patterns of a propagator's rows, and which have exactly 1 on the diagonal.
 
-        Entry (i, j) of ``exp(A t)`` differs from zero only where a chain of entries of A leads
-        from i to j; entry (i, i) is 1 where no chain leads back.
+        Entry (i, j) of ``exp(A t)`` differs from zero only if a chain of entries of A leads from i
+        to j; entry (i, i) is 1 if no chain leads back.
         """
         found = [set(row) for row in self.matrix]
         for k in range(self.states):
@@ -91,10 +91,10 @@ class Shape(NamedTuple):
         return tuple(tuple(sorted(row)) for row in found), unit
 
     def monotone(self, w: int) -> bool:
-        """Return whether guard w only rises or only falls during an advance, in any mode.
+        """Return whether guard w is monotone during an advance, in any mode.
 
-        It does where it follows one state at most whose rate depends on no other: inputs are
-        held, so that this state goes to its end as an exponential or a straight line.
+        It is monotone if it depends on at most one state whose rate depends on no other: inputs are
+        held, so this state follows an exponential or a straight line.
         """
         states = [j for j in self.guards[w].row if j < self.states]
         return all(
@@ -103,7 +103,7 @@ class Shape(NamedTuple):
         )
 
     def rates(self) -> tuple[Pattern, ...]:
-        """Return the patterns of the guards' rates; none where the ends of an advance tell all."""
+        """Return the patterns of the guards' rates; empty for monotone guards."""
         found = []
         for w, guard in enumerate(self.guards):
             rows = (self.matrix[j] for j in guard.row if j < self.states)
@@ -112,9 +112,10 @@ class Shape(NamedTuple):
         return tuple(found)
 
     def nearness(self) -> tuple[Pattern, ...]:
-        """Return the patterns of the rows of a cheap first look at guards that may turn.
+        """Return the patterns of the rows of the cheap test of non-monotone guards.
 
-        It is worth its loads only where few columns reach every guard: else there are none.
+        The test is worth its loads only if few columns affect every guard; otherwise the result is
+        empty.
         """
         reach, _ = self.reach()
         found: list[Pattern] = []

@@ -1,4 +1,4 @@
-"""Everything that changes while one connected piece runs, and the calls into its machine code."""
+"""State of a running piece, and the calls into its machine code."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from threadline.twin.kernel.piece import Piece
 from threadline.twin.kernel.run import kernel
 from threadline.twin.kernel.shape import Shape
 
-_FEW = 64  # variants: what so many start with is kept for the next run
+_FEW = 64  # variants: the initial state of up to so many is cached for the next run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Snapshot:
-    """What a piece needs to go on elsewhere with the same bits; arrays as in ``State``.
+    """State of a piece for bit-exact continuation in any process; arrays as in ``State``.
 
     Parameters
     ----------
     shape
-        Of the kernel; a state of another shape cannot take it up.
+        Shape of the kernel; a state of another shape cannot restore it.
     """
 
     shape: Shape
@@ -40,20 +40,20 @@ class Snapshot:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class State:
-    """Everything that a kernel changes, for all variants; V is padded to whole blocks of lanes.
+    """Everything that a kernel changes, for all variants, padded to whole blocks of lanes.
 
     Parameters
     ----------
     shape, layout
-        What the kernel is written for, and where each row lies.
+        Shape of the kernel, and layout of its rows.
     piece
         Equations, instants and tables.
     kernel
         The machine code: first and last block, address of the slots.
     modes
-        Tables of the modes met so far.
+        Tables of the modes entered so far.
     work
-        (groups, rows, width), see ``Layout``; a block is some groups.
+        (groups, rows, width), see ``Layout``; a block consists of groups.
     ring
         (blocks, controllers, K, lanes) levels in the dead times.
     clock
@@ -61,10 +61,10 @@ class State:
     counts
         (blocks, 4), see ``Count``.
     cell_s
-        (lengths,) how long the cells of each advance are.
+        (lengths,) length of the cells of each advance, s.
     slots
-        (slots,) what the machine code is given, see ``Slot``: what stays the same from call to
-        call, 0 for the rest.
+        (slots,) arguments of the machine code, see ``Slot``; 0 for those that change from call to
+        call.
     """
 
     shape: Shape
@@ -106,7 +106,7 @@ class State:
         self, begin: int, end: int, references: FloatArray, every: int, window: int,
         records: IntArray,
     ) -> None:  # fmt: skip
-        """Run the blocks of lanes from ``begin`` up to ``end`` for as many ticks as references.
+        """Run the blocks from ``begin`` up to ``end`` for as many ticks as references.
 
         Parameters
         ----------
@@ -115,10 +115,9 @@ class State:
         every
             Ticks from sample to sample, 0 for none.
         window
-            First tick of which the least and the greatest load are kept.
+            First tick of the window of smallest and largest load.
         records
-            (columns, 2) address at which the samples of each column begin, 0 where it is not
-            wanted, and how many numbers there are from one sample to the next.
+            (columns, 2) address of the samples of each column, 0 for none, and stride in numbers.
         """
         slots = self.slots.copy()
         slots[Slot.REFERENCES] = references.ctypes.data
@@ -129,12 +128,12 @@ class State:
         self.kernel(begin, end, slots.ctypes.data)
 
     def failure(self) -> str:
-        """Return why the simulation has no answer, empty when it has one.
+        """Return why the simulation has no solution; empty if it has one.
 
         Raises
         ------
         MachineError
-            If its modes take too much memory.
+            If its modes need too much memory.
         """
         if self.counts[:, Count.UNMET].any() and self.modes.failure is not None:
             raise self.modes.failure
@@ -149,19 +148,19 @@ class State:
         return self._rows([self.layout[field, x] for x in range(len(self.shape.axes))])
 
     def worst(self) -> FloatArray:
-        """Return (V, axes) the largest |commanded - load|, m or rad."""
+        """Return the largest |commanded - load|, (V, axes), m or rad."""
         worst = self.of_axes(Field.WORST)
         return worst * self.of_axes(Field.SCALE) if self.shape.shared else worst
 
     def peaks(self) -> FloatArray:
-        """Return (V, drives): the current of largest magnitude."""
+        """Return the current of largest magnitude, (V, drives), A."""
         return self._rows([self.layout[Field.PEAK, d] for d in range(len(self.shape.drives))])
 
     def _rows(self, rows: list[int]) -> FloatArray:
         return self.work[:, rows].transpose(0, 2, 1).reshape(-1, len(rows)).copy()
 
     def snapshot(self) -> Snapshot:
-        """Return a copy of what has changed so far."""
+        """Return a copy of the present state."""
         return Snapshot(
             shape=self.shape,
             work=self.work.copy(),
@@ -171,12 +170,12 @@ class State:
         )
 
     def restore(self, kept: Snapshot) -> None:
-        """Go on from ``kept``, made of the same piece, here or in another process.
+        """Continue from ``kept``, made from the same piece in any process.
 
         Raises
         ------
         ValueError
-            If it is of a piece of another shape.
+            If it belongs to a piece of another shape.
         """
         if kept.shape != self.shape or kept.work.shape != self.work.shape:
             raise ValueError("the snapshot is of a machine of another shape, or of other variants")
@@ -185,13 +184,13 @@ class State:
             (self.clock, kept.clock), (self.counts, kept.counts),
         ):  # fmt: skip
             mine[:] = other
-        # The code does not ask for the table of the mode that it starts in: it has to be there.
+        # The code assumes that the table of its initial mode exists.
         for mode in np.unique(self.work[:, self.layout[Field.MODE,]]):
             self.modes.meet(int(mode))
         self._find_sources()
 
     def _find_sources(self) -> None:
-        """Set where the rows of advances are: in the table of a mode, 0 for several modes."""
+        """Set the address of the rows of advances: in the table of a mode, 0 for several modes."""
         if (Field.SOURCE,) not in self.layout.row:
             return
         layout, width = self.layout, self.shape.width
@@ -205,7 +204,7 @@ class State:
 
 
 def _numbers(machine: Machine, piece: Piece) -> dict[Row, FloatArray]:
-    """Return what rows of the workspace hold in every run: (variants,) or (1,) each."""
+    """Return the rows of the workspace that are equal in every run: (variants,) or (1,) each."""
     control, equations = piece.control, piece.equations
     found: dict[Row, FloatArray] = {}
     for c in range(len(control.drive)):
@@ -234,23 +233,23 @@ def new_state(
     machine: Machine, piece: Piece, phases: FloatArray, lanes: int, width: int, *,
     peak: bool, quantised: bool,
 ) -> State:  # fmt: skip
-    """Return the state at the start: at rest, nothing commanded.
+    """Return the initial state: at rest, before any command.
 
     Parameters
     ----------
     phases
-        (variants, controllers) of the encoders, in [0, 1).
+        (variants, controllers) phases of the encoders, in [0, 1).
     lanes, width
         Variants in one block, and in one vector.
     peak
         Whether currents are watched.
     quantised
-        False leaves out the rounding of encoders and DACs.
+        False omits the rounding of encoders and DACs.
     """
     variants = piece.equations.variants
     blocks = -(-variants // lanes)
     which = np.minimum(np.arange(blocks * lanes), variants - 1)
-    # What differs from run to run is where the encoders stand; the rest is laid out once.
+    # Only encoder phases differ from run to run; the rest is prepared once.
     asked = lanes, width, peak, quantised, tuple((phases == phases[0]).all(axis=0).tolist())
     begun = piece.begun.get(asked)
     if begun is None:
@@ -287,7 +286,7 @@ def _begun(
     machine: Machine, piece: Piece, phases: FloatArray, which: IntArray, lanes: int, width: int, *,
     peak: bool, quantised: bool,
 ) -> tuple[ModeTables, FloatArray]:  # fmt: skip
-    """Return the tables of modes, and the workspace at the start."""
+    """Return the tables of modes, and the initial workspace."""
     numbers = _numbers(machine, piece) | _standing(piece, phases)
     uniform = tuple(
         row
@@ -315,9 +314,9 @@ def _alike(values: FloatArray) -> bool:
 
 
 def _standing(piece: Piece, phases: FloatArray) -> dict[Row, FloatArray]:
-    """Return (variants,) where between two counts each encoder stands."""
-    # A phase of a half means that the axis starts on a whole count: rounding to the nearest is the
-    # floor of the position plus a half.
+    """Return the rows of the encoder phases, (variants,) each."""
+    # A phase of 0.5 means that the axis starts on a whole count: rounding to the nearest is the
+    # floor of the position + 0.5.
     offset = {"nearest": 0.0, "floor": 0.5, "truncate": 0.5}
     return {
         (Field.PHASE, c): phases[:, c] - offset[piece.control.encoder[c]]

@@ -1,4 +1,4 @@
-"""Equations and controllers as the plain arrays that the kernels take."""
+"""Equations and controllers as plain arrays, for kernels."""
 
 from __future__ import annotations
 
@@ -22,9 +22,8 @@ _PROFILES = {"integral-velocity": "speed", "trapezoid": "target"}
 class PlantTables(NamedTuple):
     """A piecewise linear system; V variants, n states, N = n + inputs + 1, E elements.
 
-    M is the largest number of modes and G of guards of one mode of any element. Guards have
-    their bounds widened by one part in 1e12, so that the mode entered at a bound isn't left
-    at once.
+    M is the largest number of modes of an element, and G of guards of a mode. Bounds of guards are
+    widened by 1e-12, so that a mode entered at a bound is not left at once.
     """
 
     base: FloatArray  # (V, n, N)
@@ -61,11 +60,11 @@ class ControlTables(NamedTuple):
     drive: IntArray  # (K,) index of the input
     zero_on_reversal: IntArray  # (K,)
     profile: tuple[str, ...]  # (K,) as in ``shape``
-    encoder: tuple[str, ...]  # (K,) how its encoder rounds, as the machine file says
-    dac: tuple[str, ...]  # (K,) how its DAC rounds
+    encoder: tuple[str, ...]  # (K,) rounding of its encoder, from the machine file
+    dac: tuple[str, ...]  # (K,) rounding of its DAC
     acceleration: FloatArray  # (V, K) counts per tick squared, whole 256ths
     fastest: FloatArray  # (V, K) counts per tick
-    per_tick: FloatArray  # (V, K) ticks of the references in one of the filter
+    per_tick: FloatArray  # (V, K) reference ticks per filter tick
 
 
 def plant_tables(piece: PiecewiseLinear) -> PlantTables:

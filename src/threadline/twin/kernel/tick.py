@@ -1,4 +1,4 @@
-"""Kernel code: what happens at one instant, and the advance to the next, for some lanes."""
+"""Kernel code: the actions at one instant, and the advance to the next."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from threadline.twin.kernel.lanes import Lanes
 from threadline.twin.kernel.names import Action, Do, Field, Row
 
 _ENCODER = {"nearest": "floor", "floor": "floor", "truncate": "trunc"}
-"""The function that rounds a position to counts, after its phase was added, by kind of encoder."""
+"""Intrinsic that rounds position + phase to counts, by the encoder's rounding."""
 _DAC = {"nearest": "rint", "floor": "floor", "truncate": "trunc"}
 
 
 def write_worst(rows: Lanes, references: list[Value]) -> None:
-    """Keep the largest |commanded - load| of every axis whose controller doesn't read its load."""
+    """Update the largest |commanded - load| of every axis."""
     for x, axis in enumerate(rows.shape.axes):
         load = rows.product(Field.LOAD, x, axis.load)
         apart = references[axis.controller] * rows[Field.SCALE, x] - load
@@ -37,9 +37,9 @@ def write_actions(
     Parameters
     ----------
     references
-        Counts commanded to each controller.
+        Commanded counts of each controller.
     sent
-        Where the level of a controller goes, and where the one that arrives comes from.
+        Addresses at which a controller's level is written, and at which the arriving one is read.
     """
     for action in actions:
         c = action.controller
@@ -94,7 +94,7 @@ def _arrive(rows: Lanes, c: int) -> None:
 
 
 def write_peaks(rows: Lanes) -> None:
-    """Keep the current of largest magnitude of every drive."""
+    """Update the current of largest magnitude of every drive."""
     code = rows.code
     for d, pattern in enumerate(rows.shape.drives):
         now, kept = rows.product(Field.CURRENT, d, pattern), rows[Field.PEAK, d]
@@ -109,9 +109,9 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
     Parameters
     ----------
     functions
-        For lanes whose modes change, and for those in several modes; None where there are none.
+        For lanes with mode changes, and for lanes in several modes; None without guards.
     call
-        Rows of the lanes, their number among all such groups, length, counts, context.
+        Rows of the lanes, their group index, length, counts, context.
     """
     events, gather = functions
     code, shape = rows.code, rows.shape
@@ -125,7 +125,7 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
 
     if shape.peak:
         if events is not None:
-            # Inputs may have jumped: the current belongs to the mode then in force.
+            # Inputs may have jumped, so update the mode before reading the current.
             leave(rows.jumped(), 0)
             rows.forget()
         write_peaks(rows)
@@ -150,7 +150,7 @@ def write_advance(rows: Lanes, functions: tuple[Any, Any], call: list[Value]) ->
 
 
 def write_loads(rows: Lanes, in_window: Value) -> None:
-    """Keep the load of every axis, the last and, in the window, the least and the greatest."""
+    """Update the last load of every axis and, in the window, the smallest and largest one."""
     code = rows.code
     for x, axis in enumerate(rows.shape.axes):
         load = rows.product(Field.LOAD, x, axis.load)
@@ -161,14 +161,14 @@ def write_loads(rows: Lanes, in_window: Value) -> None:
 
 
 def write_sample(rows: Lanes, records: Value, sample: Value, lane: Value) -> None:
-    """Fill a sample of some lanes, column by column of ``SampleLayout``.
+    """Write a sample, column by column of ``SampleLayout``.
 
     Parameters
     ----------
     records
-        Address and numbers from sample to sample of each column; address 0: nobody wants it.
+        Address and stride in numbers of each column; address 0 means that it is not sampled.
     sample, lane
-        Number of the sample since the call, and of the first lane among all.
+        Index of the sample in this call, and index of the first lane.
     """
     code, shape = rows.code, rows.shape
     at = shape.sample

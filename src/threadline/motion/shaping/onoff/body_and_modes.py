@@ -1,19 +1,19 @@
-"""What an acceleration command does to a rigid body with flexible modes, exactly.
+"""Exact response of a rigid body with flexible modes to an acceleration command.
 
-A command is piecewise constant, u in [-1, 1] of the machine's acceleration. Ringing is measured
-as everywhere in this folder: normalised to one step of full acceleration, envelope at the end of
-the command against envelope of the step at its own start, damping held while frequency sweeps.
+A command is piecewise constant, u in [-1, 1] of the machine's acceleration. Ringing is measured as
+everywhere in this folder: normalised to one step of full acceleration, envelope at the end of the
+command against envelope of the step at its own start, damping held while frequency sweeps.
 
-A command u(t) that ends at T leaves a mode with the pole s at rest where the integral of
-u e^(s v) is zero, v = t - T. For a mode much slower than the move, e^(s v) hardly differs from
-1 + s v, so that its real and imaginary parts repeat the conditions on speed and distance and what
-is theirs alone drowns in rounding. With G = (e^(s v) - 1 - s v) / s^2, G2 its real part and G3 its
-imaginary part over that of s, the two conditions
+A command u(t) that ends at T leaves a mode with the pole s at rest if the integral of u e^(s v) is
+zero, v = t - T. For a mode much slower than the move, e^(s v) hardly differs from 1 + s v, so that
+its real and imaginary parts repeat the conditions on speed and distance, and the remainder drowns
+in rounding. With G = (e^(s v) - 1 - s v) / s^2, G2 its real part and G3 its imaginary part over the
+imaginary part of s, the two conditions
 
     integral of u (v - |s|^2 G3) = 0,    integral of u (G2 + Re(s) G3) = 0
 
-say the same together with an integral of u that is zero, and stay apart from it however slow the
-mode is: they tend to those of v and v^2 / 2.
+are equivalent together with an integral of u that is zero, and stay independent of it however slow
+the mode is: they tend to those of v and v^2 / 2.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def shaped_command(move: RestToRest, shaper: Shaper) -> Command:
 
 
 def ringing(command: Command, frequency_hz: FloatArray, damping_ratio: float) -> FloatArray:
-    """Ringing after ``command``, shape ``(m,)``, as a fraction of that of one full step.
+    """Ringing after ``command``, shape ``(m,)``, as a fraction of one full step's ringing.
 
     Parameters
     ----------
@@ -155,12 +155,12 @@ def travel_rows(edges_s: FloatArray) -> FloatArray:
 
 
 def per_mode(value: PerMode, modes: Sequence[FlexibleMode]) -> tuple[float, ...]:
-    """Return a number for every mode: the same for all, or one each as they were given.
+    """Return a number for every mode: the same for all, or one each.
 
     Raises
     ------
     OptionError
-        If there are neither one nor as many as modes.
+        If their number is neither one nor the number of modes.
     """
     if isinstance(value, float | int):
         return (float(value),) * len(modes)
@@ -197,8 +197,8 @@ def rings_within(
 def simulate(command: Command, mode: FlexibleMode, acceleration_m_s2: float) -> FloatArray:
     """Distance, speed and relative ringing at the end, shape ``(3,)``, by matrix exponential.
 
-    Shares nothing with the rows above: rigid body and oscillator are carried together from edge
-    to edge.
+    Independent of the rows above: rigid body and oscillator are integrated together from edge to
+    edge.
     """
     w, z = 2.0 * math.pi * mode.frequency_hz, mode.damping_ratio
     # State: position, speed, oscillator q, q'/w, command u; q'' + 2 z w q' + w^2 q = w^2 u.
@@ -221,16 +221,16 @@ def simulate(command: Command, mode: FlexibleMode, acceleration_m_s2: float) -> 
 
 _SERIES_BELOW = 1.0
 _TERMS = 20
-"""Of the series where |z| <= 1: the first one left out is 1 / 22!, 1e-21."""
+"""Terms of the series for |z| <= 1: the first omitted one is 1 / 22!, 1e-21."""
 
 
 def conditions(move: RestToRest) -> tuple[float, list[AtRest]]:
-    """Return about how long the fastest move with every mode at rest takes, s, and conditions."""
+    """Return the approximate fastest time with every mode at rest, s, and the conditions."""
     rigid = move.rigid_duration_s
     poles = [pole(m.damping_ratio) * m.frequency_hz for m in move.modes]
     reach = move.distance_m / move.acceleration_m_s2
-    # A slow mode asks for an integral of u v^3 that is 6 L / (a |s|^2): more than the rigid move
-    # has. The best bang-bang command of a duration T has at most T^4 / 64 of it.
+    # A slow mode requires an integral of u v^3 of 6 L / (a |s|^2), more than the rigid move has.
+    # The best bang-bang command of a duration T reaches at most T^4 / 64.
     slow = [s for s in poles if abs(s) * rigid < _SERIES_BELOW]
     scale = max([rigid, *(float(384.0 * reach / abs(s) ** 2) ** 0.25 for s in slow)])
     return scale, [AtRest(s, scale, s in slow) for s in poles]
@@ -245,9 +245,9 @@ class AtRest:
     pole_1_s
         ``s`` above, 1/s: a pole of the mode times -1, since decay is counted back from the end.
     scale_s
-        About how long the move takes, s. It makes integrals of the densities dimensionless.
+        Approximate duration of the move, s. It makes integrals of the densities dimensionless.
     slow
-        Whether the two conditions above are used, and not the ringing itself.
+        Whether the two conditions above are used instead of the ringing itself.
     """
 
     pole_1_s: complex
@@ -273,7 +273,7 @@ class AtRest:
     def _conditions(self, v: FloatArray, order: int) -> FloatArray:
         s, scale = self.pole_1_s, self.scale_s
         if not self.slow:
-            # Of a mode about as fast as the move the ringing itself, -s e^(s v), is well apart.
+            # For a mode about as fast as the move the ringing itself, -s e^(s v), is independent.
             grown = -(s ** (3 - order)) * np.exp(s * v) - (0.0 if order < 3 else -1.0)
             return np.array([grown.real, grown.imag])
         rest = v**order * _phi(s * v, order)

@@ -1,10 +1,10 @@
-"""Moves of a cylinder whose valves set its speed: the shortest command that rings little enough.
+"""Moves of a cylinder whose valves set its speed: the shortest command with permitted ringing.
 
 Open flow controls add up to a level, and every change of the level by h rings on by itself, for
-each frequency that the mode may have. With levels free between 0 and 1 the shortest command on the
-scan is a linear program: no valves are faster. Which flow control is open in which scan is a
-question of integers. That command is taken symmetric about its middle, as undamped optima are, so
-that half of the unknowns are left; each that is returned was checked with its damping.
+each possible frequency of the mode. With levels free between 0 and 1 the shortest command on the
+scan is a linear program, and no valves are faster. Which flow control is open in which scan is an
+integer program. The command is taken symmetric about its middle, as undamped optima are, which
+halves the unknowns; each returned command was checked with its damping.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from threadline.base.linear_programs import solved
 from threadline.motion.shaping.onoff.switched import Valves
 
 _NODES = 200
-"""Most nodes of an integer program's tree: unlike a time limit, the same on every computer."""
+"""Most nodes of an integer program's tree: unlike a time limit, independent of the computer."""
 _SHORT, _OVER = 0.2, 0.02
-"""A command may fall so many scans short of the distance, and go so many beyond it.
+"""Scans by which a command may fall short of the distance, and exceed it.
 
-Told farther than its stroke, a piston runs into its stop.
+Commanded beyond its stroke, a piston runs into its stop.
 """
 _ROUNDS = 4
-_DIRECTIONS = 16  # of the polygon that stands for a circle in the plane of ringing
-_FINER = 4  # cells of a scan, for a flow that does not begin or end with one
-_ROWS = 11  # frequencies of a band that a program sees; all of them are checked
+_DIRECTIONS = 16  # of the polygon that replaces a circle in the plane of ringing
+_FINER = 4  # cells per scan, for a flow that does not begin or end with a scan
+_ROWS = 11  # frequencies of a band in a program; all of them are checked afterwards
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FlowMove:
-    """A move that flow controls are to make.
+    """A move to be made by flow controls.
 
     Parameters
     ----------
     on_scans
         Distance over the speed of level 1, in scans.
     valves
-        The flow controls, and how late they open and close.
+        The flow controls, and their delays of opening and closing.
     dwell_scans
         Fewest scans between two switchings of one of them.
     turns
         (K,) factor on the complex ringing in one scan, for each frequency of a band.
     most
-        (K,) how much may ring after the command at each of them, in units of a step of level 1.
+        (K,) permitted ringing after the command at each frequency, in units of a step of level 1.
     """
 
     on_scans: float
@@ -57,14 +57,14 @@ class FlowMove:
     most: FloatArray
 
     def left(self, ticks: tuple[int, ...], levels: tuple[float, ...]) -> NDArray[np.complex128]:
-        """Return what a command leaves ringing of each frequency at its last switching, (K,)."""
+        """Return the (K,) ringing of each frequency at a command's last switching."""
         at, heights = self.valves.switchings(ticks, levels)
         rates = np.log(self.turns).astype(np.complex128)
         left: NDArray[np.complex128] = np.exp(np.outer(rates, ticks[-1] - at)) @ heights
         return left
 
     def _seen(self) -> NDArray[np.int64]:
-        """Return the frequencies that a program sees."""
+        """Return the frequencies in the program."""
         count = min(_ROWS, len(self.turns))
         return np.unique(np.rint(np.linspace(0, len(self.turns) - 1, count)).astype(np.int64))
 
@@ -85,14 +85,14 @@ class FlowCommand:
 def least_scans(move: FlowMove, most_scans: int, known_scans: int = 1) -> int | None:
     """Return the fewest scans, from ``known_scans`` on, of any command with levels free in [0, 1].
 
-    It is a lower bound for all valves: the circle of what may ring is replaced by a polygon around
-    it, and the band by some of its frequencies. None where not even ``most_scans`` suffice.
+    It is a lower bound for all valves: the circle of permitted ringing is replaced by a polygon
+    around it, and the band by some of its frequencies. None if even ``most_scans`` do not suffice.
     """
     around = np.exp(2j * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS)
     seen, longer = move._seen(), move.valves.longer
     least = max(math.ceil(move.on_scans - longer - _SHORT), known_scans)
     for scans in range(least, most_scans + 1):
-        # The flow lasts that much longer than the command, and need not begin with a scan.
+        # The flow lasts longer than the command by this, and need not begin with a scan.
         cells = scans if longer == 0.0 else math.ceil(_FINER * (scans + longer))
         to_go = np.linspace(scans + longer, 0.0, cells + 1)
         grown = np.exp(np.log(move.turns[seen])[:, None] * to_go)
@@ -111,9 +111,9 @@ def least_scans(move: FlowMove, most_scans: int, known_scans: int = 1) -> int | 
 
 
 def flow_command(move: FlowMove, scans: int) -> FlowCommand | None:
-    """Return a command of ``scans`` scans that rings no more than ``move.most``.
+    """Return a command of ``scans`` scans that rings at most ``move.most``.
 
-    None if none was found among symmetric ones; that is no proof that there is none.
+    None if none was found among symmetric ones; that does not prove that there is none.
     """
     half = (scans + 1) // 2
     share = 1.0
@@ -125,7 +125,7 @@ def flow_command(move: FlowMove, scans: int) -> FlowCommand | None:
         command = _command(np.concatenate((levels, levels[: scans - half][::-1])))
         if (np.abs(move.left(command.ticks, command.levels)) <= move.most).all():
             return command
-        # Between the frequencies that the program sees, or through damping, it rings more.
+        # Between the frequencies of the program, or through damping, it rings more.
         share *= 0.95
     return None
 
@@ -156,9 +156,9 @@ def _opened(move: FlowMove, scans: int, half: int, share: float) -> FloatArray |
     turning = np.angle(move.turns[seen])[:, None]
     edges = np.arange(half, dtype=np.float64) - 0.5 * scans
     # Symmetric about its middle an undamped command rings in one quadrature only: an edge and its
-    # image twice as much as it alone. The flow is symmetric, too: it begins half of what the
-    # valves take longer to close than to open before the command, of its own middle, and ends so
-    # much behind it. What an edge leaves is half of that for either sense where it switches.
+    # image twice as much as the edge alone. The flow is symmetric, too, about its own middle: by
+    # half of the difference between closing and opening time it begins before the command and ends
+    # after it. An edge contributes half of its ringing for either sense in which it switches.
     up = -np.sin(turning * (edges - 0.5 * longer)) / move.most[seen, None]
     down = -np.sin(turning * (edges + 0.5 * longer)) / move.most[seen, None]
     rows = up + down
@@ -180,7 +180,7 @@ def _opened(move: FlowMove, scans: int, half: int, share: float) -> FloatArray |
         placed[:, unknowns + flow * half : unknowns + (flow + 1) * half] = apart[:, half:]
         constraints.append(LinearConstraint(csr_matrix(placed), -np.inf, most))
     found = milp(
-        np.repeat([0.0, 1.0], unknowns),  # of all that ring little enough, few switchings
+        np.repeat([0.0, 1.0], unknowns),  # of all permitted commands, one with few switchings
         constraints=constraints,
         integrality=np.ones(2 * unknowns, dtype=np.int64),
         bounds=Bounds(0.0, 1.0),
@@ -192,10 +192,10 @@ def _opened(move: FlowMove, scans: int, half: int, share: float) -> FloatArray |
 
 
 def _apart(half: int, scans: int, dwell: int, exact: bool) -> tuple[FloatArray, FloatArray]:
-    """Return rows over (open, switches) of one flow control, and what each may be at most.
+    """Return rows over (open, switches) of one flow control, and their upper bounds.
 
-    It opens from shut; of ``dwell`` edges in a row one may switch; an edge near the middle and
-    its mirror image count as two. With ``exact`` nothing switches where nothing changes.
+    It starts shut; of ``dwell`` consecutive edges one may switch; an edge near the middle and its
+    mirror image count as two. With ``exact`` only actual changes count as switchings.
     """
     step = np.eye(half) - np.eye(half, k=-1)
     marks = np.eye(half)

@@ -38,10 +38,10 @@ class TimeOptimal:
     Parameters
     ----------
     command
-        Levels +1 and -1 in turn.
+        Alternating levels +1 and -1.
     certificate
-        Smallest value of the switching function's agreement with the command, relative to its
-        largest; not below -1e-9, so no command is faster.
+        Smallest value of the switching function times the command's sign, relative to its largest;
+        at least -1e-9, so that no command is faster.
     """
 
     command: Command
@@ -70,7 +70,7 @@ def time_optimal(move: RestToRest) -> TimeOptimal:
     for mode in move.modes:
         end = simulate(command, mode, move.acceleration_m_s2)
         error = np.abs(end - np.array([move.distance_m, 0.0, 0.0]))
-        # A slow mode makes the machine go far and come back: that is what is rounded.
+        # A slow mode makes the machine overshoot and return: distances are rounded by that.
         far_m = move.acceleration_m_s2 * conditions(move)[0] ** 2
         if error.max() > _PROOF_TOLERANCE + _ROUNDING * far_m:
             raise ShaperError(
@@ -175,7 +175,7 @@ def _end_conditions(move: RestToRest, command: Command) -> tuple[FloatArray, Flo
     speed, distance = travel_rows(edges) @ levels
     by_distance = jumps * (end - edges[1:])
     by_distance[-1] += speed
-    to_length = 4.0 / scale**2  # that of the rigid move is its distance's own
+    to_length = 4.0 / scale**2  # normalises the rigid move's distance
     reach = move.distance_m / move.acceleration_m_s2
     residuals = [speed / scale, (distance - reach) * to_length]
     rows = [jumps / scale, by_distance * to_length]
@@ -183,7 +183,7 @@ def _end_conditions(move: RestToRest, command: Command) -> tuple[FloatArray, Flo
     for at_rest in at_rests:
         density = at_rest.density(before_end)
         by_times = jumps * density[:, 1:]
-        # The last edge is the origin of the decay: it moves everything before it away.
+        # The last edge is the origin of the decay: it shifts all earlier edges relative to it.
         by_times[:, -1] = -by_times[:, :-1].sum(axis=1) + levels[0] * density[:, 0]
         residuals += list(np.diff(at_rest.integral(before_end)) @ levels)
         rows += list(by_times)

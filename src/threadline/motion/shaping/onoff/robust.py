@@ -1,9 +1,9 @@
-"""The fastest command for a machine whose frequency is only known within a band.
+"""The fastest command for a machine whose frequency is known only within a band.
 
-Levels are free within [-1, 1]: the bound that any valve, switched or proportional, is measured
-against. For a given time the largest distance with |ringing| <= tolerance over the band is a
-convex program; circles and band are met by cutting planes, to 1e-4 of the tolerance, and the
-time is found by bisection, so the optimum is the global one of the grid of intervals.
+Levels are free within [-1, 1]: the bound for any valve, switched or proportional. For a given time
+the largest distance with |ringing| <= tolerance over the band is a convex program; circles and band
+are met by cutting planes, to 1e-4 of the tolerance, and the time is found by bisection, so that the
+optimum is the global one for the grid of intervals.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _APART = 80.0
 class _Band:
     """Half planes Re(exp(-j phase) ringing) <= tolerance that have been needed so far.
 
-    Where modes have tolerances of their own, ringing counts in the largest of them: that of a mode
-    is divided by its share of it.
+    If modes have different tolerances, ringing is scaled to the largest of them: a mode's ringing
+    is divided by its tolerance's share of it.
     """
 
     def __init__(self, move: RestToRest, relative: PerMode, tolerance: PerMode) -> None:
@@ -72,12 +72,12 @@ class _Band:
         return table
 
     def worst(self, command: Command) -> float:
-        """Return the worst ringing over the bands, in the largest tolerance."""
+        """Return the worst ringing over the bands, scaled to the largest tolerance."""
         found = worst_of_each(command, self._move.modes, self._relative)
         return max(one / share for one, share in zip(found, self._share, strict=True))
 
     def cut(self, command: Command, tolerance: float) -> bool:
-        """Add the half planes that ``command`` breaks; False if it breaks none."""
+        """Add the half planes that ``command`` violates; False if it violates none."""
         found = False
         for i, mode in enumerate(self._move.modes):
             sweep = np.linspace(1.0 - self._relative[i], 1.0 + self._relative[i], _SWEEP)
@@ -103,8 +103,8 @@ def farthest(
         solved = minimise(
             -distance / duration_s**2,
             equal=(speed[None, :] / duration_s, np.zeros(1)),
-            # In parts of the tolerance: the solver keeps a row to 1e-7, and as it stands one of
-            # 1e-9 would not be kept at all.
+            # In units of the tolerance: the solver keeps a row to 1e-7, and would ignore one of
+            # 1e-9.
             below=(rows / tolerance, np.ones(len(rows))),
             bounds=(-1.0, 1.0),
             what="robust move",
@@ -127,13 +127,13 @@ def robust_optimum(
     Parameters
     ----------
     move
-        What has to be done.
+        The move.
     relative
         Half width of the band, in [0, 1); one for all modes, or one each.
     tolerance
-        Ringing allowed, as a fraction of that of one full step of acceleration; likewise.
+        Ringing allowed, as a fraction of one full acceleration step's ringing; likewise.
     intervals
-        Of constant level; the optimum found is an upper bound that falls as they grow finer.
+        Number of intervals of constant level; with more of them the bound gets tighter.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def robust_optimum(
 
     at_once, command = farthest(move, low, most, band, intervals)
     if at_once >= move.distance_m * (1.0 - _ROUNDING):
-        return command  # a mode so slow that the rigid move hardly rings it
+        return command  # a slow mode that the rigid move hardly excites
     frequencies = [mode.frequency_hz for mode in move.modes]
     if max(frequencies) > _APART * min(frequencies):
         raise OptionError(
@@ -171,7 +171,7 @@ def robust_optimum(
             f"grid for the slower follows no mode more than {_APART:g} times as fast",
             remedy="Leave out --move, or the slower mode, or the faster.",
         )
-    # Nothing beats the rigid body; from there on, half a period of the slowest mode at a time.
+    # Nothing is faster than the rigid body; from there on, try half a slowest period at a time.
     stride = max(0.5 * m.damped_period_s for m in move.modes)
     high = low + stride
     for _ in range(40):
@@ -198,13 +198,13 @@ def least_ringing(
 ) -> tuple[float, Command] | None:
     """Command on a controller's tick, free levels, that covers the distance and rings least.
 
-    Where modes have tolerances of their own, least against these: the worst that is returned is
-    then that of the largest tolerance, to which the others are in proportion.
+    If modes have different tolerances, ringing is scaled to the largest of them, and so is the
+    returned worst ringing.
 
     Returns
     -------
     tuple of float and Command, or None
-        The worst ringing over the band; None where the distance can't be covered in that time.
+        The worst ringing over the band; None if the distance cannot be covered in that time.
     """
     edges = np.arange(ticks + 1, dtype=np.float64) * tick_s
     speed, distance = travel_rows(edges)
@@ -238,16 +238,16 @@ def least_ringing(
 
 @dataclass(frozen=True, slots=True)
 class ShapedMove:
-    """One shaped move beside the bounds.
+    """One shaped move, compared with the bounds.
 
     Parameters
     ----------
     name
-        The shaper's.
+        Name of the shaper.
     duration_s
-        Of the whole move.
+        Duration of the whole move.
     over_optimal, over_robust
-        Duration over the time-optimal one (no robustness) and over the robust optimum (free
+        Duration divided by the time-optimal one (no robustness) and by the robust optimum (free
         levels).
     worst_step, worst_unshaped
         Worst ringing over the band: as a fraction of one full step's, and of the unshaped
@@ -265,7 +265,7 @@ class ShapedMove:
 def compare_shapers(
     move: RestToRest, shapers: list[Shaper], *, relative: PerMode, tolerance: PerMode
 ) -> list[ShapedMove]:
-    """Every shaped move's time over the time-optimal and the robust optimum, with its ringing.
+    """Return every shaped move's time over both optima, and its ringing.
 
     Parameters are those of :func:`robust_optimum`; the shapers should be made for its modes.
     """
@@ -277,7 +277,7 @@ def compare_shapers(
 def beside(
     move: RestToRest, shapers: list[Shaper], *, relative: PerMode, optimal_s: float, robust_s: float
 ) -> list[ShapedMove]:
-    """Return every shaped move beside optima whose durations, s, are known."""
+    """Return every shaped move compared with optima of known durations, s."""
     unshaped = worst_ringing(
         shaped_command(move, Shaper(amplitudes=np.ones(1), times_s=np.zeros(1))),
         move.modes,

@@ -1,4 +1,4 @@
-"""How far a shaped move is from the fastest there is, and what switching alone could do."""
+"""A shaped move compared with the fastest possible one, and the best on/off command."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from threadline.motion.shaping.onoff.switched import FrontPoint, residual_front
 from threadline.motion.shaping.types import UNSHAPED, Shaper
 
 WITHIN = 1.1
-"""An on/off command is searched for up to so many times the robust optimum."""
+"""An on/off command is searched up to this multiple of the robust optimum."""
 _SEARCH = 30.0
-"""Effort of an integer program over that of a linear one, about: for the progress alone."""
+"""Approximate effort of an integer program over a linear one, for progress reports only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoveStudy:
-    """A move, shaped and not, beside its bounds.
+    """A move, shaped and not, with its bounds.
 
     Parameters
     ----------
     move
-        What has to be done.
+        The move.
     relative, tolerance
-        Half width of the band of frequency, and the ringing allowed over it, of one full step's.
+        Half width of the band, and the ringing allowed over it as a share of one full step's.
     optimal
         The time-optimal command: no robustness.
     robust
@@ -50,7 +50,7 @@ class MoveStudy:
 
     @property
     def switched(self) -> FrontPoint | None:
-        """The shortest command of the front that was made on/off; None where there is none."""
+        """The shortest on/off command of the front; None if there is none."""
         return next((point for point in self.front if point.command is not None), None)
 
 
@@ -69,23 +69,23 @@ def study_move(
     Parameters
     ----------
     move, shaper
-        The shaper should be made for the modes of the move.
+        The move, and a shaper made for its modes.
     relative, tolerance
         Half width of the band, in [0, 1), and the ringing allowed over it: one for all modes, or
         one each.
     tick_s
-        Of the controller that is to switch; None leaves the search out.
+        Tick of the controller that switches; None omits the search.
     dwell_s
         Shortest time between two changes of the level; 0 for none.
     progress
-        Called with what is being done and the fraction that is done.
+        Called with the activity and the fraction done.
 
     Raises
     ------
     OptionError, ShaperError
         If a number is out of range, or a program fails.
     """
-    # The robust optimum first: it refuses modes too far apart, of which the other may not converge.
+    # The robust optimum first: it refuses modes too far apart, where the other may not converge.
     robust = robust_optimum(move, relative=relative, tolerance=tolerance)
     optimal = time_optimal(move).command
     moves = beside(
@@ -97,7 +97,7 @@ def study_move(
     )
     front: list[FrontPoint] = []
     if tick_s is not None:
-        # Faster than the robust optimum there is nothing within the tolerance: shown, not searched.
+        # Below the robust optimum no command can meet the tolerance: it is listed, not searched.
         first = math.ceil(optimal.duration_s / tick_s - 1e-9)
         last = math.floor(WITHIN * robust.duration_s / tick_s + 1e-9)
         bound = math.ceil(robust.duration_s / tick_s - 1e-9)

@@ -1,9 +1,9 @@
-"""On/off commands on a controller's tick: levels -1, 0 and 1, nothing between.
+"""On/off commands on a controller's tick: levels -1, 0 and 1 only.
 
-Which levels a robust command uses is a question of integers. The command is taken antisymmetric
-about its middle, u(T - t) = -u(t), as undamped optima are: speed ends at 0 by itself, the
-ringing has one quadrature, and half the unknowns are left. Every command returned is checked on
-a dense sweep with the machine's own damping; a search that ends without one proves nothing.
+Which levels a robust command uses is an integer program. The command is taken antisymmetric about
+its middle, u(T - t) = -u(t), as undamped optima are: its final speed is 0, the ringing has one
+quadrature, and half of the unknowns remain. Every returned command is checked on a dense sweep with
+the machine's own damping; a search that ends without one proves nothing.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from threadline.motion.shaping.onoff.body_and_modes import (
 from threadline.motion.shaping.onoff.robust import least_ringing
 
 DEFAULT_NODES = 3000
-_MORE_NODES = 4  # times as many where changes must keep apart: twice as many unknowns
+_MORE_NODES = 4  # times as many if changes must keep a distance: twice as many unknowns
 _SWEEP = 11
 _ROUNDS = 4
 
@@ -44,9 +44,9 @@ class FrontPoint:
         A whole number of ticks.
     free
         Worst ringing over the band with levels free in [-1, 1] (the global least), as a
-        fraction of one full step's; None where the distance can't be covered.
+        fraction of one full step's; None if the distance cannot be covered.
     switched
-        That of the on/off command that was found within the tolerance; None where none was.
+        Worst ringing of the on/off command found within the tolerance; None without one.
     command
         That command.
     """
@@ -77,15 +77,15 @@ def switched_command(
         The controller's tick, s, and the duration in ticks. The distance is met to 1e-9 of it,
         so it must be a whole number of half acceleration x tick^2; else there is none.
     dwell_ticks
-        Fewest ticks between two changes of the level: what the valves need.
+        Fewest ticks between two changes of the level, as the valves need.
     nodes
-        Of the tree of each integer program, at most: the same on every machine, however loaded,
-        which a limit of time would not be.
+        Most nodes of each integer program's tree: unlike a time limit, independent of the
+        computer and its load.
 
     Returns
     -------
     Command or None
-        None if none was found within the nodes given; that is no proof that there is none.
+        None if none was found within these nodes; that does not prove that there is none.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
 
@@ -135,17 +135,18 @@ def switched_command(
         within = rings_within(command, move.modes, relative, tolerance)
         if within and abs(reached - move.distance_m) <= 1e-9 * move.distance_m:
             return command
-        # Between the swept frequencies, or through damping, it rings more: ask for less.
+        # Between the swept frequencies, or through damping, it rings more: require less.
         share *= 0.93
     return None
 
 
 def _apart(half: int, ticks: int, dwell: int) -> tuple[tuple[FloatArray, FloatArray] | None, int]:
-    """Return rows and bounds that keep changes of the level apart, and how many unknowns there are.
+    """Return rows and bounds that keep changes of the level apart, and the number of unknowns.
 
-    Beside the levels of the first half stands, for each edge from the first to the one behind the
-    last of them, whether the level changes there. Of ``dwell`` edges in a row one may; about the
-    middle, where the command turns into its mirror image, an edge and its image count as two.
+    Besides the levels of the first half there is an unknown for each edge, from the first to the
+    one after the last level: whether the level changes there. Of ``dwell`` consecutive edges one
+    may; near the middle, where the command meets its mirror image, an edge and its image count as
+    two.
     """
     if dwell <= 1:
         return None, half
@@ -162,7 +163,7 @@ def _apart(half: int, ticks: int, dwell: int) -> tuple[tuple[FloatArray, FloatAr
         rows.append(window)
         bounds.append(np.ones(1))
     for back in range(half + 1):
-        # Its image is as far behind the middle; an odd command has a tick of 0 there.
+        # Its image is as far after the middle; an odd command has a tick of 0 there.
         between = 2 * back + ticks % 2
         if 0 < between < dwell:
             near = np.zeros((1, size))
@@ -188,7 +189,7 @@ def residual_front(
         free = least_ringing(
             move, relative=relative, tick_s=tick_s, ticks=count, tolerance=tolerance
         )
-        # Free levels bound the on/off ones from below: no need to search where they fail.
+        # Free levels bound the on/off ones from below: skip the search if they fail.
         command = None
         if free is not None and free[0] <= max(per_mode(tolerance, move.modes)):
             command = switched_command(
@@ -213,14 +214,14 @@ def residual_front(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Valves:
-    """The flow controls of one sense.
+    """The flow controls of one direction.
 
     Parameters
     ----------
     flows
-        What each adds to the level, together 1.
+        Contribution of each to the level, together 1.
     opens, closes
-        From a command to the flow that follows it, in scans; what is common to both need not be in.
+        Delay from a command to the flow, in scans; a common delay may be omitted.
     """
 
     flows: tuple[float, ...]
@@ -229,18 +230,18 @@ class Valves:
 
     @property
     def longer(self) -> float:
-        """By how many scans each stretch of flow is longer than its command."""
+        """Number of scans by which each stretch of flow is longer than its command."""
         return self.closes - self.opens
 
     @property
     def at_once(self) -> bool:
-        """Whether the flow follows each command at once."""
+        """Whether the flow follows each command without delay."""
         return self.opens == self.closes == 0.0
 
     def switchings(
         self, ticks: tuple[int, ...], levels: tuple[float, ...]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return when the level changes, in scans, and by how much, each flow control by itself.
+        """Return when the level changes, in scans, and by how much, for each flow control.
 
         Parameters
         ----------

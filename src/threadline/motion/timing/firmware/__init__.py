@@ -1,4 +1,4 @@
-"""What a firmware's own planner makes of a program: trapezoids of speed along its chords."""
+"""Motion as planned by a firmware: trapezoids of speed along its chords."""
 
 from threadline.motion.timing.firmware.trapezoids import firmware_blocks
 

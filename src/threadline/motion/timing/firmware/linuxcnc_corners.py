@@ -1,20 +1,19 @@
-"""Arcs that LinuxCNC puts into corners of which one side, or both, is an arc of G2 or G3.
+"""Corners of LinuxCNC: the arcs that it inserts, and the speeds at which moves meet.
 
-Sources as in ``corner_choice``. The arc is found as between two lines, of which one may be the
-secant of an arc, and then moved until it touches what is there. In the plane of the corner the
-first move arrives along (1, 0) at the origin, and the second leaves to the left.
+An arc is found as between two lines, where the secant may stand for an arc of G2 or G3, and then
+moved until it touches both moves. In the plane of the corner the first move arrives along (1, 0) at
+the origin, and the second leaves to the left.
 
-Sources: LinuxCNC 2.9, its documents "Trajectory Control" and "G64 Path Blending", and what its
-``tp.c`` and ``blendmath.c`` do, told here in other words.
+Sources: LinuxCNC 2.9, its documents "Trajectory Control" and "G64 Path Blending", and the behaviour
+of its ``tp.c`` and ``blendmath.c``, described here in other words.
 
-A corner is taken in that one of three ways which is fastest there:
-
-- straight on, at the speed whose jump within a servo cycle is a tenth of what the axes may;
+A corner is taken in the fastest of three ways:
+- straight on, at the speed whose jump within a servo cycle is a tenth of the axes' limit;
 - by an arc that touches both moves at a distance d from the corner, d at most half of either move
-  and at most cos(theta) P / (1 - sin(theta)) for the tolerance P, 2 theta being the angle between
+  and at most cos(theta) P / (1 - sin(theta)) for the tolerance P, with the angle 2 theta between
   the moves. Its radius is d tan(theta) at most, and v^2 / r is at most sqrt(3)/2 of the
   acceleration;
-- one move over the other, both with half of their acceleration, wherefore its speed counts half.
+- by overlapping both moves, each with half of its acceleration, so that its speed counts half.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -24,23 +23,24 @@ import numpy as np
 
 from threadline.base.compiled import njit
 
-_LEAST = np.pi / 12.0  # of theta between two arcs
+_LEAST = np.pi / 12.0  # smallest theta between two arcs
 
 
 @njit()
 def reach(bow, side, angle, theta, part, line):
-    """Return how far an arc may reach into a move, as a length, and as an angle of its bow.
+    """Return how far a corner arc may reach into a move, as a length, and as an angle of its bow.
 
     Parameters
     ----------
     bow, side, angle : float
-        Radius of the move, 0 of a line; 1 where it bends as the corner does, else -1; its angle.
+        Radius of the move, 0 for a line; 1 if it bends the same way as the corner, else -1; its
+        angle.
     theta : float
         Half of the angle between the moves.
     part : float
-        Share of the angle that there is for it.
+        Share of the angle that is available.
     line : float
-        How far into a line.
+        Permitted reach into a line.
     """
     if bow == 0.0:
         return line, 0.0
@@ -53,7 +53,7 @@ def reach(bow, side, angle, theta, part, line):
 
 @njit()
 def flattened(theta, bow, side, most, bow_2, side_2, most_2):
-    """Return theta between what is taken for lines, 0 where there is no arc."""
+    """Return theta between the secants that stand for the moves, 0 if there is no arc."""
     found = theta
     if bow > 0.0 and side > 0.0:
         found = min(found, theta - 0.25 * most)
@@ -66,9 +66,9 @@ def flattened(theta, bow, side, most, bow_2, side_2, most_2):
 
 @njit()
 def leaning(theta, bow, side, rate, speed):
-    """Return half of the angle between a move and the acceleration that the next, an arc, needs.
+    """Return half of the angle between a move and the acceleration needed by the next one, an arc.
 
-    It is ``rate`` along the arc, and across it that of half of its ``speed``.
+    It is ``rate`` along the arc, and across it the centripetal one at half of its ``speed``.
     """
     phi = np.pi - 2.0 * theta
     across = side * (0.5 * speed) ** 2 / bow
@@ -78,18 +78,18 @@ def leaning(theta, bow, side, rate, speed):
 
 @njit()
 def touching(radius, theta, bow, side, most, bow_2, side_2, most_2, tolerance):
-    """Return what an arc takes from both moves, and its own angle; an angle of 0 for none.
+    """Return the lengths that an arc takes from both moves, and its own angle; 0 for no arc.
 
     Parameters
     ----------
     radius : float
-        Of the arc.
+        Radius of the arc.
     theta : float
         Half of the angle between the moves at the corner.
     bow, side, most : float
-        As in ``reach``, where ``most`` is the angle that may be taken; likewise of the next move.
+        As in ``reach``, where ``most`` is the available angle; likewise for the next move.
     tolerance : float
-        How far the corner may be left.
+        Permitted distance from the corner.
     """
     phi = np.pi - 2.0 * theta
     u, n = np.array([np.cos(phi), np.sin(phi)]), np.array([-np.sin(phi), np.cos(phi)])
@@ -97,7 +97,7 @@ def touching(radius, theta, bow, side, most, bow_2, side_2, most_2, tolerance):
     d1, d2 = bow - side * radius, bow_2 - side_2 * radius
     none = (0.0, 0.0, 0.0)
     if bow == 0.0 or bow_2 == 0.0:
-        # The centre lies beside the line, at the distance d from the centre of the other.
+        # The centre lies beside the line, at the distance d from the other move's centre.
         along, left = (u, n) if bow > 0.0 else (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
         centre, away = (first, d1) if bow > 0.0 else (second, d2)
         c_u, c_n = (centre * along).sum(), (centre * left).sum()
@@ -141,24 +141,24 @@ CYCLE_S = 1e-3
 STOPS, OVERLAPS, GOES_ON, BENDS = 0, 1, 2, 3  # how a move ends
 ALONG, ACROSS = 0.5, 0.75**0.5  # share of acceleration along an arc, and across it
 _KINK = 0.1  # [TRAJ]ARC_BLEND_KINK_RATIO
-_SHARE = 0.25  # of each move: the greatest tolerance
+_SHARE = 0.25  # of each move: the largest tolerance
 _TINY = 1e-6  # rad or mm: no arc
-_STRAIGHT = 1e-3  # of cos(theta): no tolerance there
+_STRAIGHT = 1e-3  # of cos(theta): no tolerance below
 
 
 @njit()
 def overlap(rate, length, reach, speed, rate_2, length_2, reach_2, speed_2, cosine, tolerance):
-    """Return at which speed a move lets the next one begin, and which that makes for meanwhile.
+    """Return the speed at which a move lets the next one begin, and the next one's target speed.
 
-    A move of length L and acceleration a that may be as fast as v reaches r = min(v, sqrt(a L)).
-    Both move together for at most t = min(L_1 / r_1, L_2 / r_2, max(r_1 / a_1, r_2 / a_2)). It
-    begins when the first is as slow as min(r_1, a_1 t), and the second makes for min(r_2, a_2 t).
+    A move of length L and acceleration a with the speed limit v reaches r = min(v, sqrt(a L)).
+    Both move together for at most t = min(L_1 / r_1, L_2 / r_2, max(r_1 / a_1, r_2 / a_2)). The
+    overlap begins when the first has slowed to min(r_1, a_1 t); the second aims at min(r_2, a_2 t).
     With a tolerance P both are at most 2 sqrt(a_1 P / cos(theta)).
 
     Parameters
     ----------
     rate, length, reach, speed : float
-        Acceleration; length; as much of it as counts for r; greatest speed. Likewise of the next.
+        Acceleration; length; the part of it that counts for r; speed limit. Likewise for the next.
     cosine : float
         cos(theta).
     tolerance : float
@@ -175,7 +175,7 @@ def overlap(rate, length, reach, speed, rate_2, length_2, reach_2, speed_2, cosi
 
 @njit()
 def _arc(theta, rate, planar, here, there, most, most_2, room, tolerance, lines):
-    """Return radius, distance from the corner and greatest speed of an arc; 0 for none.
+    """Return radius, distance from the corner and speed limit of an arc; 0 for none.
 
     Parameters
     ----------
@@ -184,11 +184,11 @@ def _arc(theta, rate, planar, here, there, most, most_2, room, tolerance, lines)
     rate, planar : float
         Acceleration and speed that the axes have in its plane in every direction.
     here, there, most, most_2 : float
-        Speeds of both moves as asked for, and as far as their axes allow.
+        Programmed speeds of both moves, and the speed limits of their axes.
     room : float
-        Of the move that has less.
+        Available length of the shorter move.
     tolerance : float
-        How far the corner may be left.
+        Permitted distance from the corner.
     lines : bool
         Whether both moves are lines.
     """
@@ -205,7 +205,7 @@ def _arc(theta, rate, planar, here, there, most, most_2, room, tolerance, lines)
     distance = min(room, np.cos(theta) * tolerance / (1.0 - np.sin(theta)))
     widest = np.tan(theta) * distance
     speed = min(np.sqrt(ACROSS * rate * widest), goal)
-    # No wider than moves that overlap would need at this speed.
+    # No wider than overlapping moves would need at this speed.
     lasts = min(np.sqrt(rate * distance), speed) / (0.5 * rate)
     radius = max(speed * speed / (ACROSS * rate), min(lasts * speed / phi, widest))
     if radius < 1e-12 or radius * phi < _TINY:
@@ -218,23 +218,23 @@ def corner(
     left, length, most, asked, rate, reduced, length_2, most_2, asked_2, rate_2,
     turns, theta, cosine, plane_rate, plane_speed, bow, side, bow_2, side_2, tolerance, exact,
 ):  # fmt: skip
-    """Return how a move goes over into the next, both of X, Y and Z alone.
+    """Return the transition from a move to the next, both of X, Y and Z only.
 
     Parameters
     ----------
     left, length, most, asked, rate : float
-        Of the first move: what is left of it, programmed length, speed that its axes allow, that
-        is asked for, and acceleration; likewise of the next.
+        First move: remaining length, programmed length, speed limit of its axes, programmed speed,
+        and acceleration; likewise for the next.
     reduced : float
-        Share that its first corner takes from the acceleration of the first move.
+        Share of the first move's acceleration that its first corner takes.
     turns : float
-        The greatest change of direction of an axis, by its acceleration.
+        Largest change of direction of an axis, divided by its acceleration.
     theta, cosine : float
         Half of the angle between them, and its cosine.
     plane_rate, plane_speed : float
-        What the axes have in their plane in every direction.
+        Acceleration and speed of the axes in their plane in every direction.
     bow, side, bow_2, side_2 : float
-        Radius of each, 0 of a line; 1 where it bends as the corner does, else -1.
+        Radius of each, 0 for a line; 1 if it bends the same way as the corner, else -1.
     tolerance, exact
         P, 0 for none; whether G61 is in force.
 
@@ -243,9 +243,9 @@ def corner(
     way : int
         ``STOPS`` after G61, ``OVERLAPS``, ``GOES_ON`` or ``BENDS``.
     limit, takes : float
-        Greatest speed there; share of both accelerations that is taken.
+        Speed limit there; share of both accelerations that it takes.
     radius, distance, distance_2, turn : float
-        Of the arc, 0 for none: what it takes from both moves, and its angle.
+        Radius of the arc, 0 for none; lengths that it takes from both moves; its angle.
     """
     here, there = min(asked, most), min(asked_2, most_2)
     slower = min(here, there)

@@ -1,12 +1,12 @@
-"""Arcs of G2 and G3, found again among the chords that the reader made of them.
+"""Moves as LinuxCNC sees them: arcs recovered from chords, and short lines joined.
 
-The chords of one block have its line, follow each other, are alike and turn alike, and their arc is
-at most 2 um away from them. LinuxCNC runs such an arc as one move. As the ends of arcs are rounded
-in programs, the radius may change a little on the way.
+The chords of one G2 or G3 block have its line number, are consecutive, equally long and turn by
+equal angles, and their arc is at most 2 um away from them. LinuxCNC runs such an arc as one move.
+As the ends of arcs are rounded in programs, the radius may change a little along the way.
 
-With Q of G64 (P where Q is not given) a move of X, Y and Z alone goes on from those before it when
-each of their ends is within Q of the straight way from the start of the first to its own end
-(LinuxCNC 2.9, documents, "G64 Path Blending"; ``emccanon.cc``). At most 101 become one.
+With Q of G64 (default P) a move of X, Y and Z only is joined with its predecessors if each of their
+ends is within Q of the straight line from the start of the first to its own end (LinuxCNC 2.9,
+documents, "G64 Path Blending"; ``emccanon.cc``). At most 101 become one.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -22,23 +22,23 @@ from threadline.base.compiled import njit
 from threadline.motion.timing.firmware.linuxcnc_corners import ACROSS
 from threadline.motion.timing.firmware.rules import LINEAR, Rules, along_axes
 
-_ALIKE = 2e-3  # share of a chord
+_ALIKE = 2e-3  # share of a chord by which equal chords may differ
 _OFF_MM = 2e-3
 _SAG_MM = 2.001e-3  # the reader's own 2 um
 
 
 @njit()
 def ends_of_bows(way, line, alone):
-    """Return the (n,) first move of the arc or line that each of n moves is of.
+    """Return the (n,) first move of the arc or line that each of n moves belongs to.
 
     Parameters
     ----------
     way : (n, axes)
-        Of the moves, mm.
+        Displacements of the moves, mm.
     line : (n,)
-        Of the file.
+        Line of the file.
     alone : (n,) bool
-        Whether X, Y and Z alone move.
+        Whether only X, Y and Z move.
     """
     count = len(way)
     found = np.arange(count)
@@ -59,7 +59,7 @@ def ends_of_bows(way, line, alone):
         else:
             for k in range(way.shape[1]):
                 off = max(off, abs(way[i, k] - 2.0 * cosine * way[i - 1, k] + way[i - 2, k]))
-        # From a chord c of the angle h an arc is c tan(h / 4) / 2 away.
+        # The arc of a chord c with the angle h is c tan(h / 4) / 2 away from it.
         sag = 0.5 * size * np.tan(0.25 * np.arccos(cosine))
         goes = 0.0 < sag < _SAG_MM and max(abs(size - sure), off) <= _ALIKE * size
         if not goes:
@@ -74,7 +74,7 @@ def circle(points: FloatArray) -> tuple[float, FloatArray, FloatArray, float] | 
     Parameters
     ----------
     points
-        (k, axes) ends of its chords, alike, k > 2; mm.
+        (k, axes) ends of its equal chords, k > 2; mm.
     """
     count = len(points) - 1
     a, b, c = points[0], points[max(1, count // 3)], points[max(2, 2 * count // 3)]
@@ -99,7 +99,7 @@ def circle(points: FloatArray) -> tuple[float, FloatArray, FloatArray, float] | 
 
 
 def rows_of(first: IntArray) -> list[tuple[int, int]]:
-    """Return first and last move of each run of two or more that have the same ``first``."""
+    """Return first and last move of each run of two or more with the same ``first``."""
     begins = np.flatnonzero(first == np.arange(len(first)))
     stops = np.append(begins[1:], len(first)) - 1
     return [(int(a), int(b)) for a, b in zip(begins, stops, strict=True) if b > a]
@@ -111,16 +111,16 @@ _SAME = 1e-9  # share of a feed
 
 @njit()
 def joined(start, way, feed, alone, tolerance):
-    """Return which of n moves end a single one, (n,) 1 or 0.
+    """Return for n moves whether each ends a joined move, (n,) 1 or 0.
 
     Parameters
     ----------
     start, way : (n, axes)
-        Of the moves, mm.
+        Starts and displacements of the moves, mm.
     feed : (n,)
-        Speed that F asks for; 0 of a rapid move.
+        Speed that F asks for; 0 for a rapid move.
     alone : (n,) bool
-        Whether X, Y and Z alone move.
+        Whether only X, Y and Z move.
     tolerance : float
         Q.
     """
@@ -165,18 +165,18 @@ class Course:
     Parameters
     ----------
     start
-        (n, axes) where each begins.
+        (n, axes) start of each.
     way
-        (n, axes) to its end.
+        (n, axes) vector to its end.
     along, inward, onward
-        (n, axes) its first direction over its length; of an arc the direction to its centre; its
+        (n, axes) its first direction over its length; for an arc the direction to its centre; its
         last direction.
     bow, length
-        (n,) radius of an arc, 0 of a line; length.
+        (n,) radius of an arc, 0 for a line; length.
     nominal_s
         (n,) time at the programmed feed, 0 for a rapid move.
     operation, last
-        (n,) operation, and last move in hand.
+        (n,) operation, and index of its last buffered move.
     """
 
     start: FloatArray
@@ -194,10 +194,10 @@ class Course:
         return len(self.length)
 
     def limits(self, rules: Rules) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return (n,) speeds that the axes allow, that are asked for, too, and accelerations.
+        """Return (n,) speed limits of the axes, limits including the feed, and accelerations.
 
-        On an arc both axes of its plane have to be as fast as any, and sqrt(3)/2 of what they
-        have of acceleration is for going round.
+        On an arc both axes of its plane must reach every speed, and sqrt(3)/2 of their acceleration
+        is reserved for the centripetal part.
         """
         direction = self.along
         arcs = self.bow > 0.0
@@ -217,7 +217,7 @@ def course(
     rules: Rules, start: FloatArray, way: FloatArray, nominal_s: FloatArray, operation: IntArray,
     line: IntArray, cam_tolerance: float,
 ) -> Course:  # fmt: skip
-    """Return the moves that LinuxCNC makes of n in hand, of (n, axes) mm and degrees.
+    """Return the moves that LinuxCNC makes of n buffered ones, (n, axes) mm and degrees.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def course(
 
 @dataclass(slots=True, eq=False)
 class _Rows:
-    """Columns of moves; what they are is in ``Course``."""
+    """Columns of moves, as in ``Course``."""
 
     start: FloatArray
     way: FloatArray
@@ -267,9 +267,9 @@ class _Rows:
     def bend(
         self, found: list[tuple[int, int]], beside: NDArray[np.bool_], cam_tolerance: float
     ) -> dict[int, Bow]:
-        """Put one row for the chords of every arc; two in X and Y alone, if that is within Q.
+        """Put one row for the chords of every arc; two for an arc in X and Y only, if within Q.
 
-        ``beside`` tells the other axes.
+        ``beside`` holds the other axes.
         """
         kept = np.ones(len(self.way), np.bool_)
         bows: dict[int, Bow] = {}
@@ -306,7 +306,7 @@ class _Rows:
         """Put one row for moves that are joined within Q; return ``bows`` by their new rows."""
         timed = self.nominal_s > 0.0
         feed = np.where(timed, self.length / np.where(timed, self.nominal_s, 1.0), 0.0)
-        # In the same order always: each order would have machine code of its own.
+        # Always in the same memory order: numba compiles a version for each order.
         begun, along = (np.ascontiguousarray(of[:, linear]) for of in (self.start, self.way))
         ends = joined(begun, along, feed, self.alone, cam_tolerance)
         last = np.flatnonzero(ends)

@@ -1,15 +1,14 @@
 """Speeds along the pieces that LinuxCNC runs, and the motion of each as polynomials in time.
 
-A piece that goes on is left as fast as the pieces behind it allow, of which 50 are looked at
-(``[TRAJ]ARC_BLEND_OPTIMIZATION_DEPTH``); the last one may yet lose half of its length, so that
-the way to a stop at its end counts half. A piece of less than 10 ms changes its speed evenly
-(``ARC_BLEND_RAMP_FREQ``).
+A piece that blends into the next is left as fast as the pieces after it allow, of which 50 are
+considered (``[TRAJ]ARC_BLEND_OPTIMIZATION_DEPTH``); the last one may yet lose half of its length,
+so that the distance to a stop at its end counts half. A piece of less than 10 ms changes its speed
+evenly (``ARC_BLEND_RAMP_FREQ``).
 
-Moves in which a rotary axis turns overlap: the next sets out while the one before still brakes, so
-that their speeds add up, and both have half of their acceleration. Between moves of X, Y and Z
-alone every corner is taken in the fastest of three ways (``corner_choice``), and what is fast at
-the end of a piece is found 50 pieces ahead (``linked_speeds``). After G61 moves stop, where they do
-not go straight on.
+Moves in which a rotary axis turns overlap: the next starts while the previous one still brakes, so
+that their speeds add up, and both have half of their acceleration. Between moves of X, Y and Z only
+every corner is taken in the fastest of three ways (``linuxcnc_corners``), and the speed at the end
+of a piece is found 50 pieces ahead. After G61 moves stop unless they continue straight.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -33,18 +32,18 @@ from threadline.motion.timing.firmware.piece_curves import Links, link, polynomi
 from threadline.motion.timing.firmware.rules import LINEAR, MM, Rules, along_axes
 from threadline.motion.timing.types import TrajectoryBlock
 
-AHEAD = 51  # pieces that are looked at, the last one included
+AHEAD = 51  # pieces that are considered, the last one included
 _RAMP_S = 0.01
-_INSTANT_S = 1e-12  # takes no time
-_BEND = 0.05  # rad of an arc in one polynomial: 0.8 um of a radius of 10 mm, where it sets out
+_INSTANT_S = 1e-12  # counts as no time
+_BEND = 0.05  # rad of an arc per polynomial: 0.8 um at a radius of 10 mm, where it starts
 
 
 @njit()
 def speeds_at_ends(extent, most, speed, rate, limit, ends):
-    """Return the (m,) greatest speed at the end of each of m pieces.
+    """Return the (m,) largest speed at the end of each of m pieces.
 
-    What F asks for does not count here, but where the next piece begins: where it falls, LinuxCNC
-    is faster for a moment.
+    F does not count here, except where the next piece begins: where F falls, LinuxCNC is too fast
+    for a moment.
     """
     count = len(extent)
     found = np.zeros(count)
@@ -75,9 +74,9 @@ def _phases(length, enter, top, leave, rate, evenly, time_s, change):
     length, enter, top, leave, rate : float
         Of a piece: length, first, greatest and last speed, acceleration.
     evenly : bool
-        Whether the speed changes in one go.
+        Whether the speed changes in a single ramp.
     time_s, change : (3,)
-        What is written.
+        Output.
     """
     time_s[:], change[:] = 0.0, 0.0
     longest = 2.0 * rate * length
@@ -105,14 +104,14 @@ def motion(
     move, radius, lead, extent, most, speed, rate, limit, ends, bow, cosine, rapid, tolerance, out,
     enter, entered, lasted, since,
 ):  # fmt: skip
-    """Return rows of motion of the first ``out`` of m pieces.
+    """Return rows of motion for the first ``out`` of m pieces.
 
     Parameters
     ----------
     move, radius, lead, extent, most, speed, rate, limit, ends : (m,)
         As in ``Links``.
     bow : (n,)
-        Radius of each move, 0 of a line.
+        Radius of each move, 0 for a line.
     cosine : (n - 1,)
         cos(theta) of the corners.
     rapid : (n,) bool
@@ -120,12 +119,12 @@ def motion(
     tolerance : float
         P of G64, 0 for none.
     out : int
-        How many pieces.
+        Number of pieces.
     enter : float
-        Speed at the start of the first piece, where the one before goes on.
+        Speed at the start of the first piece, if it blends with the previous one.
     entered, lasted : float
-        Speed that the first piece has by the time when the one before ends, and for how long both
-        moved; 0 where they do not overlap.
+        Speed of the first piece at the end of the previous one, and the time for which both moved;
+        0 if they do not overlap.
     since : float
         Time since the last rest.
 
@@ -134,10 +133,10 @@ def motion(
     piece : (r,) int
         The piece of each row.
     row : (r, 7)
-        Its time; where on the piece it begins, with what speed, and its acceleration; the same
-        along the next piece, which may move too.
+        Its time; start on the piece, speed there, and acceleration; the same along the next piece,
+        which may move too.
     enter, entered, lasted, since : float
-        As above, of the piece behind.
+        As above, for the next piece.
     """
     leaves = speeds_at_ends(extent, most, speed, rate, limit, ends)
     round_ = np.where(radius > 0.0, radius, bow[move])
@@ -173,7 +172,7 @@ def motion(
             left = extent[j] - place
             leave = min(slow, max(enter, min(speed[j], np.sqrt(a * left + 0.5 * enter * enter))))
             lasted, tail = leave / a, leave * leave / (2.0 * a)
-            # The next speeds up as any move, and its own way to rest has room behind that.
+            # The next one speeds up normally, and has room for its own braking after that.
             follow = min(speed[n], np.sqrt(slope * extent[n]))
             entered = min(follow, slope * lasted, extent[n] / lasted)
             rises = min(entered / slope, lasted)
@@ -198,9 +197,9 @@ def motion(
 
 @njit()
 def _alone(row, r, time_s, change, place, v, lead, radius):
-    """Write the phases of a piece from row ``r`` on; return the row and the place behind them.
+    """Write the phases of a piece from row ``r`` on; return the next row and place.
 
-    Of an arc of ``radius`` behind a line ``lead`` they end with each bend.
+    On an arc of ``radius`` after a line ``lead`` rows end with each bend.
     """
     for q in range(3):
         left_s = time_s[q]
@@ -220,7 +219,7 @@ def _alone(row, r, time_s, change, place, v, lead, radius):
 
 @njit()
 def _together(row, r, place, v, rate, rises, lasts, slope):
-    """Write how a piece brakes to rest while the next speeds up; return the row behind."""
+    """Write how a piece brakes to rest while the next speeds up; return the next row."""
     for q in range(2):
         t = rises if q == 0 else lasts - rises
         if t > _INSTANT_S:
@@ -237,7 +236,7 @@ def _together(row, r, place, v, rate, rises, lasts, slope):
 
 @njit()
 def _until(place, v, change, lead, radius):
-    """Return when a motion along an arc comes to the end of its line, or has gone by a bend."""
+    """Return when a motion along an arc reaches the end of its line, or has turned by a bend."""
     if place < lead - 1e-9:
         way = lead - place
     else:
@@ -250,12 +249,12 @@ def _until(place, v, change, lead, radius):
     return 2.0 * way / (v + np.sqrt(inside))
 
 
-_BACK = np.radians(2.0) ** 2  # squared sum of unit vectors: a corner goes back
-_BEHIND = 2 * AHEAD  # moves behind those that are settled
+_BACK = np.radians(2.0) ** 2  # squared sum of unit vectors below which a corner reverses
+_BEHIND = 2 * AHEAD  # moves after the settled ones
 
 
 class Corners(NamedTuple):
-    """What LinuxCNC measures of n - 1 corners; see ``linked_moves.link``."""
+    """Geometry that LinuxCNC measures at n - 1 corners; see ``link``."""
 
     apart: NDArray[np.bool_]
     plain: NDArray[np.bool_]
@@ -286,7 +285,7 @@ def corners(rules: Rules, moves: Course) -> Corners:
     size = np.linalg.norm(aside, axis=1)
     aside /= np.where(size > 0.0, size, 1.0)[:, None]
     reach = np.hypot(first, aside)  # of each axis in the plane of the corner
-    # Where an arc bends as its corner does, its centre lies on the same side.
+    # If an arc bends the same way as its corner, its centre lies on the same side.
     angle = moves.length[:-1] / np.where(moves.bow[:-1] > 0.0, moves.bow[:-1], 1.0)
     last = np.cos(angle)[:, None] * moves.inward[:-1] - np.sin(angle)[:, None] * moves.along[:-1]
     ahead = np.zeros_like(aside)
@@ -325,12 +324,12 @@ class LinkedRun(MovesInHand):
     Attributes
     ----------
     line
-        Of the file, of the moves in hand.
+        Line in the file of each buffered move.
     cut, takes, over
-        What the corner before the first move in hand took from its length and acceleration, and
-        whether it overlaps the move before.
+        Length and acceleration that the corner before the first buffered move took from it, and
+        whether it overlaps the previous move.
     enter, entered, lasted, since
-        How it begins, as in ``linked_speeds.motion``.
+        Start of that move, as in ``motion``.
     """
 
     planner: LinuxCncPlanner
@@ -348,7 +347,7 @@ class LinkedRun(MovesInHand):
         self.enter, self.entered, self.lasted, self.since = 0.0, 0.0, 0.0, 0.0
 
     def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
-        """Take in moves with their lines."""
+        """Add moves with their lines."""
         moves = block.coefficients[rows, 1].any(axis=1)
         self.line.append(block.line[rows][moves])
         yield from MovesInHand.extend(self, block, rows, ends=ends)

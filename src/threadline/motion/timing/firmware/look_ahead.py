@@ -1,7 +1,7 @@
-"""What a firmware knows of the moves ahead: the squares of speed at the start of every move.
+"""Look-ahead of firmwares: the squared speeds at the start of every move.
 
-Grbl and Marlin hold a number of blocks and always could stop at the end of the last (grbl wiki,
-"Grbl v1.1 Overview", planner). Klipper looks as far as its plan could still change
+Grbl and Marlin hold a number of blocks and can always stop at the end of the last one (grbl wiki,
+"Grbl v1.1 Overview", planner). Klipper looks ahead as far as its plan could still change
 (docs/Kinematics.md, "Look-ahead" and "Minimum cruise ratio").
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
@@ -23,16 +23,16 @@ from threadline.motion.timing.types import TrajectoryBlock
 
 @njit()
 def entries_of_ring(most, gain, ring, begin):
-    """Return the (n + 1,) squares of speed at the ends of n moves, for a ring of blocks.
+    """Return the (n + 1,) squared speeds at the ends of n moves, for a ring of blocks.
 
     Parameters
     ----------
     most : (n,)
-        Greatest v^2 at the start of each move.
+        Largest v^2 at the start of each move.
     gain : (n,)
-        2 a s: how much v^2 can change along each move.
+        2 a s: possible change of v^2 along each move.
     ring : int
-        Moves that are planned together; the machine could stop at the end of the last of them.
+        Moves planned together; the machine could stop at the end of the last of them.
     begin : float
         v^2 at the start of the first move.
     """
@@ -50,22 +50,22 @@ def entries_of_ring(most, gain, ring, begin):
 
 @njit()
 def entries_in_marlin(most, least, gain, ring, goes_on, begin):
-    """Return the (n + 1,) squares of speed at the ends of n moves, as Marlin comes to them.
+    """Return the (n + 1,) squared speeds at the ends of n moves, as Marlin computes them.
 
-    With every move that is added it looks back as far as speeds can rise, and not behind a move
-    that stays as it is, even if that would let those before it begin faster; then it looks forward.
-    The move that is under way and the start of the one behind it are left as they are.
+    With every added move it looks back as far as speeds can rise, but not beyond a move that stays
+    unchanged, even if earlier ones could then begin faster; then it looks forward. The running move
+    and the start of the next one are left unchanged.
 
     Parameters
     ----------
     most, least : (n,)
-        Greatest and least v^2 at the start of each move.
+        Largest and least v^2 at the start of each move.
     gain : (n,)
-        2 a s: how much v^2 can change along each move.
+        2 a s: possible change of v^2 along each move.
     ring : int
-        Moves that are held, without the one under way.
+        Buffered moves, without the running one.
     goes_on : bool
-        Whether moves are under way before the first; else the ring is filled before anything moves.
+        Whether earlier moves are running; else the ring is filled before anything moves.
     begin : float
         v^2 at the start of the first move.
     """
@@ -107,31 +107,30 @@ def entries_in_marlin(most, least, gain, ring, goes_on, begin):
 def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
     """Plan moves so that none speeds up only to slow down at once.
 
-    A second plan with the lower acceleration of ``smooth`` says which greatest speed a stretch of
-    moves is worth: half way between what it can come from and what it can go to. No move of
-    the stretch is faster.
+    A second plan with the lower acceleration of ``smooth`` limits the largest speed of a stretch of
+    moves to half way between the speeds that its two ends permit. No move of the stretch is faster.
 
     Parameters
     ----------
     most : (n,)
-        Greatest v^2 at the start of each move, from the corners.
+        Largest v^2 at the start of each move, from the corners.
     top : (n,)
-        Greatest v^2 of each move.
+        Largest v^2 of each move.
     gain, smooth : (n,)
-        How much v^2 can change along each move, in the plan and in the second plan.
+        Possible change of v^2 along each move, in the plan and in the second plan.
     start, smooth_start : float
         v^2 at the start of the first move, in both.
     cruise : float
-        Greatest v^2 of the move before.
+        Largest v^2 of the previous move.
 
     Returns
     -------
     enter, leave, peak : (n,)
-        v^2 at both ends of each move and its greatest.
+        v^2 at both ends of each move and its largest.
     fixed : int
-        So many of the first moves stay as they are, whatever comes after the last.
+        Number of first moves that stay unchanged, whatever comes after the last.
     first, second : (n,)
-        The greatest v^2 at each start when nothing has to stop ahead, in both plans.
+        The largest v^2 at each start if nothing has to stop ahead, in both plans.
     """
     count = len(most)
     first, second = np.empty(count), np.empty(count)
@@ -142,7 +141,7 @@ def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
     enter, leave, peak = np.empty(count), np.empty(count), np.empty(count)
     worth, waiting, fixed = 0.0, 0, 0
     ahead, smooth_ahead = 0.0, 0.0
-    free = False  # whether what comes after the last move does not count any more
+    free = False  # whether moves after the last one are irrelevant
     for i in range(count - 1, -1, -1):
         able, smooth_able = ahead + gain[i], smooth_ahead + smooth[i]
         enter[i], leave[i], peak[i] = min(first[i], able), ahead, -1.0
@@ -164,22 +163,22 @@ def speeds_with_cruise(most, top, gain, smooth, start, smooth_start, cruise):
     return enter, leave, peak, fixed, first, second
 
 
-AT_ONCE = 16_384  # moves in hand before some are planned; more where fewer are not settled
+AT_ONCE = 16_384  # buffered moves before planning; more if too few are settled
 
 Taken = tuple[FloatArray, FloatArray, FloatArray, IntArray]
-"""Of n moves: (n, axes) starts, (n, axes) ways, (n,) times at the feed and (n,) operations."""
+"""For n moves: (n, axes) starts, (n, axes) displacements, (n,) times at the feed and operations."""
 
 
 @dataclass(slots=True)
 class MovesInHand(ABC):
-    """The moves since the last rest whose speeds may still change.
+    """Buffers the moves since the last rest whose speeds may still change.
 
     Attributes
     ----------
     begin_s
-        When the first of them begins.
+        Start time of the first of them.
     begun
-        Whether it goes on from one that is out.
+        Whether it continues a move that was already yielded.
     """
 
     rules: Rules
@@ -192,7 +191,7 @@ class MovesInHand(ABC):
     begun: bool = False
 
     def extend(self, block: PieceBlock, rows: slice, *, ends: bool) -> Iterator[TrajectoryBlock]:
-        """Take in moves and yield what they settle; all, and the dwell, where the run ends."""
+        """Add moves and yield the settled ones; all of them, and the dwell, at a run's end."""
         start, way = block.coefficients[rows, 0], block.coefficients[rows, 1]
         moves = way.any(axis=1)
         nominal_s, operation = block.nominal_s[rows][moves], block.operation[rows][moves]
@@ -216,21 +215,21 @@ class MovesInHand(ABC):
         self._rest()
 
     def _made(self, taken: Taken, ends: bool) -> Taken:  # noqa: ARG002 - Marlin's moves may wait
-        """Return the moves that are made of those taken; ``ends`` where the machine rests then."""
+        """Return the moves made from the added ones; ``ends``: the machine rests then."""
         return taken
 
     @abstractmethod
     def _settle(self, ends: bool) -> Iterator[TrajectoryBlock]:
-        """Yield the moves that are settled, each list in hand being of one array, and drop them."""
+        """Yield the settled moves, each buffered list being one array, and drop them."""
 
     @abstractmethod
     def _rest(self) -> None:
-        """Forget what the first move in hand goes on from."""
+        """Forget the speed at which the first buffered move begins."""
 
     def _timed(
         self, time_s: FloatArray, coefficients: FloatArray, operation: IntArray
     ) -> TrajectoryBlock:
-        """Return (n, k) parts of n moves, one behind the other, those without duration left out."""
+        """Return (n, k) parts of n moves in a row, without parts of zero duration."""
         count, parts = time_s.shape
         lasts = time_s.reshape(-1) > 0.0
         duration = time_s.reshape(-1)[lasts]
@@ -249,7 +248,7 @@ class MovesInHand(ABC):
         self.operation[:] = [np.concatenate(self.operation)]
 
     def _keep(self, done: int) -> None:
-        """Let go of the moves that are out."""
+        """Discard the moves that were yielded."""
         self._join()
         for kept in (self.start, self.way, self.nominal_s):
             kept[:] = [kept[0][done:]]

@@ -1,8 +1,8 @@
-"""What Marlin makes of moves before it plans them: whole steps, none of a few steps, least speeds.
+"""Marlin's changes of moves before planning: whole steps, no moves of a few steps, least speeds.
 
 Sources: Marlin 2.1 (bugfix-2.1.x, planned for 2.1.3), marlinfw.org/docs/configuration,
-``MIN_STEPS_PER_SEGMENT``, ``SLOWDOWN`` and ``MINIMUM_PLANNER_SPEED``, and what its ``planner.cpp``
-does, told here in other words.
+``MIN_STEPS_PER_SEGMENT``, ``SLOWDOWN`` and ``MINIMUM_PLANNER_SPEED``, and the behaviour of its
+``planner.cpp``, described here in other words.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 from threadline.base.arrays import FloatArray
 from threadline.motion.timing.firmware.rules import Moves
 
-_LEAST_STEPS = 6  # of the axis that makes most: a shorter move waits for the next
-_FEW = (2, 7)  # moves in hand: up to half of the ring
-_ROUNDING, _EXACT = 1e-6, 1e-12  # of its numbers of 24 bits, and of ours
+_LEAST_STEPS = 6  # of the axis with most: a shorter move waits for the next
+_FEW = (2, 7)  # buffered moves: up to half of the ring
+_ROUNDING, _EXACT = 1e-6, 1e-12  # of its 24-bit numbers, and of ours
 
 
 def kept_moves(ends: FloatArray, begin: FloatArray, *, last: bool) -> NDArray[np.bool_]:
-    """Return (n,) whether a move is made where it ends, and not together with the next.
+    """Return (n,) whether a move is executed at its end, and not merged with the next.
 
     Parameters
     ----------
     ends
-        (n, axes) where the moves end, steps.
+        (n, axes) ends of the moves, steps.
     begin
-        (axes,) where the last one ended that was made.
+        (axes,) end of the last executed move.
     last
-        Whether the machine rests after these moves: there it stands where the program has it, if
-        necessary by leaving out the end before.
+        Whether the machine rests after these moves: it then ends exactly where the program says, if
+        necessary by skipping the previous end.
     """
     whole = np.rint(ends)
     found = np.ones(len(ends), dtype=bool)
@@ -49,44 +49,44 @@ def kept_moves(ends: FloatArray, begin: FloatArray, *, last: bool) -> NDArray[np
 
 
 def whole_steps(start: FloatArray, way: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return (n, axes) moves between whole steps; those of less than one as they are.
+    """Return (n, axes) moves between whole steps; moves of less than one step are unchanged.
 
     Parameters
     ----------
     start, way
         (n, axes), mm or degrees.
     steps
-        (axes,) in a mm or degree.
+        (axes,) steps per mm or degree.
     """
     count = np.rint((start + way) * steps) - np.rint(start * steps)
-    # As it computes, in numbers of 24 bits.
+    # As Marlin computes, in 24-bit numbers.
     size = np.float32(1.0) / steps.astype(np.float32)
     rounded = (count.astype(np.float32) * size).astype(float)
     return np.where(np.any(rounded, axis=1)[:, None], rounded, way)
 
 
 def least_squares(moves: Moves, steps: FloatArray) -> FloatArray:
-    """Return the (n,) least v^2 of each move: half of what it has gained after its first step.
+    """Return the (n,) least v^2 of each move: half of its gain over its first step.
 
-    No move is so slow that its own speed is below.
+    The speed of the move itself is never below this.
     """
     per_length = _per_length(moves, steps)
     return np.asarray(np.minimum(0.5 * moves.acceleration / per_length, moves.speed**2))
 
 
 def held_back(length: FloatArray, asked: FloatArray, first: int, short_s: float) -> FloatArray:
-    """Return the (n,) speeds that moves are read with, while few are in hand slower than asked.
+    """Return the (n,) speeds of moves, slowed while few of them are buffered.
 
     Parameters
     ----------
     length
-        (n,) of the moves.
+        (n,) lengths of the moves.
     asked
         (n,) speed that F asks for, infinite for rapid moves without.
     first
-        How many moves came before them since the machine rested.
+        Number of earlier moves since the machine rested.
     short_s
-        Time (``M205 B``) below which a move takes longer while few are in hand.
+        Time (``M205 B``) below which a move is slowed while few are buffered.
     """
     ahead = np.arange(first, first + len(length))
     takes_s = length / asked
@@ -96,22 +96,22 @@ def held_back(length: FloatArray, asked: FloatArray, first: int, short_s: float)
 
 
 def whole_rates(moves: Moves, asked: FloatArray, most: float, steps: FloatArray) -> FloatArray:
-    """Return (2, n) whole steps in a second, and in a second squared, of moves at their own speed.
+    """Return (2, n) whole steps per second, and per second squared, of moves at their own speed.
 
-    What is asked for is rounded upwards, what axes allow of it downwards.
+    Requested values are rounded upwards, limits of the axes downwards.
 
     Parameters
     ----------
     moves
-        The moves, with the speed and the acceleration that their axes allow.
+        The moves, with the speed and the acceleration limits of their axes.
     asked
-        (n,) speed that they are read with.
+        (n,) requested speed.
     most
-        Acceleration that is asked for, infinite for none.
+        Requested acceleration, infinite for none.
     steps
-        (axes,) in a mm or degree.
+        (axes,) steps per mm or degree.
     """
-    # As it computes: a product that is a whole number may become one more.
+    # As Marlin computes: a product that is a whole number may become one more.
     one = np.float32(1.0)
     count = np.rint(moves.length * _per_length(moves, steps)).astype(np.float32)
     inverse = one / moves.length.astype(np.float32)
@@ -130,23 +130,24 @@ def in_steps(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return (n, 4) times in s, beginnings, speeds and accelerations of the parts of n moves.
 
-    A move speeds up for so many whole steps, keeps its speed, slows down for so many, and goes on
-    as slowly for what is left of a step. All but the times are shares of the move.
+    A move speeds up for a number of whole steps, keeps its speed, slows down for a number of steps,
+    and continues at the final speed for the rest of a step. All but the times are shares of the
+    move.
 
     Parameters
     ----------
     rates
-        (2, n) as ``whole_rates`` has them.
+        (2, n) as from ``whole_rates``.
     enter, leave
         (n,) v^2 at both ends.
     steps
-        (axes,) in a mm or degree.
+        (axes,) steps per mm or degree.
     """
     per_length = _per_length(moves, steps)
     count = np.maximum(np.rint(moves.length * per_length), 1.0)
     nominal, rate = rates
     first, last = (np.maximum(np.rint(np.sqrt(v) * per_length), 1.0) for v in (enter, leave))
-    # As it computes, for a step more or less at the end may be a long one.
+    # As Marlin computes: a step more or less at the end may take long.
     half = np.float32(0.5) * (np.float32(1.0) / rate.astype(np.float32))
     square, *ends = (v.astype(np.float32) ** 2 for v in (nominal, first, last))
     rises, falls = (half * (square - v) for v in ends)
@@ -176,5 +177,5 @@ def in_steps(
 
 
 def _per_length(moves: Moves, steps: FloatArray) -> FloatArray:
-    """Return the (n,) steps in a length of each move, of the axis that makes most."""
+    """Return the (n,) steps per length of each move, for the axis with most steps."""
     return np.asarray((np.abs(moves.direction) * steps).max(axis=1))

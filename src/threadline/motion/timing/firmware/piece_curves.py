@@ -1,7 +1,7 @@
 """Moves of LinuxCNC as its planner runs them: lines, arcs in their corners, and how each ends.
 
-An arc swallows what is left of the move before it, if that takes less than four servo cycles, and
-begins with that piece of line (``corner_choice`` names the sources).
+An arc swallows the rest of the move before it, if that takes less than four servo cycles, and
+begins with that piece of line (``linuxcnc_corners`` names the sources).
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -35,22 +35,22 @@ class Links(NamedTuple):
     Parameters
     ----------
     move
-        (m,) the move that a piece is of, or that is before the arc of a corner.
+        (m,) the move of a piece, or the move before the arc of a corner.
     radius, turn, lead
-        (m,) of a corner's arc, 0 of others: also its angle, and the line that it begins with.
+        (m,) radius of a corner's arc, 0 for others; its angle, and the line that it begins with.
     begin, extent
-        (m,) where on its move it begins, of an arc the line in front of it; its length.
+        (m,) its start on its move (for an arc, the line before it); its length.
     most, speed, rate
-        (m,) greatest speed; that is asked for, too; its acceleration along the way.
+        (m,) speed limit; limit including the feed; its acceleration along the path.
     limit
-        (m,) greatest speed at its end.
+        (m,) speed limit at its end.
     ends
         (m,) how it ends.
     first
         (n,) the piece that begins with each move.
     cut, takes, over
-        (n,) what the corner before each move takes from its length and from its acceleration;
-        whether the move overlaps the one before.
+        (n,) length and acceleration that the corner before each move takes from it; whether the
+        move overlaps the previous one.
     """
 
     move: IntArray
@@ -72,7 +72,7 @@ class Links(NamedTuple):
 
 @njit()
 def _along(most, rate, bow):
-    """Return greatest speed and acceleration, with what an arc needs across it taken off."""
+    """Return speed limit and acceleration, less the centripetal part of an arc."""
     if bow == 0.0:
         return most, rate
     across = most * most / bow
@@ -91,22 +91,22 @@ def link(
     Parameters
     ----------
     length, fastest, asked, acceleration : (n,)
-        Of the moves: mm or degrees; speed that their axes allow; speed that is asked for.
+        Of the moves: mm or degrees; speed limit of their axes; programmed speed.
     apart, plain, back : (n - 1,) bool
-        Of the corners: a rapid move and one at a feed meet; X, Y and Z alone move before and
-        after; the way goes back.
+        Of the corners: a rapid move meets one at a feed; only X, Y and Z move before and after; the
+        path reverses.
     turns, theta, cosine, plane_rate, plane_speed, side, side_2 : (n - 1,)
         As in ``corner``.
     bow : (n,)
-        Radius of each move, 0 of a line.
+        Radius of each move, 0 for a line.
     tolerance : float
         P of G64, 0 for none.
     exact : bool
         Whether G61 is in force.
     cut, takes : float
-        What the corner before the first move took from its length and its acceleration.
+        Length and acceleration that the corner before the first move took from it.
     over : int
-        Whether the first move overlaps the one before.
+        Whether the first move overlaps the previous one.
     """
     count = len(length)
     whole, real = np.zeros((2, 2 * count), np.int64), np.zeros((9, 2 * count))
@@ -176,7 +176,7 @@ _NEAR = 1e-9  # mm
 class _Curves(NamedTuple):
     """(m,) pieces: a line of length ``lead`` from ``origin`` along ``ahead``, then an arc.
 
-    Its radius is 0 where the line goes on; it bends towards ``aside``. All of it drifts.
+    Its radius is 0 if the line continues; it bends towards ``aside``. ``drift`` is added evenly.
     """
 
     origin: FloatArray
@@ -187,7 +187,7 @@ class _Curves(NamedTuple):
     drift: FloatArray
 
     def at(self, piece: IntArray, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (r, axes) points and directions at (r,) ways along (r,) pieces."""
+        """Return (r, axes) points and directions at (r,) distances along (r,) pieces."""
         radius, lead = self.radius[piece], self.lead[piece]
         over = np.where(radius > 0.0, np.maximum(place - lead, 0.0), 0.0)
         angle = (over / np.where(radius > 0.0, radius, 1.0))[:, None]
@@ -214,7 +214,7 @@ def _curves(links: Links, moves: Course) -> _Curves:
     aside = np.cos(angle) * inward - np.sin(angle) * first
     corner = np.flatnonzero(links.radius > 0.0)
     if len(corner):
-        # In the plane of the corner, across the way on which the first move arrives there.
+        # In the plane of the corner, across the direction in which the first move arrives.
         arrives, leaves = moves.onward[of[corner]], moves.along[of[corner] + 1]
         across = leaves - (leaves * arrives).sum(axis=1)[:, None] * arrives
         across /= np.linalg.norm(across, axis=1)[:, None]
@@ -223,7 +223,7 @@ def _curves(links: Links, moves: Course) -> _Curves:
         aside[corner] = along * across - left * arrives
     radius = np.where(links.radius > 0.0, links.radius, bow)
     curves = _Curves(origin, ahead, aside, radius, links.lead, np.zeros_like(origin))
-    # Rounded programs leave an arc a little beside what follows.
+    # Rounded programs leave an arc a little beside the next move.
     arcs = np.flatnonzero(radius > 0.0)
     stop = np.vstack([origin[1:], moves.start[of[-1:]] + moves.way[of[-1:]]])
     gap = stop[arcs] - curves.at(arcs, links.extent[arcs])[0]
@@ -232,9 +232,9 @@ def _curves(links: Links, moves: Course) -> _Curves:
 
 
 def polynomials(links: Links, moves: Course, piece: IntArray, row: FloatArray) -> FloatArray:
-    """Return (r, order, axes) coefficients of rows of ``linked_speeds.motion``, in mm and degrees.
+    """Return (r, order, axes) coefficients of rows of ``motion``, in mm and degrees.
 
-    They are exact along lines, and have place and speed of an arc at both ends.
+    They are exact along lines, and match position and speed of an arc at both ends.
     """
     curves = _curves(links, moves)
     following = np.flatnonzero(row[:, 4:].any(axis=1))

@@ -1,13 +1,13 @@
-"""The moves of a program in a firmware's own terms: lengths, directions, speeds, accelerations.
+"""The moves of a program as a firmware sees them: lengths, directions, speeds, accelerations.
 
 Sources: grbl 1.1, "Improving Grbl's cornering algorithm" (S. Jeon, 2011) and its wiki, "Configuring
 Grbl", $11; Marlin 2.1, marlinfw.org/docs/configuration, Junction Deviation and Jerk; Klipper,
 docs/Kinematics.md, "Look-ahead"; RepRapFirmware, ``DDA::MatchSpeeds`` and its documents of M566.
 
 A circle touches both moves of a corner and passes it at the junction deviation d. With the angle
-theta between the moves (pi where the path goes straight on) its radius is
-r = d sin(theta/2) / (1 - sin(theta/2)), and the speed at the corner is that at which the circle
-needs the acceleration a that there is: v^2 = a r.
+theta between the moves (pi if the path continues straight) its radius is
+r = d sin(theta/2) / (1 - sin(theta/2)), and the speed at the corner is the one at which the circle
+needs the available acceleration a: v^2 = a r.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class Moves:
     Parameters
     ----------
     length
-        (n,) > 0, by the firmware's own rule: of all axes together, or of X Y Z alone.
+        (n,) > 0, by the firmware's own rule: of all axes together, or of X Y Z only.
     direction
-        (n, axes) the way of each axis over the length.
+        (n, axes) displacement of each axis over the length.
     speed
-        (n,) that the program asks for, as far as the axes allow, per second.
+        (n,) programmed speed limited by the axes, per second.
     acceleration
-        (n,) that the axes allow.
+        (n,) acceleration limit of the axes.
     most_acceleration
-        The greatest that any move may have; Klipper's ``max_accel``.
+        The largest acceleration of any move; Klipper's ``max_accel``.
     """
 
     length: FloatArray
@@ -83,16 +83,16 @@ class Moves:
         )
 
 
-_STRAIGHT = 0.999999  # of the cosine: grbl and Marlin call a corner straight, or a full turn, here
-_SMALL = 1.0  # mm: shorter moves of a bend count as an arc, in Marlin
+_STRAIGHT = 0.999999  # cosine at which grbl and Marlin call a corner straight, or a full turn
+_SMALL = 1.0  # mm: in Marlin shorter moves of a bend count as an arc
 _OCTAGON = -0.7071067812
 _TABLE = 16  # intervals, each half as wide as the one before
 _CENTRED = 1.00751495
-"""By what Marlin's table of arc cosines multiplies them, for errors of both signs."""
+"""Factor between Marlin's table of arc cosines and true values, to centre its errors."""
 
 
 def along_axes(limits: FloatArray, directions: FloatArray) -> FloatArray:
-    """Return the (n,) most along (n, axes) directions that keeps the (axes,) limits."""
+    """Return the (n,) largest value along (n, axes) directions that keeps the (axes,) limits."""
     size = np.abs(directions)
     with np.errstate(divide="ignore"):
         return np.asarray(np.where(size > 0.0, limits / size, np.inf).min(axis=1, initial=np.inf))
@@ -106,7 +106,7 @@ def by_junction_deviation(
     most: FloatArray | None = None,
     arcs: bool = False,
 ) -> FloatArray:
-    """Return the (n - 1,) greatest v^2 between the moves, as grbl and Marlin have it.
+    """Return the (n - 1,) largest v^2 between the moves, as in grbl and Marlin.
 
     Parameters
     ----------
@@ -115,10 +115,10 @@ def by_junction_deviation(
     acceleration
         (axes,) limits of the axes.
     deviation
-        In the length of the moves.
+        Junction deviation in the unit of length of the moves.
     most
-        (n,) acceleration of each move, no more than which counts at the corner that it begins
-        at; None for the limits of the axes alone.
+        (n,) acceleration of each move, an upper bound at the corner where it begins; None for the
+        limits of the axes only.
     arcs
         Whether short moves that bend by less than 45 degrees count as chords of an arc.
     """
@@ -128,7 +128,7 @@ def by_junction_deviation(
     size = np.linalg.norm(bend, axis=1)
     size[size == 0.0] = 1.0
     limit = along_axes(acceleration, bend / size[:, None]) if most is None else most[1:]
-    # Marlin keeps the cosine from -1; grbl takes any speed there.
+    # Marlin clamps the cosine at -1; grbl accepts any speed there.
     half = np.sqrt(0.5 * (1.0 - np.clip(cosine, -_STRAIGHT, 1.0)))
     square = limit * deviation * half / (1.0 - half)
     if most is None:
@@ -142,10 +142,10 @@ def by_junction_deviation(
 
 
 def _arc_cosine(cosine: FloatArray) -> FloatArray:
-    """Return (n,) angles as Marlin has them, on chords between the ends of its table's intervals.
+    """Return (n,) angles as Marlin computes them, by chords between the points of its table.
 
-    The ends are 1 - 2^-k, and the last is ``_STRAIGHT``; but for the two outermost their angles are
-    by ``_CENTRED`` too large.
+    The points are 1 - 2^-k, and the last is ``_STRAIGHT``; all but the two outermost angles are too
+    large by ``_CENTRED``.
     """
     ends = np.append(1.0 - 0.5 ** np.arange(_TABLE), _STRAIGHT)
     angle = np.arccos(ends)
@@ -167,19 +167,19 @@ def by_jumps(moves: Moves, jumps: FloatArray) -> FloatArray:
 
 
 def by_shared_speed(moves: Moves, jumps: FloatArray) -> FloatArray:
-    """Return the (n - 1,) greatest squares of the speed at the corners between n moves.
+    """Return the (n - 1,) largest squared speeds at the corners between n moves.
 
-    By how much the speed of each axis may jump there is given by the (axes,) ``jumps``. Both
-    moves have the same speed at the corner, as RepRapFirmware has it.
+    The (axes,) ``jumps`` bound the speed jump of each axis there. Both moves have the same speed at
+    the corner, as in RepRapFirmware.
     """
     return along_axes(jumps, np.diff(moves.direction, axis=0)) ** 2
 
 
 def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> FloatArray:
-    """Return the (n - 1,) greatest v^2 between the moves, as Klipper has it.
+    """Return the (n - 1,) largest v^2 between the moves, as in Klipper.
 
-    A corner of 90 degrees is passed at ``corner_speed``; the circle of no corner reaches beyond
-    the middle of its moves.
+    A corner of 90 degrees is passed at ``corner_speed``; no corner circle reaches beyond the middle
+    of its moves.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> Fl
     bends = (half < 1.0) & (other > 0.0)
     safe_half, safe_other = np.where(bends, half, 0.0), np.where(bends, other, 1.0)
     # The deviation of a circle that passes 90 degrees at that speed is v^2 (sqrt 2 - 1) / a: the
-    # acceleration of the move falls out where it is that of all moves, and counts where it is less.
+    # acceleration cancels if it is the same for all moves, and counts if it is less.
     radius = safe_half / (1.0 - safe_half) * (np.sqrt(2.0) - 1.0) * corner_speed**2
     ratio = moves.acceleration / moves.most_acceleration
     square = radius * np.minimum(ratio[1:], ratio[:-1])
@@ -208,8 +208,8 @@ def by_square_corner(moves: Moves, plane: FloatArray, corner_speed: float) -> Fl
 
 MM = 1e3  # firmwares count in mm and degrees
 LINEAR, _SECOND, _TURNING = "XYZ", "UVW", "ABC"
-_SHORT_S = 0.02  # Marlin's own default of M205 B
-_INSTANT = 1.0  # mm/s or deg/s: Klipper's own default for axes beside X Y Z
+_SHORT_S = 0.02  # Marlin's default of M205 B
+_INSTANT = 1.0  # mm/s or deg/s: Klipper's default for axes besides X Y Z
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,7 +219,7 @@ class Rules:
     Parameters
     ----------
     planner
-        What the machine file says of it.
+        Its entry in the machine file.
     axes
         Names, in the order of all columns.
     scale
@@ -227,7 +227,7 @@ class Rules:
     velocity, acceleration
         (axes,) limits in mm and degrees.
     steps
-        (axes,) in a mm or degree; None for so many that they do not count.
+        (axes,) steps per mm or degree; None if steps are too fine to matter.
     """
 
     planner: FirmwarePlanner
@@ -281,7 +281,7 @@ class Rules:
 
     @property
     def most_acceleration(self) -> float:
-        """What Klipper's and Marlin's settings give every move, infinite for none."""
+        """Acceleration that Klipper's and Marlin's settings give every move, infinite for none."""
         planner = self.planner
         if isinstance(planner, KlipperPlanner | MarlinPlanner) and planner.acceleration is not None:
             return planner.acceleration.si * MM
@@ -289,7 +289,7 @@ class Rules:
 
     @property
     def least_speed(self) -> float:
-        """What Marlin raises the speed of a slower move to, 0 for none."""
+        """Least speed to which Marlin raises slower moves, 0 for none."""
         planner = self.planner
         if isinstance(planner, MarlinPlanner) and planner.least_speed is not None:
             return planner.least_speed.si * MM
@@ -297,14 +297,14 @@ class Rules:
 
     @property
     def short_time_s(self) -> float:
-        """Time below which Marlin makes a move slower while few are in hand."""
+        """Time below which Marlin slows a move while few are buffered."""
         planner = self.planner
         if isinstance(planner, MarlinPlanner) and planner.short_time is not None:
             return planner.short_time.si
         return _SHORT_S
 
     def corners(self, moves: Moves) -> FloatArray:
-        """Return the (n,) greatest v^2 at the start of each of n moves, the first from rest."""
+        """Return the (n,) largest v^2 at the start of each of n moves, the first from rest."""
         planner = self.planner
         if isinstance(planner, MarlinPlanner) and planner.jump:
             return by_jumps(moves, self._of_axes(planner.jump))
@@ -334,7 +334,7 @@ class Rules:
         return np.concatenate(([0.0], np.minimum(between, top)))
 
     def _of_axes(self, said: Mapping[str, Quantity], default: float = np.inf) -> FloatArray:
-        """Return the (axes,) values of ``said``; ``default`` where it has none."""
+        """Return the (axes,) values in ``said``; ``default`` for missing ones."""
         return np.array(
             [
                 said[axis].si * scale if axis in said else default
@@ -352,7 +352,7 @@ class Rules:
         return np.array([float(axis in LINEAR) for axis in self.axes])
 
     def _beside(self, moves: Moves) -> FloatArray:
-        """Return the (n - 1,) greatest v^2 at which the axes beside X Y Z may change their share.
+        """Return the (n - 1,) largest v^2 at which the axes besides X Y Z may change their share.
 
         Klipper, docs/Config_Reference.md, ``instantaneous_corner_velocity``.
         """
@@ -363,7 +363,7 @@ class Rules:
 
     @property
     def _counted(self) -> list[str]:
-        """Axes whose length counts, in turn: the first group of which one moves."""
+        """Axes whose length counts, in turn: the first group with a moving axis."""
         if isinstance(self.planner, KlipperPlanner):
             return [LINEAR]
         if isinstance(self.planner, RepRapPlanner):
@@ -380,5 +380,5 @@ class Rules:
             column = [axis in group for axis in self.axes]
             here = np.linalg.norm(way[:, column], axis=1)
             found = np.where(found > 0.0, found, here)
-        # Klipper: a move of other axes alone is as long as the longest of them.
+        # Klipper: a move of other axes only is as long as the longest of them.
         return np.where(found > 0.0, found, np.abs(way).max(axis=1))

@@ -1,7 +1,7 @@
-"""Chords and their corners -> the motion that the firmware makes of them by itself.
+"""Motion of chords and corners as the firmware plans it by itself.
 
-Every move is sped up, held and braked at the acceleration that its axes allow. At a corner the
-speed of an axis steps: that is what these planners do, and the twin shows what comes of it.
+Every move is sped up, held and braked at the acceleration limit of its axes. At a corner the speed
+of an axis steps, as these planners accept; the twin shows the effect.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from threadline.motion.timing.types import TrajectoryBlock
 def firmware_blocks(
     path: PlannedPath, machine: Machine, planner: FirmwarePlanner
 ) -> Iterator[TrajectoryBlock]:
-    """Yield the motion along the chords of ``path`` as ``planner`` of ``machine`` times it.
+    """Yield the motion along the chords of ``path`` with the timing of the machine's ``planner``.
 
-    The firmware is taken to have as many blocks in hand as it can: its link keeps up.
+    The firmware's buffer is assumed to be always full: its link keeps up.
     """
     under_way = moves_of(Rules.of(planner, machine, path.axes))
     for block in path:
@@ -57,7 +57,7 @@ def firmware_blocks(
 
 
 def moves_of(rules: Rules) -> MovesInHand:
-    """Return what takes in the moves of a path and plans them as the firmware of ``rules`` does."""
+    """Return the buffer that plans moves as the firmware of ``rules`` does."""
     if isinstance(rules.planner, LinuxCncPlanner):
         return LinkedRun(rules, planner=rules.planner)
     return _MarlinRun(rules) if isinstance(rules.planner, MarlinPlanner) else _Run(rules)
@@ -65,11 +65,11 @@ def moves_of(rules: Rules) -> MovesInHand:
 
 @dataclass(slots=True)
 class _Run(MovesInHand):
-    """Moves that follow each other in trapezoids of speed."""
+    """Consecutive moves with trapezoids of speed."""
 
-    speed: float = 0.0  # v^2 at which the first move in hand begins
+    speed: float = 0.0  # v^2 at which the first buffered move begins
     smooth: float = 0.0  # the same in Klipper's second plan
-    cruise: float = 0.0  # the greatest v^2 of the move that is out
+    cruise: float = 0.0  # the largest v^2 of the last yielded move
 
     def _rest(self) -> None:
         self.speed, self.smooth, self.cruise = 0.0, 0.0, 0.0
@@ -111,11 +111,11 @@ class _Run(MovesInHand):
         gain: FloatArray,
         ring: int,
     ) -> FloatArray:
-        """Return the (n + 1,) v^2 at the ends of the moves in hand."""
+        """Return the (n + 1,) v^2 at the ends of the buffered moves."""
         return np.asarray(entries_of_ring(most, gain, ring, self.speed))
 
     def _counted(self) -> tuple[Moves, FloatArray]:
-        """Return the moves in hand as the firmware counts them, and the (n,) least v^2 of each."""
+        """Return the buffered moves as the firmware counts them, and the (n,) least v^2 of each."""
         moves = self.rules.moves(self.way[0], self.nominal_s[0])
         return moves, np.zeros(len(moves))
 
@@ -137,7 +137,7 @@ class _Run(MovesInHand):
                 ],
                 axis=1,
             )
-        # Along the move, as shares of its way: where each part begins, its speed and acceleration.
+        # Along the move, as shares of its length: start of each part, its speed and acceleration.
         ends = np.stack([np.zeros(count), up, up + level], axis=1) / length[:, None]
         speed = np.stack([v0, top, top], axis=1) / length[:, None]
         bend = np.stack([rate, np.zeros(count), -rate], axis=1) / length[:, None]
@@ -146,14 +146,14 @@ class _Run(MovesInHand):
     def _parts(
         self, time_s: FloatArray, begin: FloatArray, speed: FloatArray, bend: FloatArray
     ) -> TrajectoryBlock:
-        """Return the first moves in hand, n of them in k parts each.
+        """Return the first buffered moves, n of them in k parts each.
 
         Parameters
         ----------
         time_s
-            (n, k) of the parts.
+            (n, k) times of the parts.
         begin, speed, bend
-            (n, k) where each begins, its speed there and its acceleration, as shares of the way.
+            (n, k) start of each, its speed there and its acceleration, as shares of the length.
         """
         rows = slice(0, len(time_s))
         way, start = self.way[0][rows], self.start[0][rows]
@@ -165,16 +165,16 @@ class _Run(MovesInHand):
 
 @dataclass(slots=True)
 class _MarlinRun(_Run):
-    """Moves between whole steps, of which those of a few steps wait for the next.
+    """Moves between whole steps; a move of a few steps waits for the next.
 
     Attributes
     ----------
     gone
-        How many moves are out since the machine rested.
+        Number of moves yielded since the machine rested.
     held
-        Starts, ways, times and operations of the moves that wait for others; None for none.
+        Starts, displacements, times and operations of waiting moves; None for none.
     rates
-        (2, n) steps in a second, and in a second squared, of the moves in hand.
+        (2, n) steps per second, and per second squared, of the buffered moves.
     """
 
     gone: int = 0
@@ -200,7 +200,7 @@ class _MarlinRun(_Run):
         own = self.rules.length(way[kept])
         way = ends_at[kept] - begin
         nominal_s = nominal_s[kept] * self.rules.length(way) / own
-        goes = way.any(axis=1)  # where all that waited leads back, nothing is left of it
+        goes = way.any(axis=1)  # nothing is left if all waiting moves cancel out
         return begin[goes], way[goes], nominal_s[goes], operation[kept][goes]
 
     def _counted(self) -> tuple[Moves, FloatArray]:

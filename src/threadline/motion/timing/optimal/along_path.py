@@ -1,9 +1,9 @@
 """Limits along the path and across it: speed, its derivatives, and centripetal acceleration.
 
-The length of the way gone is one more axis: a polynomial of fifth degree on each part of a piece,
-with the length, its slope and its bend at both ends. What limits an axis limits it too. Centripetal
-acceleration at the rate u' of the path is ``u'^2`` times the part of q_uu across the path; that is
-at most ``q_uu - l q_u`` for any l, and the control points of such a polynomial bound it everywhere.
+The path length travelled is treated as one more axis: a quintic polynomial on each part of a piece,
+with the length and its first two derivatives at both ends. The axis limits apply to it too.
+Centripetal acceleration at the path rate u' is ``u'^2`` times the part of q_uu across the path;
+that is at most ``q_uu - l q_u`` for any l, and the control points of such a polynomial bound it.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ from threadline.motion.timing.extremes import hull_of
 from threadline.motion.timing.optimal.elements import restricted
 from threadline.motion.timing.types import Trajectory
 
-_PARTS = 4  # of a curved piece: the polynomials of its length are 4^5 times as near as of the whole
-_STRAIGHT = 1e-9  # of the largest derivative: what is across a straight line by rounding
+_PARTS = 4  # of a curved piece: their length polynomials are 4^5 times as accurate as for the whole
+_STRAIGHT = 1e-9  # of the largest derivative: below, the part across a straight line is rounding
 _NODES, _WEIGHTS = (0.5 * (1.0 + np.polynomial.legendre.leggauss(8)[0]),
                     0.5 * np.polynomial.legendre.leggauss(8)[1])  # fmt: skip
-_PLACES = np.linspace(0.0, 1.0, 13)  # of a polynomial in time, at which its length is held to
+_PLACES = np.linspace(0.0, 1.0, 13)  # of a polynomial in time, at which path limits are checked
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AlongPath:
-    """What the tool may do along its path; each may be infinite.
+    """Limits of the tool along its path; each may be infinite.
 
     Parameters
     ----------
     velocity, acceleration, jerk
-        Of the length of the way gone, m/s, m/s^2, m/s^3.
+        Limits of the travelled path length's derivatives, m/s, m/s^2, m/s^3.
     deceleration
-        What the tool may brake with along its path, where that is not ``acceleration``.
+        Braking limit of the tool along its path, if it differs from ``acceleration``.
     centripetal
         Acceleration across the path, m/s^2.
     radius_m
@@ -55,20 +55,20 @@ class AlongPath:
         return self.acceleration, braking
 
     def named(self, key: str) -> float:
-        """Return the limit that a key of ``[path]`` in a machine file stands for."""
+        """Return the limit for a key of ``[path]`` in a machine file."""
         own = getattr(self, key)
         return self.acceleration if own is None else float(own)
 
     @property
     def asks_for_rests(self) -> bool:
-        """Whether the motion rests where the path turns back: its speed has a kink there."""
+        """Whether the motion rests where the path turns back, since its speed has a kink there."""
         return bool(np.isfinite([*self.sides, self.jerk]).any())
 
 
 def with_acceleration(
     along: AlongPath | None, acceleration: float, radius_m: FloatArray
 ) -> AlongPath | None:
-    """Return limits with one of the acceleration along the path beside them, m/s^2."""
+    """Return limits combined with a limit of the acceleration along the path, m/s^2."""
     if not np.isfinite(acceleration):
         return along
     if along is None:
@@ -84,7 +84,7 @@ def with_acceleration(
 
 
 def divided(run: PieceBlock) -> PieceBlock:
-    """Return the pieces with each that is curved cut into even parts."""
+    """Return the pieces with each curved one cut into equal parts."""
     straight = ~run.coefficients[:, 2:].any(axis=(1, 2))
     parts = np.where(straight, 1, _PARTS)
     which = np.repeat(np.arange(len(run)), parts)
@@ -102,19 +102,19 @@ def divided(run: PieceBlock) -> PieceBlock:
 
 
 def with_length(c: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """Return (n, 6, axes + 1): pieces with the length of the way gone as their last axis."""
+    """Return (n, 6, axes + 1): pieces with the travelled path length as their last axis."""
     n, order, axes = c.shape
     at_tool = c * radius_m
     powers = np.arange(1, order)
     way = np.zeros(n)
     for node, weight in zip(_NODES.tolist(), _WEIGHTS.tolist(), strict=True):
-        way += weight * _along_path_size(_at(at_tool[:, 1:] * powers[:, None], node))
+        way += weight * _norm_along_path(_at(at_tool[:, 1:] * powers[:, None], node))
     first = at_tool[:, 1:] * powers[:, None]
     second = first[:, 1:] * powers[: order - 2, None]
     ends = []
     for u in (0.0, 1.0):
         rate, bend = _at(first, u), _at(second, u)
-        size = _along_path_size(rate)
+        size = _norm_along_path(rate)
         along = np.divide((rate * bend).sum(axis=1), size, out=np.zeros(n), where=size > 0.0)
         ends.append((size, along))
     (v0, a0), (v1, a1) = ends
@@ -140,12 +140,12 @@ def with_length(c: FloatArray, radius_m: FloatArray) -> FloatArray:
 def across(c: FloatArray) -> FloatArray:
     """Return (n,) bounds of the second derivative across the first, for (n, order, axes) curves.
 
-    A curve that begins or ends at rest does so with its third power, as the elements do.
+    A curve that begins or ends at rest does so with the third power, as the elements do.
     """
     order = c.shape[1]
     powers = np.arange(1.0, order)
     ends = c[:, 1:] * powers[:, None]
-    # One at rest at its end is looked at from there.
+    # A curve at rest at its end is reversed.
     size = np.abs(ends).max(axis=(1, 2))
     closes = np.abs(ends.sum(axis=1)).max(axis=1) <= _STRAIGHT * size
     back = restricted(c, np.ones(len(c)), -np.ones(len(c)))
@@ -159,7 +159,7 @@ def across(c: FloatArray) -> FloatArray:
     second[opens, 0] = 0.0
     along = []
     for u in (0.0, 1.0):
-        # Beside a rest, r in place of q_u: u^2 less of both, which leaves their ratio.
+        # Beside a rest use r instead of q_u: u^2 less in both keeps their ratio.
         rate, bend = _at(first, u), _at(second, u)
         if u == 0.0 and opens.any() and order > 3:
             rate[opens], bend[opens] = first[opens, 2], second[opens, 2]
@@ -192,7 +192,7 @@ def true_shares(
         v, a, j = (
             _at(orders[k], place) / duration_s[:, None] ** k for k in (1, 2, 3)
         )  # fmt: skip
-        speed = _along_path_size(v)
+        speed = _norm_along_path(v)
         fast = speed > 1e-3 * speed.max(initial=0.0)
         tangent = np.divide(v, speed[:, None], out=np.zeros_like(v), where=fast[:, None])
         push = (tangent * a).sum(axis=1)
@@ -208,7 +208,7 @@ def true_shares(
 
 
 def _on_one_line(first: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """Say of (n, order, axes) derivatives whether all their coefficients have one direction."""
+    """Return for (n, order, axes) derivatives whether all coefficients have one direction."""
     most = np.abs(first).max(axis=2).argmax(axis=1)
     lead = first[np.arange(len(first)), most]
     squared = (lead**2).sum(axis=1)
@@ -230,11 +230,11 @@ def _at(poly: FloatArray, place: float) -> FloatArray:
     return np.asarray(out)
 
 
-def _along_path_size(vectors: FloatArray) -> FloatArray:
+def _norm_along_path(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((vectors**2).sum(axis=-1)))
 
 
-_MOVING = 1e-3  # of the highest speed: nearer to rest there is no direction
+_MOVING = 1e-3  # of the highest speed: below, the direction is undefined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,13 +244,13 @@ class PathUse:
     Parameters
     ----------
     quantity
-        Key of ``[path]`` in the machine file: that of the limit.
+        Key of the limit in ``[path]`` of the machine file.
     share
-        Used of it.
+        Used share.
     limit_si
-        That limit, m/s, m/s^2 or m/s^3.
+        The limit, m/s, m/s^2 or m/s^3.
     time_s, operation
-        Where.
+        Time and operation.
     """
 
     quantity: str
@@ -271,12 +271,12 @@ def along_shares(
         (n, axes) of the axes, in their own units.
     """
     v, a, j = (rate * limits.radius_m for rate in (velocity, acceleration, jerk))
-    speed = _along_shares_size(v)
+    speed = _norm_of_shares(v)
     moving = speed > _MOVING * speed.max(initial=0.0)
     along = np.divide(v, speed[:, None], out=np.zeros_like(v), where=moving[:, None])
     push = (along * a).sum(axis=1)
-    across = np.where(moving, _along_shares_size(a - push[:, None] * along), 0.0)
-    # The length of the way gone has the derivatives v, t a and t j + |a across|^2 / v.
+    across = np.where(moving, _norm_of_shares(a - push[:, None] * along), 0.0)
+    # The travelled path length has the derivatives v, t a and t j + |a across|^2 / v.
     bent = np.divide(across**2, speed, out=np.zeros_like(speed), where=moving)
     up, down = limits.sides
     return {
@@ -293,7 +293,7 @@ def along_shares(
 
 
 def path_use(trajectory: Trajectory, limits: AlongPath) -> PathUse | None:
-    """Return the largest share of thirteen instants of each polynomial; None for no motion."""
+    """Return the largest share at thirteen instants per polynomial; None without motion."""
     worst: PathUse | None = None
     for block in trajectory:
         rates = [block.coefficients]
@@ -323,5 +323,5 @@ def path_use(trajectory: Trajectory, limits: AlongPath) -> PathUse | None:
     return worst
 
 
-def _along_shares_size(vectors: FloatArray) -> FloatArray:
+def _norm_of_shares(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt((vectors**2).sum(axis=1)))

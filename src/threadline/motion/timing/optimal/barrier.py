@@ -3,10 +3,10 @@
 The unknowns b are the (n + 2,) coefficients of a quadratic spline x over the common parameter, so
 that the matrix of a step has two diagonals beside the main one. The duration of an element is at
 most the mean of 1 / sqrt(y) over its Bernstein coefficients, because 1 / sqrt is convex: that
-bound is what is made small, and no dip between nodes escapes it. The limit of the jerk,
-|l| <= 1 / sqrt(y), is not convex; its right side lies above each of its tangents
-``3/2 r - r^3 y / 2``, so that whatever keeps within a tangent keeps within the limit. What a drive
-gives is bounded in the same way. The tangents follow the solution.
+bound is minimised, and no dip between nodes escapes it. The jerk limit, |l| <= 1 / sqrt(y), is not
+convex; its right side lies above each of its tangents ``3/2 r - r^3 y / 2``, so that keeping a
+tangent keeps the limit. The demand on a drive is bounded in the same way. The tangents follow the
+solution.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -17,15 +17,15 @@ import numpy as np
 from threadline.base.compiled import njit
 from threadline.motion.timing.optimal.rows import WEIGHTS
 
-_LEAST_PIVOT = 1e-13  # of the diagonal of the matrix: below is rounding
+_LEAST_PIVOT = 1e-13  # of the diagonal of the matrix: smaller ones are rounding
 _HELD = 1e60
 _SLACK_KEPT = 0.3  # of a slack when its tangent moves
-_NEAR = 0.9  # of the way to the nearest limit
+_NEAR = 0.9  # of the distance to the nearest limit
 
 
 @njit()
 def maps(length, i):
-    """Return the five weights that take b[i : i + 3] to y0, y1, y2 of element i."""
+    """Return the five weights that map b[i : i + 3] to y0, y1, y2 of element i."""
     n = len(length)
     before = length[i - 1] if i > 0 else 0.0
     after = length[i + 1] if i < n - 1 else 0.0
@@ -69,8 +69,8 @@ def room_of(row, y0, y1, y2, tangent):
 def derivatives(b, length, rows, tangent, weight):
     """Return matrix and gradient of duration - weight * sum(log(slack)).
 
-    Entry (i, k) of the (n + 2, 3) matrix is that of row i and column i + k. What an element gives
-    is kept in single numbers until its last row: numbers of arrays would be written for each row.
+    Entry (i, k) of the (n + 2, 3) matrix belongs to row i and column i + k. Contributions of an
+    element stay in scalars until its last row: array entries would be written for each row.
     """
     acc, jerk, points, count, top, drive, begin = rows
     n = len(length)
@@ -135,14 +135,14 @@ def _with(of, slope, bend, r0, r1, r2):
 
 @njit()
 def _inverses(one, other):
-    """Return 1 / one and 1 / other by one division, which takes as long as twenty products."""
+    """Return 1 / one and 1 / other with one division, which takes as long as twenty products."""
     both = 1.0 / (one * other)
     return other * both, one * both
 
 
 @njit()
 def _of_time(y, top, weight):
-    """Return slope and bend of the share of one y in the duration, and of its upper limit."""
+    """Return slope and bend of the duration's share of one y, and of its upper limit."""
     time = 1.0 / (3.0 * np.sqrt(y))
     slope = -0.5 * time / y
     bend = 0.75 * time / (y * y)
@@ -155,7 +155,7 @@ def _of_time(y, top, weight):
 
 @njit()
 def solved(matrix, g):
-    """Return z of ``matrix z = -g`` by L D L'; entry (i, k) is that of row i and column i + k."""
+    """Return z of ``matrix z = -g`` by L D L'; entry (i, k) belongs to row i and column i + k."""
     z = np.empty(len(g))
     one, two, d = _factors(matrix)
     _substitute(one, two, d, g, z)
@@ -183,7 +183,7 @@ def halved(matrix, rows):
 
 @njit()
 def _factors(matrix):
-    """Return the two diagonals of L and that of D."""
+    """Return the two diagonals of L and the diagonal of D."""
     size = len(matrix)
     one, two, d = np.zeros(size), np.zeros(size), np.zeros(size)
     for i in range(size):
@@ -197,7 +197,7 @@ def _factors(matrix):
                 side -= two[i] * d[i - 2] * one[i - 1]
             one[i] = side / d[i - 1]
             pivot -= one[i] * one[i] * d[i - 1]
-        # A pivot of which rounding left nothing: that unknown stays where it is in this step.
+        # A pivot lost to rounding: that unknown stays unchanged in this step.
         d[i] = pivot if pivot > _LEAST_PIVOT * matrix[i, 0] else _HELD * matrix[i, 0]
     return one, two, d
 
@@ -224,7 +224,7 @@ def _substitute(one, two, d, g, z):
 
 @njit()
 def _hold(matrix, g, i):
-    """Take unknown ``i`` out of a step: it stays as it is."""
+    """Remove unknown ``i`` from a step: it stays unchanged."""
     g[i] = 0.0
     matrix[i, 0], matrix[i, 1], matrix[i, 2] = 1.0, 0.0, 0.0
     if i >= 1:
@@ -237,7 +237,7 @@ def _hold(matrix, g, i):
 def newton(b, length, rows, tangent, weight, held):
     """Return the Newton step of duration - weight * sum(log(slack)), and its decrement.
 
-    ``held`` are the numbers of the first and of the last unknowns that stay as they are.
+    ``held`` are the numbers of first and last unknowns that stay unchanged.
     """
     matrix, g = derivatives(b, length, rows, tangent, weight)
     for i in range(held[0]):
@@ -295,7 +295,7 @@ def _far(b, step, length, rows, tangent, i):
 def advance(b, step, length, rows, tangent):
     """Go along the step as far as the slacks allow; change b, and return the share taken.
 
-    Where rounding has left no room to a limit, the share is not above 0 and b stays as it is: a
+    If rounding has left no room to a limit, the share is not above 0 and b stays unchanged: a
     slack of -1e-16 over a change of 1e-30 would be a step of 1e14 backwards.
     """
     best = 1e300

@@ -18,7 +18,7 @@ from threadline.motion.timing.types import Trajectory
 
 SAMPLES = 4001
 BINDS = 0.97
-"""Share of a limit from which it is said to bind: what elements and the barrier leave is less."""
+"""Share of a limit above which it counts as binding: elements and barrier leave less unused."""
 KINDS = ("velocity", "acceleration", "jerk", "current", "voltage", "lag", "feed")
 
 
@@ -31,8 +31,8 @@ class Binding:
     time_s
         (n,) evenly spaced instants.
     shares
-        (n,) of the limit of each kind, of the axis that uses most of its own; a kind that limits
-        nothing is left out.
+        (n,) used shares of each kind of limit, for the axis with the largest; a kind without limits
+        is left out.
     """
 
     time_s: FloatArray
@@ -40,7 +40,7 @@ class Binding:
 
     @property
     def binds(self) -> dict[str, float]:
-        """Share of the time in which each kind binds."""
+        """Share of the time in which each kind of limit binds."""
         return {kind: float((share >= BINDS).mean()) for kind, share in self.shares.items()}
 
 
@@ -57,9 +57,9 @@ def binding(
     Parameters
     ----------
     path
-        That it runs along, with the feeds.
+        The path, with its feeds.
     machine, contour_m, of_loads
-        As it was timed with.
+        As in the timing.
     """
     time_s = np.linspace(0.0, trajectory.duration_s, SAMPLES)
     rates = [trajectory(time_s, order) for order in (1, 2, 3)]
@@ -110,7 +110,7 @@ def _strayed(trajectory: Trajectory, follower: Follower, time_s: FloatArray) -> 
 def _feed(path: PlannedPath, time_s: FloatArray, speed: FloatArray) -> FloatArray | None:
     """Return the (n,) shares of the feed, None where no piece has one.
 
-    A place is found by how far the motion went: pieces are followed in order.
+    The place on the path is found from the travelled length: pieces are followed in order.
     """
     ends, feeds, gone = [np.zeros(1)], [], 0.0
     for block in path:

@@ -1,10 +1,10 @@
 """A path cut into elements: short polynomial pieces in one smooth parameter.
 
-The planned path is smooth in a parameter in which each of its pieces has a length of its own; the
-square of the rate of that parameter, x, is what is solved for. At a rest that rate falls to zero
-with the third power of time's root, which no spline in the parameter can follow; so the first
-element after a rest runs through the path as ``w^3 - w^4 / 2``: at an even rate of w, its motion
-begins with constant jerk, and w joins the parameter of the path smoothly.
+The planned path is smooth in a common parameter in which each piece has a length of its own; the
+square of the rate of that parameter, x, is the unknown. At a rest that rate falls to zero with the
+third power of the cube root of time, which no spline in the parameter can follow; so the first
+element after a rest traverses the path as ``w^3 - w^4 / 2``: at an even rate of w, its motion
+begins with constant jerk, and w joins the common parameter smoothly.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from threadline.base.arrays import FloatArray, IntArray
 from threadline.motion.path.types import PieceBlock
 
 DEGREE = 5
-_LEAD_SHARE = 0.3  # of the first piece, in its own parameter: what a lead-in runs through
+_LEAD_SHARE = 0.3  # of the first piece, in its own parameter: extent of a lead-in
 _LEAST_LEAD_SHARE = 1e-5
 _PARTS_OF_STRAIGHT, _PARTS_OF_CURVE, _PARTS_OF_LEAD = 6, 2, 6
 _OF_QUARTIC = 5  # coefficients of a piece; such paths have twice as many pieces at a corner
 DENSE = 5000
-"""Pieces of a run, beyond which those that are curved are fine enough as they are."""
-_ROUNDING = 1e-13  # of the largest coefficient of an axis: below is nothing
+"""Number of pieces of a run above which curved pieces need no cut."""
+_ROUNDING = 1e-13  # of the largest coefficient of an axis: smaller ones are rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,16 +36,16 @@ class Elements:
     c
         (n, DEGREE + 1, axes) position in powers of u in [0, 1], m or rad.
     length
-        (n,) of the common parameter.
+        (n,) lengths in the common parameter.
     cap
-        (n,) largest u'^2 that the feed allows, infinite where none is given.
+        (n,) largest u'^2 that the feed allows, infinite without one.
     operation
         (n,) operation under way.
     guard
-        (n, DEGREE + 1, k) further polynomials in u, whose second derivative by time may be 1 at
-        the most; k may be 0.
+        (n, DEGREE + 1, k) further polynomials in u, whose second time derivative must not exceed
+        1; k may be 0.
     guard_cap
-        (n,) largest u'^2 beside that of the feed; infinite where there is none.
+        (n,) largest u'^2 besides the feed's; infinite without one.
     """
 
     c: FloatArray
@@ -60,7 +60,7 @@ class Elements:
 
     @property
     def top(self) -> FloatArray:
-        """(n,) largest u'^2 of feed and guards."""
+        """(n,) largest u'^2 by feed and guards."""
         return np.minimum(self.cap, self.guard_cap)
 
     def take(self, rows: slice) -> Elements:
@@ -75,7 +75,7 @@ class Elements:
         )
 
     def split(self, parts: IntArray) -> Elements:
-        """Return the elements with each cut into as many equal parts as (n,) ``parts`` says."""
+        """Return the elements with each cut into (n,) ``parts`` equal parts."""
         which = np.repeat(np.arange(len(self)), parts)
         count = parts[which].astype(np.float64)
         first = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
@@ -107,7 +107,7 @@ def restricted(c: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArra
     out = c.astype(np.float64, copy=True)
     nothing = c == 0.0
     order = c.shape[1]
-    # Horner's scheme in both directions is the shift of a polynomial.
+    # Horner's scheme in both directions shifts a polynomial.
     for low in range(order - 1):
         for k in range(order - 2, low - 1, -1):
             out[:, k] += begin[:, None] * out[:, k + 1]
@@ -115,7 +115,7 @@ def restricted(c: FloatArray, begin: FloatArray, width: FloatArray) -> FloatArra
     for k in range(1, order):
         scale = scale * width
         out[:, k] *= scale[:, None]
-    # What has no powers above k has none on a part of it either.
+    # Powers that are zero on the whole are zero on a part of it.
     out[:, 1:][np.logical_and.accumulate(nothing[:, :0:-1], axis=1)[:, ::-1]] = 0.0
     return out
 
@@ -139,21 +139,20 @@ def elements_of(
     c
         (n, order, axes) pieces of the planned path.
     ratio
-        (n - 1,) rate of u before each joint over that after it, which keeps the velocity.
+        (n - 1,) rate of u before each joint over the rate after it, which keeps the velocity.
     nominal_s
         (n,) least time of each piece, 0 for none.
     operation
-        (n,) of each piece.
+        (n,) operation of each piece.
     length
         Parameter length of the first piece.
     from_rest, to_rest
         Whether the run starts, or ends, here.
     lead_share
-        What the lead-in, and that to the rest at the end, may be of their pieces at most: in them
-        feed and velocity bound the rate of their parameter, which is the speed at their end alone.
+        Largest share of a piece for the lead-in, and for the one to the rest at the end: there feed
+        and velocity bound the rate of the parameter, which is the speed at its end only.
     dense
-        Whether those that are curved are fine enough as they are. Where it is not said, a quartic's
-        are, and others where there are very many.
+        Whether curved pieces need no cut. By default true for quartics, and for very many pieces.
     """
     count, order, axes = c.shape
     full = np.zeros((count, DEGREE + 1, axes))
@@ -187,7 +186,7 @@ def elements_of(
 
 
 def reverse(elements: Elements) -> Elements:
-    """Return the elements run through from their end to their start."""
+    """Return the elements traversed from their end to their start."""
     c = elements.c[::-1]
     ones = np.ones(len(c))
     return Elements(
@@ -203,7 +202,7 @@ def reverse(elements: Elements) -> Elements:
 def _with_lead_in(elements: Elements, most: float) -> Elements:
     """Replace the first part of the first element by one that starts from rest.
 
-    Its ends have the position, velocity and acceleration of the path run through as
+    Its ends have the position, velocity and acceleration of the path traversed as
     ``w^3 - w^4 / 2`` of its parameter; on a straight piece it is exactly that.
     """
     first = elements.take(slice(0, 1))
@@ -235,33 +234,33 @@ def _with_lead_in(elements: Elements, most: float) -> Elements:
 def _from_rest(
     start: FloatArray, gone: FloatArray, slope: FloatArray, bend: FloatArray
 ) -> FloatArray:
-    """Return (6, axes): the quintic from rest at ``start``, ``gone`` far, to slope and bend."""
+    """Return (6, axes): the quintic from rest at ``start``, over ``gone``, to slope and bend."""
     c = np.zeros((DEGREE + 1, len(start)))
     c[0] = start
     c[3] = 10.0 * gone - 4.0 * slope + 0.5 * bend
     c[4] = -15.0 * gone + 7.0 * slope - bend
     c[5] = 6.0 * gone - 3.0 * slope + 0.5 * bend
-    # On a straight piece c[5] vanishes but for rounding: g is of fourth degree.
+    # On a straight piece c[5] vanishes but for rounding: g has fourth degree.
     size = np.abs(c[1:]).max(axis=0)
     c[1:][np.abs(c[1:]) < _ROUNDING * size] = 0.0
     return c
 
 
 class PiecesAhead:
-    """The pieces that are still to be gone, taken from the front.
+    """The pieces that are still ahead, taken from the front.
 
     Parameters
     ----------
     path
-        Blocks of pieces; they are read when they are asked for.
+        Blocks of pieces; they are read on demand.
     """
 
     def __init__(self, path: Iterable[PieceBlock]) -> None:
         self._blocks = iter(path)
-        self._front: list[tuple[PieceBlock, int]] = []  # blocks, and how much of each is gone
+        self._front: list[tuple[PieceBlock, int]] = []  # blocks, and the used part of each
 
     def take(self, most: int) -> PieceBlock | None:
-        """Return the next pieces up to a rest, ``most`` of them at most; None behind the last."""
+        """Return the next pieces up to a rest, at most ``most``; None after the last."""
         taken: list[PieceBlock] = []
         count = 0
         while count < most:
@@ -285,7 +284,7 @@ class PiecesAhead:
         return _joined(taken) if taken else None
 
     def put_back(self, block: PieceBlock) -> None:
-        """Make ``block`` the first of the pieces that are still to be gone."""
+        """Put ``block`` back in front of the pieces ahead."""
         self._front.append((block, 0))
 
 

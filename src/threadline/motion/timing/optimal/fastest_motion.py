@@ -13,7 +13,7 @@ from threadline.machine import Machine
 from threadline.motion.path.types import PieceBlock, PlannedPath
 from threadline.motion.timing.optimal.along_path import with_acceleration
 from threadline.motion.timing.optimal.elements import DENSE, PiecesAhead
-from threadline.motion.timing.optimal.first_guess import line_alone
+from threadline.motion.timing.optimal.first_guess import straight_run
 from threadline.motion.timing.optimal.followers import Follower, Past
 from threadline.motion.timing.optimal.following_error import followed
 from threadline.motion.timing.optimal.in_time import in_time
@@ -25,9 +25,9 @@ from threadline.motion.timing.timed import held_block
 from threadline.motion.timing.types import TrajectoryBlock
 
 MOST_PIECES = ADDED + SEEN
-"""Pieces of one run that are solved together; a run of more is planned in windows."""
+"""Pieces of one run that are solved together; a longer run is planned in windows."""
 MOST_FOLLOWED = 20_000
-"""Pieces of one run whose loads follow; where a run has more, the motion rests between."""
+"""Pieces of one run whose loads follow; a longer run rests in between."""
 GAP = 1e-4
 
 
@@ -39,28 +39,27 @@ def fastest_blocks(
     of_loads: bool = False,
     along_m_s2: float = np.inf,
 ) -> Iterator[TrajectoryBlock]:
-    """Yield the fastest trajectory of ``path`` within what the axes and their drives can do.
+    """Yield the fastest trajectory of ``path`` within the limits of the axes and their drives.
 
     Parameters
     ----------
     contour_m
-        How far the loads may be from the path while their loops follow the motion, at the tool;
-        infinite where that is no limit.
+        Allowed contour error of the loads due to their loops, at the tool; infinite for no limit.
     of_loads
-        Whether loads are to follow it, and no motors.
+        Whether the loads follow the trajectory, not the motors.
     along_m_s2
-        Most acceleration along the path, at the tool; infinite for none.
+        Largest acceleration along the path, at the tool; infinite for none.
     """
     follower = follower_of(path, machine, contour_m) if np.isfinite(contour_m) else None
     if follower is not None and all(answer is None for answer in follower.answers):
-        follower = None  # no loop of which anything is known follows these axes
+        follower = None  # none of these axes has a known loop
     limits = limits_of(machine, path.axes, path.radius_m, of_loads=of_loads)
     limits = replace(limits, along=with_acceleration(limits.along, along_m_s2, path.radius_m))
     yield from limited_blocks(path, limits, follower)
 
 
 def follower_of(path: PlannedPath, machine: Machine, contour_m: float) -> Follower:
-    """Return what is known of the loops of a machine whose loads follow ``path``."""
+    """Return the loop models of a machine whose loads follow ``path``."""
     answers = answers_of(machine)
     return Follower(
         answers=tuple(answers.get(axis) for axis in path.axes),
@@ -87,7 +86,7 @@ def limited_blocks(
         if follower is None and len(run) > MOST_PIECES:
             ahead.put_back(run)
             dense = not run.rest_after[-1]
-            del run  # it is no longer needed, and there may be much of it
+            del run  # free its memory, which may be large
             run, now = yield from windowed(ahead, path.radius_m, within, GAP, now, dense=dense)
             if run is None:
                 return
@@ -117,7 +116,7 @@ def limited_blocks(
 
 
 def _rest_after(run: PieceBlock) -> tuple[float, int, FloatArray]:
-    """Return how long a run rests at its end, the operation that does, and where."""
+    """Return the rest time at the end of a run, its operation, and the position."""
     return (
         float(run.dwell_s[-1]),
         int(run.operation[-1]),
@@ -126,7 +125,9 @@ def _rest_after(run: PieceBlock) -> tuple[float, int, FloatArray]:
 
 
 def _line(run: PieceBlock, limits: Limits, begin_s: float) -> TrajectoryBlock | None:
-    """Return the motion along a run that is one straight line, where a closed form is known."""
+    """Return the motion along a run that is one straight line, if a closed form is known."""
     if not run.coefficients[0, 1].any():
         return None
-    return line_alone(run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, begin_s)
+    return straight_run(
+        run.coefficients[0], run.nominal_s[0], int(run.operation[0]), limits, begin_s
+    )

@@ -1,4 +1,4 @@
-"""A run that is one straight line: its fastest motion is known in closed form."""
+"""Feasible motions to start from, and closed forms for a run that is one straight line."""
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from threadline.motion.timing.optimal.rows import WEIGHTS
 from threadline.motion.timing.types import TrajectoryBlock
 
 
-def line_alone(
+def straight_run(
     c: FloatArray, nominal_s: float, operation: int, limits: Limits, begin_s: float
 ) -> TrajectoryBlock | None:
     """Return the fastest motion from rest to rest along a straight piece.
 
-    None where a drive could bind before the limits of the axes do, or where axes brake otherwise
-    than they speed up: then there is no closed form.
+    None if a drive could bind before the limits of the axes do, or if axes have a braking limit of
+    their own: then there is no closed form.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def _phases(move: ShortestMove) -> tuple[FloatArray, FloatArray]:
 
 
 _SHARE = 0.25  # of the accelerations, on the way
-_USED = 0.7  # of a limit, at most
+_USED = 0.7  # largest share of a limit
 _ROUNDS = 60
 _GROWTH = 3.0  # of x from element to element
 _DIGITS = float(np.finfo(np.float64).eps)
@@ -98,9 +98,9 @@ _DIGITS = float(np.finfo(np.float64).eps)
 
 @njit()
 def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
-    """Return the (n,) largest even x, in units of the common parameter, that each element allows.
+    """Return the (n,) largest constant x, in units of the common parameter, for each element.
 
-    At an even rate of the parameter the motion keeps within every limit.
+    At a constant rate of the parameter the motion keeps within every limit.
     """
     n, order, axes = c.shape
     out = np.empty(n)
@@ -138,7 +138,7 @@ def even(length, c, guard, limit_v, limit_a, limit_j, demand, cap):
 def used(b, length, rows, tangent, out, anew):
     """Write the (n,) largest shares of a limit into ``out``; return the largest of all.
 
-    ``anew`` says whether each tangent is put to its best first.
+    ``anew``: set each tangent to its best first.
     """
     acc, jerk, points, count, top, drive, begin = rows
     worst = 0.0
@@ -190,7 +190,7 @@ def feasible(length, rows, most):
     Parameters
     ----------
     most
-        (n,) largest even x of each element, by ``even``.
+        (n,) largest constant x of each element, from ``even``.
     """
     acc, count = rows[0], rows[3]
     n = len(length)
@@ -231,7 +231,7 @@ def feasible(length, rows, most):
 
 
 def top_of(elements: Elements, limits: Limits) -> FloatArray:
-    """Return the (n,) largest u'^2 of feed, guards and what may be across the path."""
+    """Return the (n,) largest u'^2 by feed, guards and centripetal limit."""
     along = limits.along
     if along is None or not np.isfinite(along.centripetal):
         return elements.top
@@ -241,7 +241,7 @@ def top_of(elements: Elements, limits: Limits) -> FloatArray:
 
 
 def evenly(elements: Elements, limits: Limits) -> FloatArray:
-    """Return the (n,) largest x of each element that is within all limits while it is even."""
+    """Return the (n,) largest constant x of each element within all limits."""
     at, of = elements, limits
     least, top = np.minimum(*of.sides), top_of(at, of)
     most = even(at.length, at.c, at.guard, of.velocity, least, of.jerk, of.demand, top)

@@ -1,4 +1,4 @@
-"""How far loads stray from the way that they are told, both ways, within a window of time."""
+"""Deviation of loads from their commanded path, both ways, within a window of time."""
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from threadline.motion.timing.types import TrajectoryBlock
 
 @njit()
 def _squared(point, start, end):
-    """Return the squared distance of a point from a straight way, and where on it (0..1)."""
+    """Return the squared distance of a point from a segment, and the place on it (0..1)."""
     along, length = 0.0, 0.0
     for k in range(len(point)):
         direction = end[k] - start[k]
@@ -33,23 +33,23 @@ def _squared(point, start, end):
 
 @njit()
 def strayed(load, way, fine, window):
-    """Return how far load and way are from each other, at the places of the way.
+    """Return the distances between load and commanded path, at the points of the path.
 
-    Every load is held against the way of the last ``window`` ticks, every place of the way
-    against the load of the ticks that follow: what lags along the way is no error. The first
-    ``window`` ticks are there to be looked back at, and not judged.
+    Every load position is compared with the commanded path of the last ``window`` ticks, every
+    point of the path with the load of the following ticks: lag along the path is no error. The
+    first ``window`` ticks only provide history, and are not judged.
 
     Parameters
     ----------
     load
         (k, axes) lengths at the tool, a row for each tick.
     way
-        (f, axes) what was told, ``fine`` places for each tick: row i of the load belongs to row
-        ``i * fine`` of the way.
+        (f, axes) the commanded path, ``fine`` points for each tick: row i of the load belongs to
+        row ``i * fine`` of the path.
 
     Returns
     -------
-    (f, axes) from the way to the load, and the (f,) ticks of that load.
+    (f, axes) vectors from path to load, and the (f,) ticks of that load.
     """
     axes = way.shape[1]
     size = np.zeros(len(way))
@@ -82,16 +82,16 @@ def strayed(load, way, fine, window):
 
 @njit()
 def blamed(error, tick, fine, acceleration, swing, tolerance):
-    """Return the (f,) logarithms by which accelerations are to fall, 0 for those without blame.
+    """Return the (f,) logarithms by which to lower accelerations, 0 for those not at fault.
 
     Parameters
     ----------
     error, tick
-        As of ``strayed``.
+        From ``strayed``.
     acceleration
-        (f, axes) of the way, at the tool.
+        (f, axes) of the path, at the tool.
     swing
-        (d, axes) what an axis is off, d places of the way after a change of its velocity.
+        (d, axes) error of an axis d path points after a unit change of its velocity.
     """
     out = np.zeros(len(error))
     share = np.zeros(len(swing))
@@ -116,7 +116,7 @@ def blamed(error, tick, fine, acceleration, swing, tolerance):
 def aligned(time_s, tangent, before_s, after_s):
     """Return the (n,) least cosine between a tangent and those within a window of time.
 
-    0 where one of them is at a right angle or points back, or where the motion ends within it.
+    0 if one of them is at a right angle or points back, or if the motion ends within it.
     """
     n = len(time_s)
     out = np.ones(n)
@@ -136,21 +136,21 @@ def aligned(time_s, tangent, before_s, after_s):
     return out
 
 
-_LAGS = 4  # of the mean lag: how far back along the way a load is looked for
-_FINE_S = 1.25e-3  # from place to place of the way
-BEFORE, AFTER = 1.0, 3.0  # lags: between an acceleration and the places where it is seen
+_LAGS = 4  # of the mean lag: how far back along the path a load is searched
+_FINE_S = 1.25e-3  # from point to point of the path
+BEFORE, AFTER = 1.0, 3.0  # lags: between an acceleration and the places where it shows
 _AIM = 0.98  # of the tolerance
-_LEAST_SHARE = 1e-3  # of the tolerance: less is as good
-_EASED, _TIGHTENED = 0.7, 1.6  # powers of what is left, or too much, in a guard
+_LEAST_SHARE = 1e-3  # of the tolerance: smaller shares count as this
+_EASED, _TIGHTENED = 0.7, 1.6  # exponents on the unused, or exceeded, share of a guard
 
 
 class Past:
-    """The end of a motion: what the loops still remember.
+    """The end of a motion, as far as the loops still remember it.
 
     Parameters
     ----------
     memory_s
-        How long the loops remember, s.
+        Memory of the loops, s.
     """
 
     def __init__(self, memory_s: float) -> None:
@@ -158,13 +158,13 @@ class Past:
         self._blocks: list[TrajectoryBlock] = []
 
     def add(self, block: TrajectoryBlock) -> None:
-        """Take what follows, and let go of what is too old."""
+        """Add the next block, and discard what is too old."""
         since = block.end_s - 2.0 * self._memory_s
         self._blocks = [kept for kept in self._blocks if kept.end_s > since]
         self._blocks.append(block)
 
-    def told(self, block: TrajectoryBlock, time_s: FloatArray) -> FloatArray:
-        """Return (n, axes) where the motion is at rising times, ``block`` being the last of it."""
+    def commanded(self, block: TrajectoryBlock, time_s: FloatArray) -> FloatArray:
+        """Return (n, axes) commanded positions at ascending times; ``block`` is the last block."""
         blocks = [*self._blocks, block]
         out = np.tile(blocks[0].coefficients[0, 0], (len(time_s), 1))
         for part in blocks:
@@ -175,16 +175,16 @@ class Past:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Follower:
-    """What is known of the loops, and how far loads may stray from the path.
+    """Models of the loops, and the allowed deviation of the loads from the path.
 
     Parameters
     ----------
     answers
-        One for each axis; None where an axis is where it is told.
+        Response of each axis; None for an axis that follows its command exactly.
     radius_m
-        (axes,) that turns positions into lengths at the tool.
+        (axes,) factors from positions to lengths at the tool.
     tolerance_m
-        How far the loads may be from the planned path.
+        Allowed distance of the loads from the planned path.
     """
 
     answers: tuple[Answer | None, ...]
@@ -204,14 +204,14 @@ class Follower:
 
     @property
     def tick_s(self) -> float:
-        """Time between two instants at which the loads are held against the path, s."""
+        """Time between two instants at which the loads are compared with the path, s."""
         return max(min((a.period_s for a in self.answers if a is not None), default=0.0), 1e-3)
 
     def coefficients(self) -> tuple[FloatArray, FloatArray]:
         """Return the (axes,) errors of a load per velocity, s, and per acceleration, s^2.
 
-        They are errors against the motion delayed by the mean lag: a delay that all axes have in
-        common takes no load off the path.
+        They are errors relative to the motion delayed by the mean lag: a delay common to all axes
+        takes no load off the path.
         """
         lag = self.lag_s
         first, second = np.full(len(self.answers), lag), np.full(len(self.answers), 0.5 * lag**2)
@@ -241,17 +241,17 @@ class Follower:
         straight: FloatArray,
         most: FloatArray | None = None,
     ) -> Elements:
-        """Return the elements with the guards that keep accelerations within what is followed.
+        """Return the elements with guards that keep accelerations within the tolerance.
 
         Parameters
         ----------
         ease
-            (n,) by how much more than the tolerance a steady acceleration may be off: what lasts
-            less than the lag is hardly seen.
+            (n,) factor by which the error of a steady acceleration may exceed the tolerance: an
+            acceleration shorter than the lag hardly shows.
         straight
-            (n,) share of the error along the path that is no error.
+            (n,) share of the error that is along the path and does not count.
         most
-            (n,) largest square of the rate of the common parameter, where there is one.
+            (n,) largest square of the rate of the common parameter, if any.
         """
         speed, push = self.coefficients()
         c = elements.c[:, :, : len(self.radius_m)] * self.radius_m
@@ -269,7 +269,7 @@ class Follower:
         guard[np.abs(guard) < 1e-9 * np.maximum(size, 1e-300)] = 0.0
         rate = np.abs(across((c * speed)[:, 1:] * np.arange(1.0, c.shape[1])[None, :, None]) / room)
         fastest = rate.sum(axis=1).max(axis=1)
-        with np.errstate(over="ignore"):  # a rate of next to none: no cap, like that of none
+        with np.errstate(over="ignore"):  # a rate near zero: no cap
             cap = (
                 np.divide(1.0, fastest, out=np.full(len(fastest), np.inf), where=fastest > 0.0) ** 2
             )
@@ -278,7 +278,7 @@ class Follower:
         return replace(elements, guard=guard, guard_cap=cap)
 
     def strays(self, past: Past, block: TrajectoryBlock) -> Strays:
-        """Return how far the loads are from the path.
+        """Return the deviation of the loads from the path.
 
         Parameters
         ----------
@@ -293,14 +293,14 @@ class Follower:
         at = begin + (np.arange(count) - before) * tick
         fine = max(1, ceil(tick / _FINE_S))
         way_s = at[0] + np.arange((count - 1) * fine + 1) * (tick / fine)
-        way = past.told(block, way_s) * self.radius_m
+        way = past.commanded(block, way_s) * self.radius_m
         load = np.empty((count, way.shape[1]))
         for k, answer in enumerate(self.answers):
             if answer is None:
                 load[:, k] = way[::fine, k]
                 continue
             own_s = np.arange(at[0], at[-1] + answer.period_s, answer.period_s)
-            told = past.told(block, own_s)[:, k] * self.radius_m[k]
+            told = past.commanded(block, own_s)[:, k] * self.radius_m[k]
             load[:, k] = np.interp(at, own_s, answer.load(told))
         first = before - 2 * window
         error, seen = strayed(load[first:], way[first * fine :], fine, window)
@@ -311,16 +311,16 @@ class Follower:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Strays:
-    """How far loads are from their way.
+    """Deviations of loads from their commanded path.
 
     Parameters
     ----------
     time_s
-        (f,) evenly spaced, when they are told to be at the places of the way.
+        (f,) evenly spaced times of the points of the commanded path.
     error_m
-        (f, axes) from the way to them, at the tool.
+        (f, axes) vectors from the path to the loads, at the tool.
     tick
-        (f,) when they are there, in ticks of ``fine`` places from the first.
+        (f,) when the loads are there, in ticks of ``fine`` points from the first.
     """
 
     time_s: FloatArray
@@ -331,12 +331,12 @@ class Strays:
 
     @property
     def share(self) -> FloatArray:
-        """(f,) distances from the way as shares of the tolerance."""
+        """(f,) distances from the path as shares of the tolerance."""
         return np.asarray(np.linalg.norm(self.error_m, axis=1) / self.follower.tolerance_m)
 
     def worst(self, places_s: FloatArray) -> FloatArray:
-        """Return the (n,) largest share of the tolerance that the motion at some places causes."""
-        from scipy.ndimage import maximum_filter1d  # slow to import, and asked for by few commands
+        """Return the (n,) largest share of the tolerance caused by the motion at some times."""
+        from scipy.ndimage import maximum_filter1d  # slow to import, and few commands need it
 
         lag, step = self.follower.lag_s, float(self.time_s[1] - self.time_s[0])
         before, after = (ceil(lags * lag / step) for lags in (BEFORE, AFTER))
@@ -345,7 +345,7 @@ class Strays:
         return np.asarray(np.interp(places_s, self.time_s, most))
 
     def due(self, block: TrajectoryBlock, places_s: FloatArray) -> FloatArray:
-        """Return the (n,) logarithms by which the accelerations at some places are to change."""
+        """Return the (n,) logarithms by which to change the accelerations at some times."""
         step = float(self.time_s[1] - self.time_s[0])
         most = np.log(np.maximum(self.worst(self.time_s) / _AIM, _LEAST_SHARE))
         inside = (self.time_s >= block.start_s[0]) & (self.time_s <= block.end_s)
@@ -359,7 +359,7 @@ class Strays:
             self.follower.swing(step),
             _AIM * self.follower.tolerance_m,
         )
-        # Where something is too much, only what adds to it is tightened, and nothing is eased.
+        # Where an error exceeds the tolerance, only its causes are tightened, and nothing is eased.
         change = np.where(most > 0.0, -_TIGHTENED * blame, -_EASED * most)
         return np.asarray(np.interp(places_s, self.time_s, change))
 
@@ -367,7 +367,7 @@ class Strays:
 def tangents(elements: Elements, radius_m: FloatArray) -> FloatArray:
     """Return the (n, axes) directions from start to end of each element, at the tool.
 
-    The way gone is no axis of them, where it is the last of the elements.
+    If the last axis is the travelled path length, it is left out.
     """
     way = elements.c[:, 1:, : len(radius_m)].sum(axis=1) * radius_m
     size = np.linalg.norm(way, axis=1, keepdims=True)

@@ -1,21 +1,22 @@
-"""How far loads stray from their path, as linear functions of the timing.
+"""Deviation of loads from their path, as linear functions of the timing.
 
-A load is where the taps of its loop put what it was told over the last ticks. Where an element
-takes longer by some time, all that is told after it comes later by that time: what a tap weighs
-then falls by the speed of that instant. The place of the path that the load is held against comes
-later, too; what both have in common takes no load off the path. So with taps h, told speed v, the
-load seen at t and its place at t', an error along the unit vector n changes by
+The taps of a loop give the load position as a weighted mean of the commands of the last ticks. If
+an element takes longer by some time, all later commands come later by that time, and a tap's
+contribution falls by the commanded speed at its instant. The point of the path that the load is
+compared with comes later, too; a common delay takes no load off the path. So with taps h, commanded
+speed v, the load seen at t and its matching point at t', an error along the unit vector n changes
+by
 
     n . sum_j h_j v(t - j T) (D(t') - D(t - j T)),
 
-where D(t) is the sum of what is added to the elements before t.
+where D(t) is the total time added to the elements before t.
 
-Guards bound accelerations and stand for what the loops make of them: of the right size, and not
-exact. From a motion that was found with them, the same barrier goes on with the errors themselves
-(``stray_rows``) in their place. These rows are as long as the memory of a loop, so that the matrix
-of a step is no longer narrow: it is one that is, with some hundred rows beside it, and solved by
-the formula of Woodbury. Rows are of the largest errors and of some between them; what strays too
-far beside them is slowed for. A run with too many of both keeps its guards.
+Guards bound accelerations in place of the loops' real response: approximate, not exact. From a
+motion found with guards, the same barrier method continues with the errors themselves
+(``stray_rows``). These rows are as long as the memory of a loop, so that the matrix of a step is a
+banded one plus some hundred dense rows, solved with the Woodbury formula. Rows are made for the
+largest errors and some between them; other errors that exceed the tolerance slow the motion. A run
+with too many rows keeps its guards.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -55,7 +56,7 @@ class Rows:
     weights
         (m, n + 2) shares of the tolerance for a unit of each coefficient.
     share
-        (m,) of the tolerance, as it is.
+        (m,) shares of the tolerance at present.
     """
 
     weights: FloatArray
@@ -70,11 +71,11 @@ def stray_rows(
     Parameters
     ----------
     solution, block
-        The motion, and the same in time.
+        The motion as elements, and as polynomials in time.
     strays
-        What its loads make of it; the errors of the places are not 0.
+        Deviations of its loads; the errors at the chosen points are not 0.
     chosen
-        (m,) indices of places.
+        (m,) indices of points.
     """
     follower = strays.follower
     tau = (solution.y**-0.5).mean(axis=1)
@@ -102,7 +103,7 @@ def stray_rows(
 
 
 def _taps(follower: Follower) -> list[tuple[float, FloatArray]]:
-    """Return the tick and the taps of each axis; one tap where it is where it is told to be."""
+    """Return the tick and the taps of each axis; a single tap for an axis without a lag."""
     return [
         (0.0, np.ones(1)) if answer is None else (answer.period_s, answer.taps)
         for answer in follower.answers
@@ -111,7 +112,7 @@ def _taps(follower: Follower) -> list[tuple[float, FloatArray]]:
 
 @njit()
 def _passed(weight, times_s, start, tau):
-    """Return (m, n) sums of (m, t) weights times the share of an element passed at rising times."""
+    """Return (m, n) sums of (m, t) weights times the share of an element passed by each time."""
     many, width = weight.shape
     out = np.empty((many, len(start)))
     mass, moment = np.zeros(width + 1), np.zeros(width + 1)
@@ -131,7 +132,7 @@ def _passed(weight, times_s, start, tau):
 
 
 def _by_coefficients(by_y: FloatArray, length: FloatArray) -> FloatArray:
-    """Return (m, n + 2) derivatives by b of what has (m, n, 3) derivatives by y."""
+    """Return (m, n + 2) derivatives by b from (m, n, 3) derivatives by y."""
     n = len(length)
     before = np.concatenate([[0.0], length[:-1]])
     after = np.concatenate([length[1:], [0.0]])
@@ -144,38 +145,38 @@ def _by_coefficients(by_y: FloatArray, length: FloatArray) -> FloatArray:
     return out
 
 
-_POLISHED_MOST = 1_000_000  # rows times elements
-_POLISHED_ROUNDS = 24
-_IDLE = 3  # rounds without much gain, after which no further one is made
+_MOST_CONSTRAINT_ENTRIES = 1_000_000  # rows times elements
+_MOST_ROUNDS_OF_ROWS = 24
+_IDLE = 3  # rounds without much gain, after which the search stops
 _ENOUGH = 5e-4  # of the duration: a smaller gain is not much
-_NEAR = 0.6  # of the tolerance: a larger error has a row, where it is the largest about it
-_EVERY = (1, 3, 5)  # of other large errors one in so many; ticks have 4 places: all phases of them
-_FEW = 5e7  # square of rows times elements, what a step takes: above it rows are of fewer errors
+_NEAR = 0.6  # of the tolerance: a larger error that is a local maximum gets a row
+_EVERY = (1, 3, 5)  # one in so many of other large errors; ticks have 4 points: all phases occur
+_FEW = 5e7  # rows squared times elements, the cost of a step; above it fewer errors get rows
 _AIM = 0.995  # of the tolerance
-_LITTLE = 1.1  # of the tolerance: with more a motion is not worth to be slowed for it
-_SLOWER, _BY_SHARE, _SLOWED_ROUNDS = 1.0001, 0.35, 8  # and by how much it is, at a time
+_LITTLE = 1.1  # of the tolerance: with more it is not worthwhile to slow a motion
+_SLOWER, _BY_SHARE, _SLOWED_ROUNDS = 1.0001, 0.35, 8  # factors of slowing per round, and rounds
 _LEAST_ROOM = 2e-3  # of the tolerance, where a row begins
-_FASTER = 1.2  # of x, in one round: the rows are of where it was
+_FASTER = 1.2  # of x, in one round: the rows are linearised at the old x
 _MOST_SLOWER = 0.3  # of x
 _WEIGHTS = (3e-2, 3e-3, 1e-3)  # of the barrier, over all slacks, as shares of the duration
 _STEPS = 40  # at one weight
 _CENTRED = 0.5  # decrement in units of the weight, at which the weight falls
-_NEAR_LIMIT = 0.9  # of the way to the nearest row
+_NEAR_LIMIT = 0.9  # of the distance to the nearest row
 
 
 def polished(
     problem: Problem, block: TrajectoryBlock, limits: Limits, follower: Follower, past: Past
 ) -> TrajectoryBlock:
-    """Return a faster motion that loads follow, ``block`` where none is found.
+    """Return a faster motion that the loads follow; ``block`` if none is found.
 
     Parameters
     ----------
     problem
-        Where the search for ``block`` ended; it loses its guards.
+        End of the search for ``block``; its guards are removed.
     block
         A motion whose loads keep the tolerance of the follower.
     limits, past
-        Of axes and drives; the motion before it.
+        Limits of axes and drives; the motion before it.
     """
     begin_s = float(block.start_s[0])
     best, least_s, idle = block, np.inf, 0
@@ -183,20 +184,20 @@ def polished(
     problem.regard(
         replace(at, guard=at.guard[:, :, :0], guard_cap=np.full(len(at), np.inf)),
     )
-    for _ in range(_POLISHED_ROUNDS):
+    for _ in range(_MOST_ROUNDS_OF_ROWS):
         solution = problem.solution()
         now = in_time(solution, limits, begin_s)
         strays = follower.strays(past, now)
         kept = _kept(now, float(strays.share.max()), follower, past)
         enough_s = _ENOUGH * (best.end_s - begin_s)
-        # Where it goes on to be faster, slowing may gain later what it does not yet.
+        # Gains may come in later rounds, so slowing may pay off later.
         idle = 0 if now.end_s < least_s - enough_s else idle + 1
         least_s = min(least_s, now.end_s)
         if kept is not None and kept.end_s < best.end_s:
             idle = 0 if kept.end_s < best.end_s - enough_s else idle
             best = kept
         chosen = _chosen(strays.share, len(at))
-        if idle == _IDLE or len(chosen) * len(at) > _POLISHED_MOST:
+        if idle == _IDLE or len(chosen) * len(at) > _MOST_CONSTRAINT_ENTRIES:
             break
         _descend(problem, stray_rows(solution, now, strays, chosen))
     return best
@@ -205,9 +206,9 @@ def polished(
 def _kept(
     block: TrajectoryBlock, share: float, follower: Follower, past: Past
 ) -> TrajectoryBlock | None:
-    """Return the motion, slowed evenly where its loads stray a little too far by ``share``.
+    """Return the motion, slowed evenly if its loads exceed the tolerance slightly, by ``share``.
 
-    The rows are of where the motion was, so that most rounds end with some of a hundredth too much.
+    The rows are linearised, so most rounds end with an excess of about a hundredth.
     """
     for _ in range(_SLOWED_ROUNDS):
         if share <= 1.0 or share > _LITTLE:
@@ -218,7 +219,7 @@ def _kept(
 
 
 def _chosen(share: FloatArray, elements: int) -> IntArray:
-    """Return the places of the errors that have rows: as many as are quickly solved with."""
+    """Return the points whose errors get rows: as many as can be solved quickly."""
     inside = np.concatenate([[-np.inf], share, [-np.inf]])
     peak = (share >= inside[:-2]) & (share > inside[2:])
     number = np.arange(len(share))
@@ -235,7 +236,7 @@ def _descend(problem: Problem, rows: Rows) -> None:
     length = at.length
     problem.limit(replace(at, guard_cap=_FASTER * bernstein(problem.b, length).max(axis=1)))
     was = problem.b.copy()
-    room = _polished_slowed(problem, rows)
+    room = _slowed_near_rows(problem, rows)
     slacks = problem.slacks + len(room)
     for share in _WEIGHTS:
         weight = share * float(barrier.duration(problem.b, length)) / slacks
@@ -253,11 +254,11 @@ def _descend(problem: Problem, rows: Rows) -> None:
     problem.limit(at)
 
 
-def _polished_slowed(problem: Problem, rows: Rows) -> FloatArray:
-    """Slow the motion evenly until every row has room; return the (m,) rooms from where it was.
+def _slowed_near_rows(problem: Problem, rows: Rows) -> FloatArray:
+    """Slow the motion evenly until every row has room; return the (m,) rooms from the old motion.
 
-    All that a motion uses of its limits falls with x, and so do most errors; one that does not is
-    allowed what it has.
+    All limits of a motion use less as x falls, and so do most errors; an error that does not shrink
+    keeps its value as its limit.
     """
     falls = rows.weights @ problem.b
     room = _AIM - rows.share
@@ -272,7 +273,7 @@ def _polished_slowed(problem: Problem, rows: Rows) -> FloatArray:
 def _newton(
     problem: Problem, weights: FloatArray, slack: FloatArray, weight: float
 ) -> tuple[FloatArray, float]:
-    """Return the step that rows of (m,) ``slack`` leave of Newton's, and its decrement."""
+    """Return Newton's step for rows with (m,) ``slack``, and its decrement."""
     matrix, g = barrier.derivatives(
         problem.b, problem.elements.length, problem.rows, problem.tangent, weight
     )
@@ -293,13 +294,13 @@ def _newton(
     return step, -float(g @ step)
 
 
-_LEAST, _FOLLOWING_ERROR_MOST = 0.02, 100.0  # of an ease
+_LEAST, _MOST = 0.02, 100.0  # of an ease
 _LEAST_USED = 0.5
 _MOST_CHANGE = 1.1  # of the logarithm of a guard, in one round
 _GAP = 1e-3  # of the duration
 _FOLLOWING_ERROR_ROUNDS, _SLOWER_ROUNDS = 6, 10
-_SLOWED = 1.3  # power of what is too much, by which a place is slowed
-_LONGER, _MOST_LONGER, _LONGEST = 1.01, 1.5, 10  # steps by which a whole run is slowed; how often
+_SLOWED = 1.3  # exponent on the excess share, by which a place is slowed
+_LONGER, _MOST_LONGER, _LONGEST = 1.01, 1.5, 10  # steps of slowing a whole run; number of rounds
 
 
 def followed(
@@ -307,14 +308,14 @@ def followed(
 ) -> TrajectoryBlock:
     """Return the fastest motion of a run that its loads follow within the follower's tolerance.
 
-    The steady error of each acceleration is a guard of the timing. What the loops really make of
-    the motion is then worked out, and the guards are eased or tightened where it says so. Where
-    the loads still stray too far after some rounds, the motion is slowed about that place.
+    The steady error of each acceleration is a guard of the timing. The loops' real response is then
+    computed, and guards are eased or tightened accordingly. If the loads still exceed the tolerance
+    after some rounds, the motion is slowed around that place.
 
     Raises
     ------
     PlanError
-        If the loads are not within the tolerance however slow the run is.
+        If the loads exceed the tolerance however slow the run is.
     """
     ease, straight, most = np.ones(len(elements)), np.ones(len(elements)), None
     problem = Problem(follower.guarded(elements, ease, straight), limits)
@@ -338,10 +339,10 @@ def followed(
             fresh = straightness(middles, elements, follower)
             straight = 0.5 * (straight[at] + fresh) if number else fresh
             due = np.clip(strays.due(block, begin_s + middles), -_MOST_CHANGE, _MOST_CHANGE)
-            # A guard that nothing reaches is tightened from where it would bite.
+            # An inactive guard is tightened from where it would become active.
             bites = np.clip(problem.guards_used(), _LEAST_USED, 1.0)
             ease = ease[at] * np.exp(due) * np.where(due < 0.0, bites, 1.0)
-            ease = np.clip(ease, _LEAST, _FOLLOWING_ERROR_MOST)
+            ease = np.clip(ease, _LEAST, _MOST)
         else:
             over = strays.worst(begin_s + middles)
             ease, straight = ease[at], straight[at]
@@ -352,13 +353,13 @@ def followed(
 
 
 def _slowed_where_loads_stray(known: FloatArray, x: FloatArray, over: FloatArray) -> FloatArray:
-    """Return the (n,) caps ``known``, lowered below ``x`` where the share ``over`` is above 1."""
+    """Return the (n,) caps ``known``, lowered below ``x`` where the share ``over`` exceeds 1."""
     lower = np.minimum(known, x * np.maximum(over, 1.0) ** -_SLOWED)
     return np.where(over > 1.0, lower, known)
 
 
 def _whose(coarse: Elements, fine: Elements) -> IntArray:
-    """Return the (n,) elements of ``coarse`` in which those of ``fine`` lie."""
+    """Return the (n,) elements of ``coarse`` that contain those of ``fine``."""
     ends = np.cumsum(coarse.length)
     middles = np.cumsum(fine.length) - 0.5 * fine.length
     return np.minimum(np.searchsorted(ends, middles), len(coarse) - 1)
@@ -385,12 +386,12 @@ def middles_s(solution: Solution) -> FloatArray:
 
 
 def straightness(middles: FloatArray, elements: Elements, follower: Follower) -> FloatArray:
-    """Return the (n,) share of an error along the path that stays along it while it is seen.
+    """Return the (n,) share of an error along the path that stays along it while it shows.
 
     Parameters
     ----------
     middles
-        (n,) when the motion is in the middle of each element, s.
+        (n,) time at the middle of each element, s.
     """
     lag = follower.lag_s
     return np.asarray(

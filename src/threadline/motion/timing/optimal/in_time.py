@@ -11,12 +11,12 @@ from threadline.base.arrays import FloatArray
 from threadline.motion.timing.optimal.along_path import across, true_shares
 from threadline.motion.timing.optimal.elements import restricted
 from threadline.motion.timing.optimal.motion_limits import Limits
-from threadline.motion.timing.optimal.rows import asked as asked_of_sides
+from threadline.motion.timing.optimal.rows import used_shares
 from threadline.motion.timing.optimal.solve import Solution
 from threadline.motion.timing.types import TrajectoryBlock
 
 _ORDER = 6
-_WITHIN = 1.0  # of a limit: a polynomial in time that has more is cut in two
+_WITHIN = 1.0  # of a limit: a polynomial in time that exceeds it is cut in two
 _CUTS = 6
 # Nodes and weights of Gauss and Legendre on [0, 1]: y changes little within an element.
 _NODES, _WEIGHTS = (0.5 * (1.0 + np.polynomial.legendre.leggauss(6)[0]),
@@ -27,28 +27,28 @@ _SHARES = np.stack([(1.0 - _NODES) ** 2, 2.0 * _NODES * (1.0 - _NODES), _NODES**
 def in_time(solution: Solution, limits: Limits, begin_s: float = 0.0) -> TrajectoryBlock:
     """Return the motion as polynomials of fifth degree in time, from ``begin_s`` on.
 
-    Each has the position, velocity and acceleration of the motion at both ends; where one of them
+    Each has the position, velocity and acceleration of the motion at both ends; if one of them
     would exceed a limit in between, it is cut in two. If some still do after a few cuts the whole
     motion is slowed evenly, as a motion from rest to rest may be.
     """
-    return _told(solution, limits, begin_s, np.inf)[0]
+    return _stretched_motion(solution, limits, begin_s, np.inf)[0]
 
 
 def as_it_is(
     solution: Solution, limits: Limits, begin_s: float, most: float
 ) -> TrajectoryBlock | None:
-    """Return the motion of a part of a run as ``in_time`` does: nothing of it may be slowed.
+    """Return the motion of a part of a run as ``in_time`` does, but without slowing it.
 
-    None where it would have to be made longer by more than a share ``most``.
+    None if it would have to be stretched by more than a share ``most``.
     """
-    block, factor = _told(solution, limits, begin_s, 1.0)
+    block, factor = _stretched_motion(solution, limits, begin_s, 1.0)
     return block if factor <= 1.0 + most else None
 
 
-def _told(
+def _stretched_motion(
     solution: Solution, limits: Limits, begin_s: float, most: float
 ) -> tuple[TrajectoryBlock, float]:
-    """Return the motion, made longer ``most`` times at most, and how many times it should be."""
+    """Return the motion, stretched at most by the factor ``most``, and the factor it needs."""
     elements, y = solution.elements, solution.y
     c, operation = elements.c, elements.operation
     done: list[tuple[FloatArray, FloatArray, FloatArray]] = []
@@ -70,7 +70,7 @@ def _told(
     due = _stretch(coefficients, duration_s, limits)
     duration_s = duration_s * min(due, most)
     if limits.along is not None:
-        # The way gone was one of the axes: it is dropped, and what it is in truth is held.
+        # Drop the travelled path length, which was one of the axes, and check its true value.
         coefficients = coefficients[:, :, :-1]
         used = true_shares(coefficients, duration_s, limits.along)
         more = max(1.0, *(share ** (1.0 / k) for k, share in enumerate(used, 1)))
@@ -103,7 +103,7 @@ def _hermite(c: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (n, 6, axes) polynomials over [0, 1] of a piece's time, and (n,) durations, s.
 
     ``c`` are the coefficients of the pieces of the path. ``y`` are (n, 3) Bernstein coefficients of
-    the square of the speed along each: weighted sums of them are above 0, however they are rounded.
+    the squared speed along each: weighted sums of them stay positive under rounding.
     """
     duration_s = ((y @ _SHARES) ** -0.5) @ _WEIGHTS
     number = np.arange(_ORDER)[:, None]
@@ -162,7 +162,7 @@ def _stretch(coefficients: FloatArray, duration_s: FloatArray, limits: Limits) -
 def _shares(
     coefficients: FloatArray, duration_s: FloatArray, limits: Limits
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Yield orders of derivatives and (n,) bounds of the shares of their limits."""
+    """Yield orders of derivatives and (n,) bounds of the used shares of their limits."""
     rates = [coefficients]
     largest = limits.largest_acceleration
     for order, limit in enumerate((limits.velocity, largest, limits.jerk), start=1):
@@ -173,14 +173,14 @@ def _shares(
     time_s = duration_s[:, None, None]
     if limits.deceleration is not None:
         pushes = _bernstein(acceleration) / time_s**2
-        yield 2, asked_of_sides(_bernstein(velocity), pushes, limits.sides).max(axis=1)
+        yield 2, used_shares(_bernstein(velocity), pushes, limits.sides).max(axis=1)
     if limits.along is not None and np.isfinite(limits.along.centripetal):
         bent = across(coefficients[:, :, :-1] * limits.along.radius_m)
         yield 2, bent / (limits.along.centripetal * duration_s**2)
     for demand in limits.demand:
         asked = velocity * (demand[:, 0] / time_s)
         asked[:, :-1] += acceleration * (demand[:, 1] / time_s**2)
-        # Slower by some factor, a demand falls by that factor at least.
+        # Slowing by a factor lowers a demand at least by that factor.
         yield 1, _hull(asked).max(axis=1)
 
 
@@ -202,7 +202,7 @@ def _bernstein(power: FloatArray) -> FloatArray:
 
 
 def slowed(block: TrajectoryBlock, by: float) -> TrajectoryBlock:
-    """Return a motion that begins when ``block`` does and takes ``by`` times as long, evenly."""
+    """Return the motion of ``block`` slowed evenly, ``by`` times as long, with the same start."""
     begin_s = float(block.start_s[0])
     return replace(
         block,

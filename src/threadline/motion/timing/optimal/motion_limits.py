@@ -1,4 +1,4 @@
-"""What axes, drives and the tool may do."""
+"""Limits of axes, drives and the tool."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from threadline.errors import PlanError
 from threadline.machine import Machine
 from threadline.motion.timing.optimal.along_path import AlongPath
 
-_LEAST_RAMP = 0.02  # of the time to the velocity's limit at that of the acceleration
+_LEAST_RAMP = 0.02  # of the time from rest to the velocity limit at the acceleration limit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What the axes may do.
+    """Limits of the axes.
 
     Parameters
     ----------
     velocity, acceleration, jerk
         (axes,); a jerk may be infinite.
     demand
-        (m, axes, 2) share of what the drive of an axis has to give (volts, current) that 1 m/s,
-        and 1 m/s^2, of it needs; 0 for none. At an acceleration of its limit and no velocity, no
-        demand may be above 1.
+        (m, axes, 2) share of its drive's output (volts, current) that an axis needs for 1 m/s, and
+        for 1 m/s^2; 0 for none. At the acceleration limit and zero velocity, no demand may exceed
+        1.
     deceleration
-        (axes,) what an axis may brake with, where that is another limit than ``acceleration``.
+        (axes,) braking limits, if they differ from ``acceleration``.
     along
-        What the tool may do along its path and across it.
+        Limits of the tool along its path and across it.
     """
 
     velocity: FloatArray
@@ -52,7 +52,7 @@ class Limits:
         return np.maximum(*self.sides)
 
     def with_length(self) -> Limits:
-        """Return the limits with those along the path as of one more axis: the way gone."""
+        """Return the limits with those along the path as one more axis: the travelled length."""
         if self.along is None:
             return self
         own = self.along
@@ -69,21 +69,21 @@ class Limits:
         )
 
     def ramp_s(self, fastest: FloatArray) -> float:
-        """Return the time that the jerk takes to the limit of acceleration or velocity, about.
+        """Return the approximate time of the jerk phase to the acceleration or velocity limit.
 
-        It is that of the axis with the shortest, and no longer than any axis needs to the velocity
-        that it reaches: a limit of velocity far above changes nothing.
+        It is the shortest of all axes, and no longer than any axis needs to reach its velocity: a
+        velocity limit far above that changes nothing.
 
         Parameters
         ----------
         fastest
-            (axes,) velocities that the motion reaches.
+            (axes,) largest velocities of the motion.
         """
         to_limits = np.nanmin(self._ramps_s(self.velocity))
         return float(min(to_limits, np.nanmax(self._ramps_s(fastest))))
 
     def _ramps_s(self, velocity: FloatArray) -> FloatArray:
-        """Return how long the jerk of each axis takes, NaN for an axis that has no limit at all."""
+        """Return the jerk time of each axis, NaN for an axis without any limit."""
         with np.errstate(invalid="ignore"):
             by_jerk = np.fmin(self.acceleration / self.jerk, np.sqrt(velocity / self.jerk))
             by_acceleration = _LEAST_RAMP * velocity / self.acceleration
@@ -91,20 +91,20 @@ class Limits:
 
 
 RESERVE = 0.1
-"""Of volts and current, for the loop, where the machine file says nothing else."""
+"""Share of voltage and current kept for the loop, unless the machine file gives another."""
 _UNITS = ("V at the controller", "V", "A")
 
 
 def axis_limits(
     machine: Machine, axes: tuple[str, ...], radius_m: FloatArray | None = None
 ) -> Limits:
-    """Return what axes and tool may do, whatever the drives can give.
+    """Return the limits of axes and tool, without those of the drives.
 
     Parameters
     ----------
     radius_m
-        (axes,) length at the tool of one unit of each axis, for limits along the path; those of
-        the machine when left out.
+        (axes,) length at the tool of one unit of each axis, for limits along the path; by default
+        the machine's.
     """
     column = [machine.axis_names.index(axis) for axis in axes]
     speeding, braking = (limit[column] for limit in machine.sides)
@@ -118,7 +118,7 @@ def axis_limits(
 
 
 def along_of(machine: Machine, radius_m: FloatArray) -> AlongPath | None:
-    """Return what the tool of a machine may do along its path, None where nothing limits it."""
+    """Return the limits of a machine's tool along its path, None without any."""
     own = machine.path
     if own is None:
         return None
@@ -143,10 +143,10 @@ def limits_of(
     *,
     of_loads: bool = False,
 ) -> Limits:
-    """Return what axes and tool may do: their own limits, and what their drives can give.
+    """Return the limits of axes and tool, including those of their drives.
 
     A drive gives the current that its bodies need, with all links rigid, and the voltage for it;
-    sliding friction is taken from both beforehand, and so is the reserve for the loop.
+    sliding friction is subtracted from both beforehand, and so is the reserve for the loop.
 
     Parameters
     ----------
@@ -154,13 +154,13 @@ def limits_of(
         As for ``axis_limits``.
     of_loads
         Whether loads follow the motion, by feed-forward. The voltage is then held over each tick,
-        while the back EMF rises: the current is largest at the beginning of the tick. Where
-        motors follow the motion, the loops smooth this peak.
+        while the back EMF rises: the current is largest at the beginning of the tick. If motors
+        follow the motion, the loops smooth this peak.
 
     Raises
     ------
     PlanError
-        If friction and reserve leave a drive nothing to move with.
+        If friction and reserve leave a drive no output to move with.
     """
     own = axis_limits(machine, axes, radius_m)
     demand = demands_of(machine, axes, of_loads=of_loads)
@@ -184,17 +184,17 @@ def reserve_of(machine: Machine, axis: str) -> float:
 def demands_of(machine: Machine, axes: tuple[str, ...], *, of_loads: bool = False) -> FloatArray:
     """Return (3, axes, 2) the shares of its limits that an axis needs for 1 m/s and for 1 m/s^2.
 
-    The limits are those of the controller's output, of the winding's voltage and of its current,
-    less what friction takes and the reserve keeps; ``of_loads`` is as for ``limits_of``.
+    The limits are the controller's output, the winding's voltage and its current, less friction and
+    reserve; ``of_loads`` is as for ``limits_of``.
 
     Raises
     ------
     PlanError
-        If friction and reserve leave a drive nothing to move with.
+        If friction and reserve leave a drive no output to move with.
     """
     demand = np.zeros((len(_UNITS), len(axes), 2))
     for k, axis in enumerate(axes):
-        if machine.axes[axis].drive:  # told positions: its torque is judged
+        if machine.axes[axis].drive:  # a position interface: its torque is judged
             continue
         reserve = reserve_of(machine, axis)
         for m, (limit, (still, speed, push)) in enumerate(_needs(machine, axis, of_loads)):

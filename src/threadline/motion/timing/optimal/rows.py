@@ -5,13 +5,13 @@ On an element y is a quadratic with Bernstein coefficients y0, y1, y2. The accel
 ``l = q_uuu y + 3/2 q_uu y' + q_u y'' / 2``; the jerk is ``sqrt(y) l``. Bernstein coefficients bound
 a polynomial everywhere on the element: no sampling enters these bounds.
 
-What a drive must give, ``k_v v + k_a a``, has the velocity ``q_u sqrt(y)`` in it. Where it adds to
-the demand, sqrt(y) lies under each of its tangents ``1 / (2 r) + r y / 2``; where it takes from it,
-the demand is less than that of the acceleration alone, which the limit of the acceleration covers.
+The demand on a drive, ``k_v v + k_a a``, contains the velocity ``q_u sqrt(y)``. Where it adds to
+the demand, sqrt(y) lies under each of its tangents ``1 / (2 r) + r y / 2``; where it reduces it,
+the demand is less than that of the acceleration alone, which the acceleration limit covers.
 
-Where the velocity of an axis keeps its sign within an element, its acceleration in that direction
-speeds it up and the other one brakes it; where it turns back, the lower limit holds both ways. The
-rows of the accelerations hold the higher limit, and those here the lower one.
+If the velocity of an axis keeps its sign within an element, an acceleration in that direction
+speeds it up and the opposite one brakes it; if it turns back, the lower limit holds both ways. The
+acceleration rows keep the higher limit, and the braking rows here the lower one.
 """
 # mypy: disable-error-code="no-untyped-def,untyped-decorator"
 
@@ -62,12 +62,15 @@ def _fastest(c, j, degree):
     for k in range(degree):
         slope[k] = (k + 1) * c[k + 1, j]
     bernstein_of(slope, degree - 1, one)
-    return np.abs(one).max()
+    most = 0.0
+    for k in range(ORDER):  # of an array, max() and min() take as long to compile as this function
+        most = max(most, abs(one[k]))
+    return most
 
 
 @njit()
 def acceleration_rows(c, j, degree, limit, out):
-    """Write the rows of one curved axis; return how many: its degree and one more, made odd."""
+    """Write the rows of one curved axis; return their number: its degree plus 1, made odd."""
     odd = 3 if degree <= 3 else 5
     power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
     for m in range(3):
@@ -88,7 +91,7 @@ def acceleration_rows(c, j, degree, limit, out):
 
 @njit()
 def _jerk_rows(c, j, degree, limit, out, points):
-    """Write the rows of one curved axis and the weights that they stand against."""
+    """Write the rows of one curved axis and the weights on their right side."""
     even = 2 if degree <= 3 else 4
     power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
     for m in range(3):
@@ -117,7 +120,7 @@ def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
     """Write the rows of one element; return their numbers and the largest y.
 
     ``acc[i] . y`` and ``jerk[i] . y`` are shares of the limits; ``points[i]`` names the row of
-    ``WEIGHTS`` that gives the Bernstein coefficient of y that stands against row i of the jerk.
+    ``WEIGHTS`` for the Bernstein coefficient of y on the right side of row i of the jerk.
     """
     top = np.inf
     n_acc, n_jerk = 0, 0
@@ -154,18 +157,19 @@ def rows_of(c, guard, limit_v, limit_a, limit_j, acc, jerk, points):
 
 @njit()
 def _demand_rows(c, j, degree, share_v, share_a, out):
-    """Write the rows of what one drive must give for one axis; return how many.
+    """Write the rows of one drive's demand for one axis; return their number.
 
-    A row is seven numbers: what multiplies y0, y1, y2 by itself, what multiplies them with the
-    tangent's slope, and what stands with its constant.
+    A row is seven numbers: the factors of y0, y1, y2, their factors with the tangent's slope, and
+    the factor of its constant.
     """
     top = 2 if degree == 1 else degree + 1
     power, one = np.zeros(ORDER + 2), np.zeros(ORDER + 2)
     for k in range(1, degree + 1):
         power[k - 1] = share_v * k * c[k, j]
     bernstein_of(power, top, one)
-    low, high = one[: top + 1].min(), one[: top + 1].max()
+    low, high = one[0], one[0]
     for i in range(top + 1):
+        low, high = min(low, one[i]), max(high, one[i])
         out[i, 6] = one[i]
     for m in range(3):
         power[:] = 0.0
@@ -203,14 +207,14 @@ def _demand_rows(c, j, degree, share_v, share_a, out):
 
 @njit()
 def demand_rows(c, demand, limit_a, top):
-    """Return the rows of all drives, and where those of each element begin.
+    """Return the rows of all drives, and the first row of each element.
 
     Parameters
     ----------
     demand
-        (m, axes, 2) share of what a drive has to give that 1 m/s, and 1 m/s^2, of an axis needs.
+        (m, axes, 2) share of a drive's output that an axis needs for 1 m/s, and for 1 m/s^2.
     limit_a
-        (axes,) limits of acceleration, within which a demand without velocity is below 1.
+        (axes,) acceleration limits, within which a demand without velocity is below 1.
     top
         (n,) largest y.
     """
@@ -234,7 +238,7 @@ def demand_rows(c, demand, limit_a, top):
                 rows = _demand_rows(c[i], j, degree, share_v, share_a, own)
                 if used + rows > len(out):
                     grown = np.zeros((2 * len(out) + rows, 7))
-                    for i_row in range(used):  # no slices: their assignment takes long to compile
+                    for i_row in range(used):  # no slices: assigning them takes long to compile
                         for a in range(7):
                             grown[i_row, a] = out[i_row, a]
                     out = grown
@@ -265,30 +269,33 @@ def assemble(c, guard, limit_v, limit_a, limit_j, cap):
     return acc, jerk, points, count, top
 
 
-_COLUMNS = 7  # of a row of a drive, whose last four stand with the tangent of a velocity
+_COLUMNS = 7  # of a row of a drive; the last four multiply the tangent of a velocity
 
 
 @njit()
 def direction_of(c, j):
-    """Return 1 where axis ``j`` nowhere goes back, -1 where it nowhere goes on, else 0."""
+    """Return 1 if axis ``j`` never goes back, -1 if it never goes forward, else 0."""
     degree = degree_of(c, j)
     slope, one = np.zeros(ORDER), np.zeros(ORDER)
     for k in range(degree):
         slope[k] = (k + 1) * c[k + 1, j]
     bernstein_of(slope, degree - 1, one)
-    if one.min() >= 0.0:
+    low, high = one[0], one[0]
+    for k in range(1, ORDER):
+        low, high = min(low, one[k]), max(high, one[k])
+    if low >= 0.0:
         return 1.0
-    return -1.0 if one.max() <= 0.0 else 0.0
+    return -1.0 if high <= 0.0 else 0.0
 
 
 @njit()
 def with_braking(drive, begin, c, speeding, braking):
-    """Return the rows of the drives with those of the lower limits, and where each element begins.
+    """Return the rows of the drives with those of the lower limits, and each element's first row.
 
     Parameters
     ----------
     drive, begin
-        As of ``demand_rows``.
+        From ``demand_rows``.
     speeding, braking
         (axes,) limits of the acceleration that makes an axis faster, and slower.
     """
@@ -299,7 +306,7 @@ def with_braking(drive, begin, c, speeding, braking):
     used = 0
     for i in range(n):
         for k in range(begin[i], begin[i + 1]):
-            for a in range(_COLUMNS):  # an assignment of the row takes seconds to compile
+            for a in range(_COLUMNS):  # assigning the row takes seconds to compile
                 out[used, a] = drive[k, a]
             used += 1
         for j in range(axes):
@@ -308,7 +315,7 @@ def with_braking(drive, begin, c, speeding, braking):
                 continue
             least = min(speeding[j], braking[j])
             rows = acceleration_rows(c[i], j, degree, least, own)
-            # Against the motion where braking is the weaker, with it where speeding up is.
+            # Against the motion if braking is weaker, with it if speeding up is.
             side = direction_of(c[i], j) * (1.0 if speeding[j] < braking[j] else -1.0)
             for sign in (1.0, -1.0):
                 if side * sign < 0.0:
@@ -323,7 +330,7 @@ def with_braking(drive, begin, c, speeding, braking):
 
 @njit()
 def braking_shares(c, y, speeding, braking, places):
-    """Return the (n, places, axes) shares of the limit of its side that each acceleration uses."""
+    """Return the (n, places, axes) used shares of the limit on the side of each acceleration."""
     n, axes = len(c), c.shape[2]
     out = np.zeros((n, len(places), axes))
     for i in range(n):
@@ -342,17 +349,17 @@ def braking_shares(c, y, speeding, braking, places):
     return out
 
 
-def asked(
+def used_shares(
     velocity: FloatArray, push: FloatArray, limits: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """Return (n, axes) bounds of the shares of the limits, from Bernstein coefficients.
+    """Return (n, axes) bounds of the used shares of the limits, from Bernstein coefficients.
 
     Parameters
     ----------
     velocity, push
         (n, order, axes) coefficients of velocities and accelerations.
     limits
-        (axes,) of speeding up, and of braking.
+        (axes,) limits of speeding up, and of braking.
     """
     speeding, braking = limits
     least = np.minimum(speeding, braking)
@@ -367,8 +374,8 @@ def shares(c, guard, y, limit_v, limit_a, limit_j, demand, cap, places):
     """Return the (n, places, 3 axes + 1 + m + k) shares of the limits at ``places`` in [0, 1].
 
     Velocity, acceleration and jerk of the first axis, of the next, ..., the feed, the largest of
-    each of m demands on a drive, and each of k guards. The jerk at a node is that of the element
-    in hand.
+    each of m demands on a drive, and each of k guards. The jerk at a node is the jerk of the
+    present element.
     """
     n, axes = len(c), c.shape[2]
     behind = 3 * axes + 1
@@ -393,9 +400,9 @@ def shares(c, guard, y, limit_v, limit_a, limit_j, demand, cap, places):
                 jerk = root * (third * now + 1.5 * second * rate + 0.5 * first * bend)
                 out[i, k, 3 * j + 2] = abs(jerk) / limit_j[j]
                 for m in range(len(demand)):
-                    asked = demand[m, j, 0] * first * root
-                    asked += demand[m, j, 1] * (second * now + 0.5 * first * rate)
-                    out[i, k, behind + m] = max(out[i, k, behind + m], abs(asked))
+                    demanded = demand[m, j, 0] * first * root
+                    demanded += demand[m, j, 1] * (second * now + 0.5 * first * rate)
+                    out[i, k, behind + m] = max(out[i, k, behind + m], abs(demanded))
             out[i, k, 3 * axes] = root / np.sqrt(cap[i])
             for j in range(guard.shape[2]):
                 first, second = 0.0, 0.0

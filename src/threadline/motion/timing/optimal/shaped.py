@@ -1,4 +1,4 @@
-"""The pieces of a run, or of a part of one, as the elements that are solved for."""
+"""Pieces of a run, or of a part of one, converted to elements for the solver."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from threadline.motion.timing.pieces import factors, slope
 
 BoolArray: TypeAlias = NDArray[np.bool_]
 
-_TURNED = 1e-8  # of a line: by how much it may turn at its joint
-_AT_JERK = 0.87  # of the root of speed by jerk: a lead-in so long has room for twice the jerk
-_AT_SPEED = 0.1  # of the time until the axes have their speed: a lead-in lasts so long at it
+_TURNED = 1e-8  # of a line: largest turn at its joint
+_AT_JERK = 0.87  # of sqrt(speed / jerk): a lead-in this long has room for twice the jerk
+_AT_SPEED = 0.1  # of the run-up time of the axes: duration of a lead-in at speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shaped:
-    """Elements of consecutive pieces, and what is needed to go on behind them.
+    """Elements of consecutive pieces, and the data needed to continue after them.
 
     Parameters
     ----------
     elements
-        Of the pieces.
+        Elements of the pieces.
     length
-        (n,) of each piece in the common parameter, without what a lead-in adds.
+        (n,) of each piece in the common parameter, without a lead-in's extra length.
     last
         (1, order, axes) the last piece.
     ending
-        The last ``slow`` pieces once more, to a rest at their end; None where the motion rests
-        there anyway.
+        The last ``slow`` pieces again, to a rest at their end; None if the motion rests there
+        anyway.
     slow
-        How many pieces these are.
+        Number of these pieces.
     """
 
     elements: Elements
@@ -72,22 +72,22 @@ def shaped(
     dense: bool | None = None,
     slow: int = 1,
 ) -> Shaped | None:
-    """Return the elements of pieces; with limits along the path, the way gone is their last axis.
+    """Return the elements of pieces; with limits along the path, path length is their last axis.
 
-    None where nothing moves.
+    None if nothing moves.
 
     Parameters
     ----------
     limits
-        With those along the path as of one more axis.
+        Limits, with those along the path as one more axis.
     before
-        The pieces that go on into these; where there are none, the motion begins at rest.
+        The preceding pieces; without any, the motion begins at rest.
     to_rest
-        Whether it rests behind the last piece.
+        Whether it rests after the last piece.
     dense
-        Whether those that are curved are fine enough as they are; see ``elements_of``.
+        Whether curved pieces need no cut; see ``elements_of``.
     slow
-        From how many pieces at the end it can come to rest, where it does not anyway.
+        Number of pieces at the end in which it can come to rest, if it does not anyway.
     """
     if limits.along is not None:
         run = divided(run)
@@ -147,10 +147,10 @@ def shaped(
 def _beyond_rounding(
     run: PieceBlock, moves: BoolArray, radius_m: FloatArray, from_rest: bool, to_rest: bool
 ) -> BoolArray:
-    """Return ``moves`` without the pieces of no length beside a rest.
+    """Return ``moves`` without the pieces of negligible length beside a rest.
 
     Beside a chord of nanometres a spline has spans of femtometres: less than the rounding of a
-    position, and no motion from rest along them has digits.
+    position, so that a motion from rest along them has no valid digits.
     """
     long = np.abs(run.coefficients[:, 1:] * radius_m).sum(axis=1).max(axis=1) > COINCIDENT_M
     inner = moves.copy()
@@ -164,8 +164,9 @@ def _beyond_rounding(
 def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None) -> None:
     """Move the start of the first piece and the end of the last, in place: by 0.1 nm at most.
 
-    A piece is bent by its highest power of the way to its other end, so that it joins the next one
-    as smoothly as before. A line that hardly turns by it is moved at its end and stays a line.
+    A piece is bent by its highest power of the distance from its other end, so that it joins the
+    next one as smoothly as before. A line that hardly turns by it is moved at its end and stays a
+    line.
     """
     order, nothing = c.shape[1], np.zeros(c.shape[2])
     began = nothing if start is None else start - c[0, 0]
@@ -187,18 +188,18 @@ def _reach_ends(c: FloatArray, start: FloatArray | None, end: FloatArray | None)
 
 
 def _lead_share(rate: FloatArray, nominal_s: float, limits: Limits) -> float:
-    """Return what a lead-in may be of a piece: what is gone until the axes have their speed.
+    """Return the share of a piece for a lead-in: the distance until the axes reach their speed.
 
-    The speed is that of the feed, or of the limit of an axis. While the axes have not reached it,
-    neither binds. A lead-in that is much longer has a speed that its elements follow badly.
+    The speed is the feed's, or the limit of an axis. While the axes have not reached it, neither
+    binds. A much longer lead-in has a speed that its elements approximate badly.
     """
     least_s = max(nominal_s, float((np.abs(rate) / limits.velocity).max()))
     if least_s == 0.0:
-        return 1.0  # the path turns back there, and its parameter says nothing of the speed
+        return 1.0  # the path turns back there, and its parameter does not give the speed
     speed = np.abs(rate) / least_s
     by_jerk_s = np.sqrt(speed / limits.jerk)
     rise_s = np.maximum(2.0 * by_jerk_s, speed / limits.acceleration)
     lead_s = _AT_SPEED * float(rise_s.max())
-    # What bounds the rate of a lead-in bounds the jerk at its start, by 1.5 of speed / lead_s^2.
+    # The bound on a lead-in's rate bounds the jerk at its start, by 1.5 of speed / lead_s^2.
     jerky_s = float(by_jerk_s.max())
     return (min(lead_s, _AT_JERK * jerky_s) if jerky_s > 0.0 else lead_s) / least_s

@@ -21,19 +21,19 @@ from threadline.motion.timing.optimal.rows import (
     with_braking,
 )
 
-_COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are made finer
+_COARSE, _FINE = 0.03, 3e-3  # gaps at which elements are refined
 _VARIED = 1.3  # ratio of y within an element, above which it is cut
-_LOSS = 2e-3  # of the time that the jerk takes to the nearer limit
-_PART = 0.2  # of what the barrier costs an element: to lose less is enough
-_MUCH = 64.0  # times what is enough to lose: an element that loses as much is cut in four
+_LOSS = 2e-3  # of the jerk time to the nearer limit
+_PART = 0.2  # of the barrier's cost of an element: losing less is acceptable
+_MUCH = 64.0  # times the acceptable loss: such an element is cut in four
 _ROUNDS, _IDLE_ROUNDS = 12, 6
 _FIRST_WEIGHT = 0.1  # of the duration, over all slacks
 _FALL = 0.35  # of the weight of the barrier from round to round
 _CENTRED = 5.0  # decrement, in roots of the number of slacks, at which the weight falls
 _STEPS = 60  # at one weight
-_KEPT = 0.9  # of the tightest limit, where other guards are taken
-_ROUNDED = 1e-7  # of a limit: an element whose rows are rounded by more is not cut
-_AT_A_TIME = 2048  # elements, of which shares are told
+_KEPT = 0.9  # of the tightest limit, when the guards change
+_ROUNDED = 1e-7  # of a limit: an element whose rows have larger rounding is not cut
+_AT_A_TIME = 2048  # elements per block of shares
 _PLACES = np.array([0.0, 0.5, 1.0])
 
 
@@ -44,15 +44,15 @@ class Solution:
     Parameters
     ----------
     elements
-        As fine as the motion asks for.
+        Elements, as fine as the motion needs.
     b
         (n + 2,) coefficients of the quadratic spline x.
     steps
-        Newton steps that were made.
+        Number of Newton steps.
     gap
-        What the barrier still costs, as a share of the duration: its weight over all slacks. It
-        bounds how far the least is, on these elements and with these tangents of the jerk's
-        limit, where the last step was centred; the limit itself is not convex.
+        Remaining cost of the barrier, as a share of the duration: its weight over all slacks. If
+        the last step was centred it bounds the distance from the least duration, on these elements
+        and with these tangents of the jerk limit; the limit itself is not convex.
     """
 
     elements: Elements
@@ -67,11 +67,11 @@ class Solution:
 
     @property
     def duration_s(self) -> float:
-        """An upper bound of the duration, near it where the elements are fine."""
+        """An upper bound of the duration, tight for fine elements."""
         return float(barrier.duration(self.b, self.elements.length))
 
     def part(self, first: int, stop: int) -> Solution:
-        """Return the motion from one element to before another."""
+        """Return the motion through elements ``first`` to before ``stop``."""
         of = self.elements
         x = bernstein(self.b, of.length) * of.length[:, None] ** 2
         return replace(
@@ -81,7 +81,7 @@ class Solution:
         )
 
     def parts(self, most: int) -> Iterator[Solution]:
-        """Yield the motion through ``most`` elements at a time."""
+        """Yield the motion through at most ``most`` elements at a time."""
         for first in range(0, len(self.elements), most):
             yield self.part(first, min(first + most, len(self.elements)))
 
@@ -96,14 +96,14 @@ def bernstein(b: FloatArray, length: FloatArray) -> FloatArray:
 
 
 def fastest(elements: Elements, limits: Limits, gap: float = 1e-3) -> Solution:
-    """Return the fastest motion along ``elements`` from their first to their last place.
+    """Return the fastest motion along ``elements`` from their first to their last point.
 
     Elements are halved where y changes much within them, and where no limit is reached.
 
     Parameters
     ----------
     gap
-        Share of the duration within which the least is to be reached.
+        Share of the duration within which to reach the least duration.
     """
     problem = Problem(elements, limits)
     problem.solve(gap)
@@ -111,9 +111,9 @@ def fastest(elements: Elements, limits: Limits, gap: float = 1e-3) -> Solution:
 
 
 class Problem:
-    """The rows of the elements, and where the solution is.
+    """The rows of the elements, and the present solution.
 
-    Guards may change after it was solved (``regard``), and it is solved again from there.
+    Guards may change after solving (``regard``); then it is solved again from there.
     """
 
     def __init__(
@@ -128,9 +128,9 @@ class Problem:
         Parameters
         ----------
         most
-            (n,) x of each element at most, to begin with.
+            (n,) largest x of each element at the start.
         begun
-            The motion to begin with, which is to be within all limits: b and the tangents.
+            A feasible motion to start from: b and the tangents.
         """
         self.elements, self.limits = elements, limits
         self.steps = 0
@@ -139,9 +139,9 @@ class Problem:
         self.b: FloatArray
         self.tangent: FloatArray
         self.held = (0, 0)
-        """Numbers of the first and of the last coefficients of b that stay as they are."""
+        """Numbers of first and last coefficients of b that stay unchanged."""
         self.settled_s = 0.0
-        """How near to what is held at the end, in time, no element is cut."""
+        """Distance from the held end, in time, within which no element is cut."""
         self.fresh = 0.0
         """Place in the common parameter before which none is cut for reaching no limit."""
         self._assemble()
@@ -161,9 +161,9 @@ class Problem:
         Parameters
         ----------
         cuts
-            How often elements are cut where y changes much.
+            Number of rounds that cut elements where y changes much.
         idle
-            Whether elements are cut where no limit is reached, too.
+            Whether to cut elements that reach no limit, too.
         """
         self._descend(max(_COARSE, gap))
         for _ in range(cuts):
@@ -177,10 +177,10 @@ class Problem:
         self._descend(gap)
 
     def regard(self, elements: Elements) -> None:
-        """Take other guards on the same elements, and begin from the present motion made slower.
+        """Replace the guards on the same elements, and start from the present motion slowed down.
 
-        What a motion uses of the limits of velocity and acceleration is proportional to x, and the
-        limits that are tangents become wider as x falls: slowed evenly, the motion is within all.
+        The used shares of velocity and acceleration limits are proportional to x, and the tangent
+        limits widen as x falls: slowed evenly, the motion is within all.
         """
         self.elements = elements
         self.weight = np.inf
@@ -188,18 +188,18 @@ class Problem:
         self._slow(_KEPT, anew=True)
 
     def limit(self, elements: Elements) -> None:
-        """Take the same elements with other rates that they allow; the motion stays as it is."""
+        """Replace the elements' caps on the rate; the motion stays unchanged."""
         self.elements = elements
         self._assemble()
 
     def solution(self) -> Solution:
-        """Return the motion as it was found."""
+        """Return the solution."""
         return Solution(elements=self.elements, b=self.b, steps=self.steps, gap=self.gap())
 
     def _assemble(self) -> None:
         at, of = self.elements, self.limits
         largest = of.largest_acceleration
-        self.rows = None  # those of before are most of what a run takes: they go first
+        self.rows = None  # the old rows use most of a run's memory: free them first
         self.top = top_of(at, of)
         acc, jerk, points, count, top = assemble(
             at.c, at.guard, of.velocity, largest, of.jerk, self.top
@@ -218,14 +218,14 @@ class Problem:
         self.b, self.tangent = feasible(self.elements.length, self.rows, allowed)
 
     def _slow(self, allowed: float, *, anew: bool) -> None:
-        """Slow the motion evenly where it uses more than ``allowed`` of a limit.
+        """Slow the motion evenly if it uses more than ``allowed`` of a limit.
 
-        ``anew`` says whether each tangent is put to its best first.
+        ``anew``: set each tangent to its best first.
         """
         length, share = self.elements.length, np.empty(len(self.elements))
         most = used(self.b, length, self.rows, self.tangent, share, anew)
         if most <= allowed or self.held != (0, 0):
-            return  # a motion whose ends are held is not slowed: what rounding took is left to it
+            return  # a motion with held ends is not slowed: rounding errors are accepted
         self.b = self.b * (_KEPT / most)
         if not used(self.b, length, self.rows, self.tangent, share, False) < 1.0:
             self._begin()  # rounding left it on a limit
@@ -243,7 +243,7 @@ class Problem:
                 if not np.isfinite(step).all():
                     return  # rounding ends it here: b keeps within all limits
                 if barrier.advance(self.b, step, length, self.rows, self.tangent) <= 0.0:
-                    return  # so it does where it took the last room to a limit
+                    return  # rounding took the last room to a limit
                 barrier.follow(self.b, length, self.rows, self.tangent)
                 self.steps += 1
                 if decrement < _CENTRED * self.weight * np.sqrt(self.slacks):
@@ -258,11 +258,11 @@ class Problem:
         return self.weight * self.slacks / float(barrier.duration(self.b, self.elements.length))
 
     def _cost_s(self) -> float:
-        """Return the time that the barrier costs an element: within it y says nothing yet."""
+        """Return the barrier's time cost per element: smaller differences of y are meaningless."""
         return self.weight * self.slacks / len(self.elements)
 
     def _varied(self) -> IntArray:
-        """Return into how many parts each element is to be cut because y changes much in it."""
+        """Return the number of parts to cut each element into because y changes much in it."""
         y = bernstein(self.b, self.elements.length)
         ratio = y.max(axis=1) / y.min(axis=1)
         ratio[(y**-0.5).mean(axis=1) < self._cost_s()] = 1.0
@@ -274,7 +274,7 @@ class Problem:
         return np.concatenate([part[:, :, -guards:].max(axis=(1, 2)) for part in self._shares()])
 
     def _shares(self) -> Iterator[FloatArray]:
-        """Yield the (m, places, limits) shares of the limits that elements use, some at a time."""
+        """Yield the (m, places, limits) used shares of the limits of elements, some at a time."""
         at, of = self.elements, self.limits
         largest, all_y = of.largest_acceleration, bernstein(self.b, at.length)
         for begin in range(0, len(at), _AT_A_TIME):
@@ -284,18 +284,18 @@ class Problem:
             if of.deceleration is None:
                 yield np.asarray(used)
             else:
-                # First, for guards are told by their places at the end.
+                # First, since guards are located relative to the end.
                 yield np.concatenate([braking_shares(c, y, *of.sides, _PLACES), used], axis=2)
 
     def _fastest(self) -> FloatArray:
-        """Return the (axes,) largest velocities of the motion: bounds, close on short elements."""
+        """Return the (axes,) largest velocities of the motion: bounds, tight for short elements."""
         at = self.elements
         rates = np.arange(1.0, at.c.shape[1])[:, None] * np.abs(at.c[:, 1:])
         rate = np.sqrt(bernstein(self.b, at.length).max(axis=1))
         return np.asarray((rates.sum(axis=1) * rate[:, None]).max(axis=0))
 
     def settled(self) -> int:
-        """Return the number of elements that are not too near to the end to be cut."""
+        """Return the number of elements that are far enough from the end to be cut."""
         moving = len(self.elements) - max(self.held[1] - 1, 0)
         time_s = (bernstein(self.b, self.elements.length)[:moving] ** -0.5).mean(axis=1)
         return moving - int(np.searchsorted(np.cumsum(time_s[::-1]), self.settled_s))

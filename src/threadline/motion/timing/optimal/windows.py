@@ -1,10 +1,10 @@
 """Runs of any length, planned as far ahead as a window reaches.
 
-A window ends in some pieces that are gone so slowly and evenly that the motion could rest within
-them without another plan. What lies behind the horizon is kept for the next window, which begins
-with the place, the velocity and the acceleration that the motion has there, goes on along the rest
-of the plan, and slowly on through the new pieces: a motion within all limits, which the solver
-makes faster. Where there is no such motion, the plan is followed to its end and rests there.
+A window ends in some pieces that are traversed so slowly and evenly that the motion could rest
+within them without another plan. The plan beyond the horizon is kept for the next window. That one
+begins with the position, velocity and acceleration at the horizon, continues along the rest of the
+plan, and slowly through the new pieces: a motion within all limits, which the solver makes faster.
+If there is no such motion, the plan is followed to its end and rests there.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ from threadline.motion.timing.optimal.solve import Problem, Solution, bernstein
 from threadline.motion.timing.types import TrajectoryBlock
 
 ADDED = 1000
-"""Pieces by which a window goes beyond the one before it; more where they are hardly cut."""
+"""Pieces by which a window extends beyond the previous one; more if they are hardly cut."""
 MOST_ADDED = 6000
-_ELEMENTS = 11_000  # by which a window goes beyond the one before it, about
+_ELEMENTS = 11_000  # approximate number of elements that a window adds
 HORIZON = 1.25
-"""What is planned once more with what follows, in times that braking from the limit of speed takes;
-``MOST_AHEAD`` pieces at most."""
+"""Part that is planned again with the next window, in braking times from the speed limit; at most
+``MOST_AHEAD`` pieces."""
 MOST_AHEAD = 5000
-_LEAST_AHEAD = 80  # pieces that are planned once more
+_LEAST_AHEAD = 80  # least number of pieces that are planned again
 SEEN = 100
-"""Pieces behind a window that are looked at."""
-_SLOW = 0.25  # of what the elements about the end of a window allow while the rate is even
-_LONGER = 3e-4  # share by which a motion should take longer: jerks of 1.0009 of their limit
-_AT_A_TIME = 4096  # elements whose motion is told in time together
-_SLOWER, _TRIES = 0.8, 16  # of x, where that is too much
+"""Pieces after a window that are considered."""
+_SLOW = 0.25  # of the constant rate that elements near the end of a window allow
+_LONGER = 3e-4  # permitted relative stretching of a motion: jerks of 1.0009 of their limit
+_AT_A_TIME = 4096  # elements converted to time together
+_SLOWER, _TRIES = 0.8, 16  # factor on x if the stretching is too large
 _HELD = (1, 8, 64, 512)
-"""Elements in which a window goes on at the even x that it began with, at the least."""
-_SLOW_PIECES = 40  # at the end of a window, which are gone evenly
-_CUT = 2.0  # elements of a piece, on the mean: where there are more, the next begin with two
-_EVEN = 1e-9  # of x: the change of one that is even
+"""Least number of elements in which a window keeps the constant x that it began with."""
+_SLOW_PIECES = 40  # pieces at the end of a window that are traversed evenly
+_CUT = 2.0  # mean number of elements per piece above which the next pieces start with two
+_EVEN = 1e-9  # of x: relative change that counts as constant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Kept:
-    """What is left of a plan: from a place on the way to its slow end.
+    """The rest of a plan: from a place on the path to its slow end.
 
     Parameters
     ----------
@@ -59,11 +59,11 @@ class _Kept:
     borders
         (m,) ends of the pieces in the common parameter.
     shape
-        The pieces that were added last.
+        The pieces added last.
     fresh
-        Place in the common parameter up to which elements were cut where they reach no limit.
+        Place in the common parameter up to which elements were cut for reaching no limit.
     cut
-        Elements of a piece, on the mean.
+        Mean number of elements per piece.
     """
 
     elements: Elements
@@ -77,7 +77,7 @@ class _Kept:
 
     @property
     def added(self) -> int:
-        """The number of pieces by which the next window goes on."""
+        """Number of pieces that the next window adds."""
         return int(max(ADDED, min(_ELEMENTS / self.cut, MOST_ADDED)))
 
     def up_to(self, pieces: int) -> int:
@@ -86,7 +86,7 @@ class _Kept:
         return int(np.abs(ends - self.borders[pieces - 1]).argmin()) + 1
 
     def before(self, horizon_s: float) -> int:
-        """Return the number of pieces to the end of which nothing within the horizon belongs."""
+        """Return the number of pieces that end before the horizon begins."""
         fast = self.up_to(len(self.borders) - self.shape.slow)
         place = _place(self.elements.take(slice(0, fast)), self.b[: fast + 2], horizon_s)
         count = int(np.searchsorted(self.borders, place * (1.0 + _EVEN), side="right"))
@@ -94,13 +94,13 @@ class _Kept:
         return max(min(max(count, len(self.borders) - MOST_AHEAD), most), 1)
 
     def left(self, pieces: int) -> tuple[Solution, _Kept]:
-        """Return the motion through so many pieces, and the rest of the plan."""
+        """Return the motion through ``pieces`` pieces, and the rest of the plan."""
         at, b = self.elements, self.b
         m = self.up_to(pieces)
         node = float(bernstein(b, at.length)[m, 0]) * at.length[m] ** 2
         gone = Solution(elements=at, b=b, steps=0, gap=0.0).part(0, m)
-        # The common parameter begins anew: over millions of pieces it would lose its size. By a
-        # power of two no digit is rounded, and what was within a limit by the last one stays so.
+        # The common parameter starts anew: over millions of pieces its size would drift. Scaling by
+        # a power of two rounds no digit, so that limits met to the last digit stay met.
         unit = float(2.0 ** -np.round(np.log2(at.length[m])))
         stays = at.take(slice(m, None))
         return gone, _Kept(
@@ -137,22 +137,22 @@ def windowed(
     *,
     dense: bool,
 ) -> Generator[TrajectoryBlock, None, tuple[PieceBlock | None, float]]:
-    """Yield the motion through a run of more pieces than are planned together.
+    """Yield the motion through a run with too many pieces to plan together.
 
     Parameters
     ----------
     limits
-        With those along the path as of one more axis.
+        Limits, with those along the path as one more axis.
     gap
-        Share of the duration of a window within which its least is to be reached.
+        Share of the duration of a window within which to reach its least duration.
     dense
-        Whether the run has so many pieces that one element each is enough to begin with, unless
-        those of the window before were cut.
+        Whether the run has so many pieces that one element each is enough at the start, unless
+        pieces of the previous window were cut.
 
     Returns
     -------
     tuple
-        The last pieces that were read, and the time.
+        The last pieces read, and the time.
     """
     kept: _Kept | None = None
     now, horizon_s = begin_s, HORIZON * _braking_s(limits)
@@ -172,9 +172,9 @@ def windowed(
             found = None if plan is None else _window(plan, limits, gap, now, horizon_s)
             del plan
         if found is None and kept is not None:
-            # There is no way on that is known to be within all limits: the plan ends in a rest.
-            blocks = _told(kept.to_rest(), limits, now)
-            assert blocks is not None  # so it was when it was kept
+            # No feasible continuation is known: the plan ends in a rest.
+            blocks = _as_polynomials(kept.to_rest(), limits, now)
+            assert blocks is not None  # true when it was kept
             found = blocks, None
             if run is not None:
                 ahead.put_back(run)
@@ -194,26 +194,28 @@ def windowed(
 def _window(
     plan: _Plan, limits: Limits, gap: float, begin_s: float, horizon_s: float
 ) -> tuple[list[TrajectoryBlock], _Kept | None] | None:
-    """Return the motion up to the horizon, and what is left of the plan.
+    """Return the motion up to the horizon, and the rest of the plan.
 
-    None where either leaves a limit as polynomials in time.
+    None if either exceeds a limit as polynomials in time.
     """
     rests = plan.shape.ending is None
     plan.problem.settled_s = 0.0 if rests else 0.5 * horizon_s
     solved = _solved(plan, gap)
     if rests:
-        blocks = _told(solved.to_rest(), limits, begin_s)
+        blocks = _as_polynomials(solved.to_rest(), limits, begin_s)
         return None if blocks is None else (blocks, None)
     way, kept = solved.left(solved.before(horizon_s))
     del solved
-    blocks = _told(way, limits, begin_s)
-    if blocks is None or _told(kept.to_rest(), limits, 0.0) is None:
+    blocks = _as_polynomials(way, limits, begin_s)
+    if blocks is None or _as_polynomials(kept.to_rest(), limits, 0.0) is None:
         return None
     return blocks, kept
 
 
-def _told(solution: Solution, limits: Limits, begin_s: float) -> list[TrajectoryBlock] | None:
-    """Return a motion as polynomials in time, None where they leave a limit."""
+def _as_polynomials(
+    solution: Solution, limits: Limits, begin_s: float
+) -> list[TrajectoryBlock] | None:
+    """Return a motion as polynomials in time, None if they exceed a limit."""
     blocks: list[TrajectoryBlock] = []
     for part in solution.parts(_AT_A_TIME):
         block = as_it_is(part, limits, begin_s, _LONGER)
@@ -226,7 +228,7 @@ def _told(solution: Solution, limits: Limits, begin_s: float) -> list[Trajectory
 
 @dataclass(slots=True, eq=False)
 class _Plan:
-    """A problem with a motion to begin with, and as ``_Kept`` has them borders and shape."""
+    """A problem with a starting motion, and borders and shape as in ``_Kept``."""
 
     problem: Problem
     ending: FloatArray
@@ -242,9 +244,9 @@ def _planned(
     limits: Limits,
     dense: bool,
 ) -> _Plan | None:
-    """Return a motion through what was kept and ``run``, and slowly on into ``after``.
+    """Return a motion through the kept plan and ``run``, and slowly on into ``after``.
 
-    None where none is known; without ``after`` it comes to rest.
+    None if none is known; without ``after`` it comes to rest.
     """
     before, fine = None, True if dense else None
     if kept is not None:
@@ -280,17 +282,17 @@ def _slow_way(
     radius_m: FloatArray,
     limits: Limits,
 ) -> tuple[FloatArray, FloatArray, int, FloatArray] | None:
-    """Return a slow motion, its tangents, how many coefficients at its end are even, and a rest.
+    """Return a slow motion, its tangents, the number of constant end coefficients, and a rest.
 
-    The rest is the coefficients of a motion through the ending of ``shape``.
+    The rest is given by the coefficients of a motion through the ending of ``shape``.
 
     Parameters
     ----------
     level
-        The even x with which it begins, None where it begins at rest.
+        The constant x with which it begins, None if it begins at rest.
     after
-        What follows: the motion ends in pieces of an even x from which it can go on, or rest.
-        Without anything it ends at rest.
+        The next pieces: the motion ends in pieces of constant x from which it can continue or
+        rest. Without them it ends at rest.
     """
     at, n = shape.elements, len(shape.elements)
     most = np.full(n, np.inf)
@@ -325,10 +327,10 @@ def _slow_way(
 def _from_level(
     at: Elements, limits: Limits, most: FloatArray, level: float | None
 ) -> Problem | None:
-    """Return a slow motion, with (n,) x of ``most`` at most, that begins with an even x.
+    """Return a slow motion, with (n,) x of at most ``most``, that begins with a constant x.
 
-    A slow motion becomes faster as soon as it may, and is slowed about the places where its jerk
-    is too large then. Where these are at its beginning, it is to be even for some elements first.
+    A slow motion speeds up as soon as it may, and is slowed around places where its jerk is then
+    too large. If these are at its beginning, it stays constant for some elements first.
     """
     for held in _HELD:
         own = most.copy()
@@ -345,7 +347,7 @@ def _is_even(x: FloatArray, level: float | None) -> bool:
 
 
 def _braking_s(limits: Limits) -> float:
-    """Return the time that the slowest axis takes from its limit of velocity to rest."""
+    """Return the time that the slowest axis takes to brake from its velocity limit to rest."""
     v, a, j = limits.velocity, np.minimum(*limits.sides), limits.jerk
     with np.errstate(invalid="ignore", over="ignore"):
         slow = np.where(v * j > a**2, v / a + a / j, 2.0 * np.sqrt(v / j))
@@ -353,7 +355,7 @@ def _braking_s(limits: Limits) -> float:
 
 
 def _solved(plan: _Plan, gap: float) -> _Kept:
-    """Return the fastest motion of a plan, of which nothing else is needed any longer."""
+    """Return the fastest motion of a plan; the plan is not needed afterwards."""
     own = plan.problem
     own.solve(gap)
     own.rows = None
@@ -370,7 +372,7 @@ def _solved(plan: _Plan, gap: float) -> _Kept:
 
 
 def _place(elements: Elements, b: FloatArray, to_go_s: float) -> float:
-    """Return the place in the common parameter from which a motion takes about so long."""
+    """Return the place in the common parameter from which a motion takes about ``to_go_s``."""
     after_s = np.cumsum((bernstein(b, elements.length) ** -0.5).mean(axis=1)[::-1])
     return float(elements.length[: len(after_s) - int(np.searchsorted(after_s, to_go_s))].sum())
 

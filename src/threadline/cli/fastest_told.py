@@ -1,0 +1,526 @@
+"""How the answer of ``threadline fastest`` is told: in text, as JSON, and as a report.
+
+``Told`` tells what every search has; a search adds its own table and its own lines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from threadline.base.option_defaults import NO_CONTOUR
+from threadline.cli.found import (
+    AXES_ALONE,
+    END,
+    alone_words,
+    certainty_words,
+    forbidden_words,
+    limit_words,
+    margin_words,
+    merged,
+    resolution_words,
+    settings_words,
+    typed,
+    until_words,
+)
+from threadline.cli.output import print_table, say
+from threadline.commands.plan import Following
+from threadline.jobs.operations import FeedMode
+from threadline.proof.option_words import share_words
+from threadline.proof.pipeline import prove_plan
+from threadline.proof.recorded import tolerance_warnings
+from threadline.report import write_report
+from threadline.report.document import Printed
+from threadline.report.strips import binding_lines, binding_of
+from threadline.search import Fastest, FastestJob, Mismatch, Rung
+from threadline.search.by_pace import Answer
+from threadline.search.forbidden import joined
+from threadline.search.mismatch import Searched
+from threadline.search.shaft import FastestShaft
+from threadline.search.studied import studied
+from threadline.verdict import Verdict, closing, criteria_json, verdict_rows
+
+
+class Told:
+    """How an answer is told.
+
+    Parameters
+    ----------
+    found
+        The answer.
+    title
+        The job and the machine.
+    """
+
+    on_ticks = True
+    """Whether the command that proves it names an interpolation."""
+
+    def __init__(self, found: Answer, title: str) -> None:
+        self.found, self.asked, self.of = found, found.asked, found.of
+        self.title = f"{title}{margin_words(found.asked.margin)}"
+        self.how = title
+
+    def warnings(self) -> list[str]:
+        """Return what is to be warned of in the plan of the best."""
+        return tolerance_warnings(self.found.plan()) if self._warns() else []
+
+    def _warns(self) -> bool:
+        """Say whether the plan of the best may leave its path by more than the tolerance."""
+        return False
+
+    def _table(self) -> Printed | None:
+        """Return what is in spec, as a table; None where that says nothing."""
+        raise NotImplementedError
+
+    def _lines(self) -> Iterator[str]:
+        """Yield what is said of the answer before its verdict."""
+        raise NotImplementedError
+
+    def _more(self) -> Iterator[Printed | str]:
+        """Yield tables and lines behind the verdict."""
+        yield from ()
+
+    def _after(self) -> Iterator[str]:
+        """Yield lines on how to set the machine, or on what binds."""
+        yield from ()
+
+    def _own(self) -> dict[str, Any]:
+        """Return what this search alone has, as JSON content."""
+        return {}
+
+    def _page(self, folder: Path) -> Path | None:
+        """Write the report of the best into a folder; return its page, None where none passed."""
+        return self._proved(folder) if self.found.passed else None
+
+    def _proved(self, folder: Path) -> Path:
+        asked = self.asked
+        plan = self.found.plan()
+        proof = prove_plan(plan, asked.spec, trials=asked.trials, actual=asked.actual)
+        return write_report(studied(proof), folder)
+
+    def report(self, folder: Path) -> Path | None:
+        """Write the picture of a search off the tolerances, else the report of the best."""
+        found = self.found
+        if not found.mismatch:
+            return self._page(folder)
+        from threadline.report.searches import write_mismatch  # slow to import: it draws
+
+        title = f"{self.title}\n(nominal: one run each)"
+        return write_mismatch(found.mismatch, title, found.searched, folder)
+
+    def content(self) -> dict[str, Any]:
+        """Return the answer as JSON content."""
+        found = self.found
+        content: dict[str, Any] = {
+            "best": found.best,
+            "unit": found.unit,
+            "intervals": [[i.low, i.high] for i in found.intervals],
+            "limited_by": found.limited_by,
+            "tried": found.tried,
+            "margin": self.asked.margin,
+            "ended": self.ended,
+            "verdict": verdict_content(found.verdict),
+            **self._own(),
+        }
+        sure = found.certainty
+        if sure is not None:
+            content["certainty"] = {
+                "machines": sure.machines,
+                "best": sure.sure,
+                "alone": sure.alone,
+                "unit": sure.unit,
+                "slower": sure.share,
+            }
+        if found.mismatch:
+            content["mismatch"] = [
+                {
+                    "mass": cell.mass,
+                    "stiffness": cell.stiffness,
+                    "best": cell.best,
+                    "intervals": [[i.low, i.high] for i in cell.intervals],
+                    "limited_by": cell.limited_by,
+                }
+                for cell in found.mismatch
+            ]
+        return content
+
+    def show(self, again: str | None, page: Path | None) -> None:
+        """Print the answer, the command that proves it, and where its report is."""
+        found = self.found
+        for line in until_words(self.ended):
+            say(line)
+        show([self._table(), *self._lines()])
+        at = "at the fastest" if found.best is not None else "where the search came closest"
+        print_table(f"verdict {at}", *verdict_rows(found.verdict))
+        say(closing(found.verdict))
+        show(self._more())
+        if found.certainty is not None:
+            say(certainty_words(found.certainty))
+        show(self._after())
+        if found.passed:
+            say(f"To prove it: {again or 'write its move list with -o FILE.toml, and prove that'}")
+        if found.mismatch:
+            show_mismatch(found.mismatch, self.title, found.searched)
+        if page is not None:
+            say(f"Report: {page}")
+
+    @property
+    def ended(self) -> str:
+        """Why the search stopped before its end; empty where it did not."""
+        return "" if self.asked.until is None else self.asked.until.ended
+
+
+def show(parts: Iterable[Printed | str | None]) -> None:
+    """Print tables and lines."""
+    for part in parts:
+        if isinstance(part, str):
+            say(part)
+        elif part is not None:
+            print_table(*part)
+
+
+def verdict_content(verdict: Verdict) -> dict[str, Any]:
+    """Return the verdict of a search as JSON content."""
+    return {
+        "passed": verdict.passed,
+        "level": verdict.level.value,
+        "criteria": criteria_json(verdict),
+    }
+
+
+def _steps(found: Fastest) -> dict[str, Any]:
+    return {
+        "alone": list(found.alone),
+        "step": found.step,
+        "step_at_edges": found.near_step,
+    }
+
+
+_UNITS = {
+    FeedMode.FASTEST_AXIS: ("mm/s", 1e3),
+    FeedMode.F_WORD: ("F", 60_000.0),
+    FeedMode.OVERRIDE: ("%", 100.0),
+}
+"""By what a search varies: how its feeds are printed, and what one in m/s is multiplied by."""
+
+
+class FeedTold(Told):
+    """A search by feed and share of the limits."""
+
+    of: FastestJob
+
+    def _warns(self) -> bool:
+        return self.found.passed or self.asked.options.following is Following.MOTOR
+
+    def _table(self) -> Printed:
+        end, (unit, per_m_s) = self._end, _UNITS[self.of.by]
+        rows = []
+        for rung in self.of.rungs:
+            for interval in rung.found.intervals:
+                first = interval is rung.found.fastest
+                rows.append(
+                    [
+                        share_words(rung.share),
+                        typed(interval.low * per_m_s),
+                        "alone" if interval.alone else typed(interval.high * per_m_s),
+                        f"{rung.duration_s:.3f}" if first and rung.duration_s else "",
+                        limit_words(rung.found.limited_by, end) if first else "",
+                    ]
+                )
+        header = ["acceleration limits used", f"from {unit}", f"to {unit}", "job s", "limited by"]
+        options = self.asked.options
+        ahead = ", feed-forward" if options.following is Following.LOAD else ""
+        how = f"{self.how}, {options.interpolation}{ahead}{margin_words(self.asked.margin)}"
+        return f"{how}: feeds in spec", header, merged(rows)
+
+    @property
+    def _end(self) -> str:
+        return AXES_ALONE if self.asked.high is None else END
+
+    def _lines(self) -> Iterator[str]:
+        best, tried, (unit, per_m_s) = self.of.best, self.found.tried, _UNITS[self.of.by]
+        yield from self._judged()
+        if best.found.best is None:
+            forbids = joined(one for rung in self.of.rungs for one in rung.found.forbidden)
+            why, *more = forbidden_words(forbids, best.found.limited_by, self._feed_text)
+            yield from (f"no feed is in spec ({tried} tried): {why}", *more)
+            return
+        yield (
+            f"fastest: {best.duration_s:.3f} s at {self._feed_text(best.found.best)} with "
+            f"{share_words(best.share)} of the acceleration and jerk limits, limited by "
+            f"{limit_words(best.found.limited_by, self._end)}; "
+            f"{tried} plans tried"
+        )
+        yield f"feeds {resolution_words(best.found)}"
+        if best.found.alone:
+            yield alone_words(best.found, unit, per_m_s)
+
+    def _feed_text(self, value: float) -> str:
+        unit, per_m_s = _UNITS[self.of.by]
+        number = typed(value * per_m_s)
+        return f"F {number}" if self.of.by is FeedMode.F_WORD else f"{number} {unit}"
+
+    def _judged(self) -> Iterator[str]:
+        """Yield lines on what the answer does not say of itself."""
+        result = self.of
+        if result.parts:
+            parts = "one stretch" if result.parts == 1 else f"{result.parts} stretches"
+            yield (
+                f"judged by {result.judged_moves} of {result.moves} moves, {parts}: the others "
+                "repeat them"
+            )
+        if result.cut:
+            yield "moves that last long were judged by their beginnings and their ends"
+        if result.left_out:
+            left_out = ", ".join(share_words(share) for share in result.left_out)
+            yield (
+                f"left out: {left_out} of the limits, with which the job takes no less time even "
+                "at the highest feed"
+            )
+        if (result.parts or result.cut) and not result.whole:
+            yield (
+                "the whole job was not judged: the verdict is the worst of what was, with times "
+                "from the beginning of a stretch; prove it by the command below"
+            )
+
+    def _after(self) -> Iterator[str]:
+        yield from settings_words(self.asked.job, self.asked.machine, self.of)
+
+    def _own(self) -> dict[str, Any]:
+        result = self.of
+        by_word = result.by is FeedMode.F_WORD
+        return {
+            **_steps(result.best.found),
+            "feed": self.asked.job.feed_rule if by_word else result.by.value,
+            "limits": result.best.share,
+            "duration_s": result.best.duration_s,
+            "moves": result.moves,
+            "judged_moves": result.judged_moves,
+            "parts": result.parts,
+            "long_moves_cut": result.cut,
+            "limits_left_out": list(result.left_out),
+            "whole_job_judged": result.whole,
+            "rungs": [
+                {
+                    "limits": rung.share,
+                    "duration_s": rung.duration_s,
+                    "intervals": [[i.low, i.high] for i in rung.found.intervals],
+                    "limited_by": rung.found.limited_by,
+                }
+                for rung in result.rungs
+            ],
+        }
+
+
+class OptimalTold(Told):
+    """A search by allowance: the fastest plan in spec, and what limits it."""
+
+    of: FastestJob
+
+    def __init__(self, found: Answer, title: str) -> None:
+        super().__init__(found, title)
+        self._bound = binding_of(found.plan())
+
+    def _table(self) -> Printed:
+        rows = [
+            [
+                _allowance(rung),
+                "" if rung.duration_s is None else f"{rung.duration_s:.3f}",
+                _outcome(rung),
+            ]
+            for rung in self.of.rungs
+        ]
+        by_share = self.of.best.contour_m is None
+        header = ["acceleration limits used" if by_share else "contour mm", "job s", "verdict"]
+        how = f"{self.how}, optimal{margin_words(self.asked.margin)}"
+        return f"{how}: plans proved", header, rows
+
+    def _lines(self) -> Iterator[str]:
+        best, proved = self.of.best, len(self.of.rungs)
+        if best.duration_s is None:
+            yield f"no plan is in spec ({proved} proved): {best.found.limited_by} fails at all"
+            return
+        yield (
+            f"fastest: {best.duration_s:.3f} s, limited by {limit_words(best.found.limited_by)}; "
+            f"{proved} plans proved"
+        )
+        if any(rung.alone for rung in self.of.rungs):
+            yield "alone: the plan for an allowance smaller by half a percent is out of spec"
+        for bound in self.of.bounds:
+            over = best.duration_s / bound.duration_s - 1.0
+            least = f"{bound.duration_s:.3f} s ({over:+.0%})"
+            yield f"within the limits of {bound.within} alone: {least}"
+
+    def _after(self) -> Iterator[str]:
+        yield from () if self._bound is None else binding_lines(self._bound)
+
+    def _page(self, folder: Path) -> Path | None:
+        return self._proved(folder)  # of the closest, too: it shows what fails
+
+    def _own(self) -> dict[str, Any]:
+        best = self.of.best
+        return {
+            "duration_s": best.duration_s,
+            "bounds": [{"within": b.within, "duration_s": b.duration_s} for b in self.of.bounds],
+            "binds": {} if self._bound is None else self._bound.binds,
+            "rungs": [
+                {
+                    "duration_s": rung.duration_s,
+                    "limited_by": None if rung.duration_s is not None else rung.found.limited_by,
+                    "alone": rung.alone,
+                    **_allowed(rung),
+                }
+                for rung in self.of.rungs
+            ],
+            **_allowed(best),
+        }
+
+
+def _allowed(rung: Rung) -> dict[str, Any]:
+    contour_m = rung.contour_m
+    return {
+        "limits": rung.share,
+        "contour_m": None if contour_m is None or math.isinf(contour_m) else contour_m,
+    }
+
+
+def _outcome(rung: Rung) -> str:
+    if rung.duration_s is None:
+        return f"OUT: {rung.found.limited_by}"
+    return "in spec, alone" if rung.alone else "in spec"
+
+
+def _allowance(rung: Rung) -> str:
+    if rung.contour_m is None:
+        return share_words(rung.share)
+    return NO_CONTOUR if math.isinf(rung.contour_m) else typed(round(rung.contour_m * 1e3, 6))
+
+
+class NeedleTold(Told):
+    """A search by needle speed."""
+
+    of: Fastest
+
+    def _warns(self) -> bool:
+        return self.found.passed
+
+    def _table(self) -> Printed | None:
+        rows = [[typed(i.low), "alone" if i.alone else typed(i.high)] for i in self.of.intervals]
+        if not rows:
+            return None
+        return f"{self.title}: needle speeds in spec", ["from stitch/s", "to stitch/s"], rows
+
+    def _lines(self) -> Iterator[str]:
+        found = self.of
+        if found.best is None:
+            why, *more = forbidden_words(
+                found.forbidden, found.limited_by, lambda speed: f"{typed(speed)} stitch/s"
+            )
+            yield from (f"no needle speed is in spec ({found.tried} tried): {why}", *more)
+            return
+        yield (
+            f"fastest: {typed(found.best)} stitch/s, limited by {limit_words(found.limited_by)}; "
+            f"{found.tried} plans tried"
+        )
+        yield f"needle speeds {resolution_words(found)}"
+        if found.alone:
+            yield alone_words(found, "stitch/s")
+
+    def _own(self) -> dict[str, Any]:
+        return _steps(self.of)
+
+
+_MINUTE = 60.0
+
+
+class ShaftTold(Told):
+    """A search by speed of the shaft: a constant one, and one for each stitch."""
+
+    of: FastestShaft
+    on_ticks = False
+
+    def _table(self) -> Printed:
+        constant = self.of.constant
+        rows = [
+            [
+                f"{i.low * _MINUTE:.2f}",
+                "alone" if i.alone else f"{i.high * _MINUTE:.2f}",
+                "begins where the search did: --low for slower ones"
+                if i.low == constant.low
+                else "",
+            ]
+            for i in constant.intervals
+        ]
+        header = ["from stitch/min", "to stitch/min", "note"]
+        return f"{self.title}: constant speeds in spec", header, rows
+
+    def _lines(self) -> Iterator[str]:
+        found, constant = self.of, self.of.constant
+        if constant.best is None:
+            yield f"no constant speed is in spec: {limit_words(found.limited_by)}"
+        else:
+            yield (
+                f"fastest constant speed: {constant.best * _MINUTE:.2f} stitch/min, "
+                f"{found.constant_s:.4g} s, limited by {limit_words(found.limited_by)}; "
+                f"{resolution_words(constant)}"
+            )
+        if constant.alone:
+            yield alone_words(constant, "stitch/min", _MINUTE)
+        if found.schedule is not None:
+            yield (
+                f"fastest with a speed for each stitch: {found.schedule.plan.duration_s:.4g} s, "
+                f"planned for a swing of {found.tolerance_m * 1e3:.4g} mm"
+            )
+
+    def _own(self) -> dict[str, Any]:
+        found = self.of
+        schedule = None
+        if found.schedule is not None:
+            schedule = {
+                "duration_s": found.schedule.plan.duration_s,
+                "tolerance_m": found.tolerance_m,
+                "criteria": criteria_json(found.schedule.verdict),
+            }
+        return {
+            **_steps(found.constant),
+            "intervals_unit": "stitch/s",
+            "constant_s": found.constant_s,
+            "schedule": schedule,
+        }
+
+
+def show_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> None:
+    """Print the fastest for masses and stiffnesses at the ends of their tolerances."""
+    names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+    ranges = any(cell.intervals for cell in cells)
+    rows = [
+        [
+            names[cell.mass],
+            names[cell.stiffness],
+            "none" if cell.best is None else f"{searched.per_unit * cell.best:.2f}",
+            *([_in_spec(cell, searched)] if ranges else []),
+            limit_words(cell.limited_by),
+        ]
+        for cell in cells
+    ]
+    best = f"{searched.best} {searched.unit}"
+    all_of = [f"in spec {searched.unit}"] if ranges else []
+    header = ["mass of loads", "stiffness of springs", best, *all_of, "limited by"]
+    print_table(
+        f"{title}: planned for the file, {searched.done} off its tolerances, one run each",
+        header,
+        rows,
+    )
+
+
+def _in_spec(cell: Mismatch, searched: Searched) -> str:
+    """Return all that is in spec of what was tried: beneath the fastest there may be a gap."""
+    scale = searched.per_unit
+    return ", ".join(
+        f"{scale * one.low:.2f}"
+        if one.low == one.high
+        else f"{scale * one.low:.2f} to {scale * one.high:.2f}"
+        for one in sorted(cell.intervals, key=lambda one: one.low)
+    )

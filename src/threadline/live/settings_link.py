@@ -1,0 +1,252 @@
+"""The settings of a controller, read from the controller itself.
+
+What is asked moves nothing and changes nothing: ``$I`` and ``$$`` of grbl and grblHAL, ``$CD`` of
+FluidNC, ``M115`` and ``M503`` of Marlin and RepRapFirmware, and the configuration that Klipper
+holds, which Moonraker tells over HTTP.
+
+Sources: "Grbl v1.1 Commands" of gnea/grbl (``$$`` is answered in Idle and Alarm alone); FluidNC,
+``ProcessSettings.cpp`` (``$CD`` is ``Config/Dump``); marlinfw.org/docs/gcode, M115 and M503;
+docs.duet3d.com, "Gcode dictionary", M115 and M503 (lists the lines of ``config.g``); Klipper,
+"Status reference", ``configfile.config``; Moonraker, "Printer Administration",
+``/printer/objects/query``.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import urllib.error
+import urllib.parse
+import urllib.request
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from threadline.errors import LinkFaultError, OptionError
+from threadline.live.grbl_words import BAUD, Port, bare, host_and_port, is_host
+from threadline.live.guards import clock_s
+
+KLIPPER = "klipper"
+_BAUDS = (BAUD, 250_000)
+"""Speeds that are tried on a serial device: Arduino boards with Marlin often have the second."""
+STARTS_S = 3.0  # an Arduino begins anew when its serial line is opened
+_ANSWERS_S = 5.0
+SILENCE_S = 0.5  # behind an answer
+_MOST_LINES, _MOST_BYTES = 20_000, 8_000_000
+_FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*([A-Za-z]+)")
+_QUERY = "/printer/objects/query?configfile=config"
+_BANNER, _STATUS, _NEVER = re.compile("Grbl "), re.compile("<"), re.compile(r"(?!)")
+_OK = re.compile(r"\s*ok(?:\s|$)")
+_ERROR = re.compile(r"\s*(?:error|Error|ALARM|!!)")
+_END = re.compile(rf"{_OK.pattern}|{_ERROR.pattern}|.*Unknown command")
+_REPORT = re.compile(r"\s*(?:<|echo:\s*busy|ok?\s*T:|T:|\[MSG)")  # that come of themselves
+_MOVES = re.compile(r"<(Run|Jog|Home|Hold|Door)\b")
+
+
+@dataclass(frozen=True, slots=True)
+class ControllerSettings:
+    """The settings of a controller, in its own words.
+
+    Parameters
+    ----------
+    kind
+        ``grbl``, ``fluidnc``, ``marlin``, ``rrf`` or ``klipper``.
+    identity
+        The version of its firmware, such as ``[VER:1.1h.20190830:]``.
+    text
+        Its settings, line by line, as ``threadline new --from`` reads them.
+    """
+
+    kind: str
+    identity: str
+    text: str
+
+
+def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
+    """Ask the controller at ``address`` who it is, and for its settings.
+
+    Parameters
+    ----------
+    address
+        Path of a serial device, ``HOST:PORT`` of a controller on the network, or the URL of a
+        Moonraker (``http://HOST:7125``) for Klipper.
+    baud
+        Speed of the serial device in bits a second; None tries the two usual ones.
+
+    Raises
+    ------
+    LinkFaultError
+        If nothing answers there, or what answers is busy or does not tell its settings.
+    OptionError
+        If ``address`` is no address, or the controller is none whose settings can be read.
+    """
+    if "://" in address:
+        return _of_moonraker(address)
+    address = address.removeprefix("grbl:")  # as the links of a run are written
+    serial = address.startswith("/")
+    if not serial:
+        try:
+            host_and_port(address)
+        except OptionError as error:
+            raise OptionError(
+                error.message,
+                remedy='Write it like "/dev/ttyUSB0", "192.168.0.10:23" or '
+                '"http://192.168.0.10:7125".',
+            ) from error
+        if baud is not None:
+            raise OptionError(
+                f"{address[:60]!r} is on the network, where --baud says nothing",
+                remedy="Leave --baud out.",
+            )
+    heard: list[str] = []
+    for speed in (baud,) if baud is not None else _BAUDS if serial else (BAUD,):
+        port = Port(address, speed)
+        try:
+            found = _asked(port, heard)
+        finally:
+            port.close()
+        if found is not None:
+            return found
+    shown = next((line for line in heard if line.isprintable()), "")
+    told = f", which says {shown[:60]!r}," if shown else ""
+    speeds = "" if not serial or baud is not None else " Say its speed with --baud."
+    raise LinkFaultError(
+        f"the controller at {address[:60]!r}{told} tells neither $I nor M115 who it is",
+        remedy=f"Close other programs that talk to it, and look at its cable and power.{speeds}",
+    )
+
+
+def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
+    """Return what the controller at a port tells; None where it does not say who it is."""
+    heard += _lines_until(port, STARTS_S, _BANNER)
+    port.send(b"?")  # acted on at once by grbl; others take it for the begin of a wrong line
+    for line in _lines_until(port, SILENCE_S, _STATUS):
+        if (match := _MOVES.match(line)) is not None:
+            raise LinkFaultError(
+                f"the controller is in the state {match[1]}: it lists its settings at rest alone",
+                remedy="Wait until it stands, and ask again.",
+            )
+    port.send(b"\n$I\n")
+    lines = [line.strip() for line in _answer(port)]
+    version = next((line for line in lines if line.startswith("[VER:")), "")
+    if version:
+        if "fluidnc" in version.lower():
+            return _settings(port, "fluidnc", version, b"$CD\n", [])
+        about = [line for line in lines if line.startswith("[")]
+        return _settings(port, "grbl", version, b"$$\n", about)
+    heard += lines
+    port.send(b"M115\n")
+    heard += (lines := _answer(port))
+    firmware = next((match for line in lines if (match := _FIRMWARE.search(line))), None)
+    if firmware is None:
+        return None
+    who = firmware.string.strip()[:120]
+    name = firmware[1].lower()
+    if name == "marlin":
+        return _settings(port, "marlin", who, b"M503\n", [])
+    if name == "reprapfirmware":
+        return _settings(port, "rrf", who, b"M503\n", [])
+    if name == KLIPPER:
+        raise OptionError(
+            "Klipper does not tell its settings over this line",
+            remedy="Name its printer.cfg with threadline new klipper DIR --from printer.cfg, or "
+            "ask its Moonraker: threadline connect http://HOST:7125.",
+        )
+    raise OptionError(
+        f"the controller says {who!r}, a firmware whose planner is not known here",
+        remedy="Write the machine file by hand: docs/machines.md says how.",
+    )
+
+
+def _settings(
+    port: Port, kind: str, identity: str, question: bytes, about: list[str]
+) -> ControllerSettings:
+    """Ask for the settings, and return them behind the lines ``about`` the controller."""
+    port.send(question)
+    lines = [line for line in _answer(port) if not _REPORT.match(line)]
+    refused = next((line for line in lines if _ERROR.match(line)), "")
+    if refused or not lines or _OK.match(lines[-1]) is None:
+        why = f"answered {refused[:60]!r}" if refused else "did not end its answer with ok"
+        raise LinkFaultError(
+            f"{identity[:60]!r} {why} when it was asked {question.decode().strip()}",
+            remedy="Wait until the machine stands and no other program talks to it; ask again.",
+        )
+    return ControllerSettings(kind, identity, "\n".join([*about, *lines[:-1]]) + "\n")
+
+
+def _answer(port: Port) -> list[str]:
+    """Return the lines up to the first ``ok`` or error; those after it are thrown away.
+
+    A firmware answers each line that it does not know, too, and an ``ok`` which is late must not
+    be taken for the end of the next answer.
+    """
+    lines = _lines_until(port, _ANSWERS_S, _END)
+    _lines_until(port, SILENCE_S, _NEVER)
+    return lines
+
+
+def _lines_until(port: Port, silence_s: float, last: re.Pattern[str]) -> list[str]:
+    """Return lines up to the ``last``, or until none came for ``silence_s`` seconds.
+
+    That ends after ten times as long in any case: a controller may report for ever.
+    """
+    lines: list[str] = []
+    until = clock_s() + 10.0 * silence_s
+    while len(lines) < _MOST_LINES and clock_s() < until:
+        line = port.receive_indented(silence_s)
+        if line is None:
+            break
+        lines.append(line)
+        if last.match(line) is not None:
+            break
+    return lines
+
+
+def _of_moonraker(address: str) -> ControllerSettings:
+    """Return the configuration of the Klipper behind a Moonraker."""
+    parts = urllib.parse.urlsplit(address)
+    if parts.scheme not in ("http", "https") or not is_host(bare(parts.hostname or "")):
+        raise OptionError(
+            f"{address[:60]!r} is no address of a Moonraker",
+            remedy='Write it like "http://192.168.0.10:7125".',
+        )
+    try:
+        with urllib.request.urlopen(  # noqa: S310 - the scheme was looked at
+            f"{parts.scheme}://{parts.netloc}{_QUERY}", timeout=_ANSWERS_S
+        ) as got:
+            content = json.loads(got.read(_MOST_BYTES))
+        sections = content["result"]["status"]["configfile"]["config"]
+        if not isinstance(sections, dict) or not sections:
+            raise KeyError("config")
+    except urllib.error.HTTPError as error:
+        trusted = error.code in (401, 403)
+        raise LinkFaultError(
+            f"{address[:60]!r} refused to tell the configuration: HTTP {error.code}",
+            remedy="Add this computer to trusted_clients in moonraker.conf."
+            if trusted
+            else "Look whether it is a Moonraker, and whether Klipper is ready.",
+        ) from error
+    except OSError as error:
+        reason = getattr(error, "reason", error)
+        raise LinkFaultError(
+            f"nothing answers at {address[:60]!r}: {getattr(reason, 'strerror', None) or reason}",
+            remedy="Look whether Moonraker runs there; its port is 7125 unless it was changed.",
+        ) from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise LinkFaultError(
+            f"what answers at {address[:60]!r} does not tell a configuration of Klipper",
+            remedy="Look whether it is a Moonraker, and whether Klipper is ready.",
+        ) from error
+    return ControllerSettings(KLIPPER, f"Klipper behind {parts.netloc}", _as_printer_cfg(sections))
+
+
+def _as_printer_cfg(sections: Mapping[str, Any]) -> str:
+    """Return sections and their raw values as a ``printer.cfg`` has them."""
+    lines = []
+    for name, values in sections.items():
+        lines.append(f"[{name}]")
+        for key, value in values.items() if isinstance(values, dict) else ():
+            text = "\n    ".join(str(value).splitlines())
+            lines.append(f"{key}: {text}")
+        lines.append("")
+    return "\n".join(lines)

@@ -1,0 +1,254 @@
+"""The options of a search for the fastest, from their texts to the question that they ask."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from threadline.base.option_defaults import USUAL
+from threadline.errors import OptionError, UnitError
+from threadline.jobs.gcode.feeds import as_f_words
+from threadline.jobs.operations import FeedMode, Job
+from threadline.jobs.seam.settings import LEAST_NEEDLE_HZ, MOST_NEEDLE_HZ
+from threadline.machine import Machine
+from threadline.motion.path.interpolations import OPTIMAL
+from threadline.proof.asked import Words, with_radii_of
+from threadline.proof.option_words import parse_feed, parse_margin, parse_robust
+from threadline.proof.options import Options
+from threadline.proof.pipeline import open_job, with_shaping
+from threadline.search.feed import searched_by
+from threadline.search.paced import Question
+from threadline.search.until import Until
+from threadline.units import parse_number, parse_quantity
+
+Span = tuple[float | None, float | None, FeedMode | None]
+"""The paces to search between, and what a feed among them is of."""
+
+
+def metres_per_second(text: str) -> float:
+    """Return a feed in m/s of the fastest axis, as ``--low`` and ``--high`` give one.
+
+    Raises
+    ------
+    OptionError
+        If the feed is in another unit than a speed.
+    """
+    feed = parse_feed(text)
+    if feed.mode != "fastest-axis":
+        raise OptionError(f"{text!r}: the search runs in mm/s", remedy='Write it like "36 mm/s".')
+    return feed.value
+
+
+def _feeds(job: Job, machine: Machine, low: str | None, high: str | None) -> Span:
+    """Return the ends of a search in m/s of what its feeds are of."""
+    ends = [None if text is None else parse_feed(text) for text in (low, high)]
+    modes = {end.mode for end in ends if end is not None} or {searched_by(job, machine)}
+    if modes == {FeedMode.F_WORD}:
+        as_f_words(1.0, job.feed_rule)
+    elif modes not in ({FeedMode.FASTEST_AXIS}, {FeedMode.OVERRIDE}):
+        if len(modes) > 1:
+            raise OptionError(
+                f"--low {low!r} and --high {high!r} are feeds of different kinds",
+                remedy='Write both like "36 mm/s", both like "F 3000", or both like "120 %".',
+            )
+        metres_per_second(str(high if low is None else low))
+    values = [None if end is None else end.value for end in ends]
+    return values[0], values[1], modes.pop()
+
+
+def _capped(_job: Job, _machine: Machine, _low: str | None, high: str | None) -> Span:
+    return None, None if high is None else metres_per_second(high), None
+
+
+def _needles(_job: Job, _machine: Machine, low: str | None, high: str | None) -> Span:
+    return _hz(low, needle_hz), _hz(high, needle_hz), None
+
+
+def _hz(text: str | None, parse: Callable[[str], float]) -> float | None:
+    return None if text is None else parse(text)
+
+
+def needle_hz(text: str) -> float:
+    """Return a needle speed in stitches a second.
+
+    Raises
+    ------
+    OptionError
+        If it has another unit, or no needle has it.
+    """
+    try:
+        found = parse_quantity(text, "stitch/s")
+    except UnitError as error:
+        raise OptionError(
+            f"{text!r}: {error.message}",
+            remedy='The search of a seam runs in stitches: "40 stitch/s".',
+        ) from error
+    if not LEAST_NEEDLE_HZ <= found <= MOST_NEEDLE_HZ:
+        raise OptionError(
+            f"{text!r} is no needle speed: it must be at least {LEAST_NEEDLE_HZ:g} and at most "
+            f"{MOST_NEEDLE_HZ:g} stitch/s",
+            remedy="Correct --low or --high.",
+        )
+    return found
+
+
+def _shaft_speeds(_job: Job, _machine: Machine, low: str | None, high: str | None) -> Span:
+    return _hz(low, _shaft_hz), _hz(high, _shaft_hz), None
+
+
+def _shaft_hz(text: str) -> float:
+    feed = parse_feed(text)
+    if feed.mode is not FeedMode.SHAFT:
+        raise OptionError(
+            f"speed {text!r} is not in stitches",
+            remedy='The search of a design runs in stitches: "120 stitch/min".',
+        )
+    return feed.value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What a search of one pace can be asked.
+
+    Parameters
+    ----------
+    searched
+        What is searched, with its verb, for a message.
+    takes
+        The options that it takes of those that not every search has, as typed.
+    span
+        Reads ``--low`` and ``--high``.
+    """
+
+    searched: str
+    takes: frozenset[str]
+    span: Callable[[Job, Machine, str | None, str | None], Span]
+
+
+_SPAN = frozenset({"--low", "--high", "--robust", "--shaper", "--mismatch"})
+ASKED: Mapping[str, Asked] = {
+    "feed": Asked(searched="the feed is", takes=_SPAN, span=_feeds),
+    OPTIMAL: Asked(
+        searched="no feed is", takes=frozenset({"--high", "--robust", "--shaper"}), span=_capped
+    ),
+    "needle": Asked(searched="the speed of the needle is", takes=_SPAN, span=_needles),
+    "shaft": Asked(searched="the speed of the shaft is", takes=_SPAN, span=_shaft_speeds),
+    "switchings": Asked(
+        searched="commands and waits are",
+        takes=frozenset({"--out", "--mismatch"}),
+        span=lambda *_: (None, None, None),
+    ),
+}
+"""By ``searched_as``."""
+_INSTEAD = {
+    "--low": "; it bounds a search by feed or speed",
+    "--high": "; it bounds a search by feed or speed",
+    "--robust": "; --band finds commands for every mode within a share of its frequency",
+    "--out": "; the command that proves the answer is printed",
+    "--shaper": "; the search chooses a shaper for every move",
+    "--mismatch": "; prove --tolerances judges its plan on other machines",
+}
+"""What there is instead of an option that not every search has."""
+_NOT_EVERYWHERE = ("low", "high", "robust", "shaper", "mismatch")
+
+
+def searched_as(job: Job, options: Options) -> str:
+    """Return how the fastest way to do a job is searched: by its pace, or all at once."""
+    at_once = job.paced_by == "feed" and options.interpolation == OPTIMAL
+    return OPTIMAL if at_once else job.paced_by
+
+
+def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Question:
+    """Return the question that the words of ``fastest`` ask of a job.
+
+    Raises
+    ------
+    InputError
+        If the job, the machine or an option cannot be read, or an option has no meaning for the
+        job.
+    """
+    robust = words.text("robust")
+    share = None if robust is None else parse_robust(robust)
+    trials = words.trials(ends=robust if share and words.text("ends") is None else None)
+    planned = _planned_for(words)
+    named, margin = words.machine(machine), parse_margin(words.text("margin") or "0 %")
+    options = words.options(robust=planned)
+    chosen = with_radii_of(named, options)
+    options = options.on(chosen)
+    job = open_job(file, chosen, options)
+    given = {f"--{word}": words.given.get(word) or None for word in _NOT_EVERYWHERE}
+    refuse_others(job, options, given)
+    search = searched_as(job, options)
+    low, high, by = ASKED[search].span(job, chosen, words.text("low"), words.text("high"))
+    spec = words.spec(chosen).with_margin(margin)
+    actual, mismatch, band = words.actual(), words.flag("mismatch"), None
+    if job.paced_by == "switchings":  # commands are made for the band, and judged all over it
+        trials, band = replace(trials, band=None), trials.band
+    if mismatch and actual is not None:
+        raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
+    if band is not None and (mismatch or actual is not None):
+        raise OptionError(
+            "--band simulates machines all over its band, and no others",
+            remedy="Leave --actual and --mismatch out.",
+        )
+    return Question(
+        job=job,
+        machine=chosen,
+        spec=with_shaping(spec, chosen, options) if search == OPTIMAL else spec,
+        options=options,
+        actual=actual,
+        trials=trials,
+        low=low,
+        high=high,
+        by=by,
+        until=_until(words.text("within")),
+        margin=margin,
+        band=band,
+        mismatch=mismatch,
+        words=words.changed(robust=planned),
+    )
+
+
+def _planned_for(words: Words) -> str | None:
+    """Return the share of tolerances that plans are made for; None for the machine of the file.
+
+    A plan without averages to choose is made for the machine of the file, and judged on the others.
+    """
+    plain = words.text("interpolation") in USUAL and words.text("law") is None
+    return words.text("robust") if words.flag("feed_forward") and plain else None
+
+
+def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> None:
+    """Refuse options that the search for a job of this pace does not have.
+
+    Parameters
+    ----------
+    given
+        By their names as typed: what was given, None where nothing was.
+
+    Raises
+    ------
+    OptionError
+        Naming the option, and what there is instead.
+    """
+    search = ASKED[searched_as(job, options)]
+    for name, value in given.items():
+        if value is not None and name not in search.takes:
+            typed = name if value is True else f"{name} {str(value)!r}"
+            raise OptionError(
+                f"{typed} does not apply to {job.name}, of which {search.searched} searched",
+                remedy=f"Leave it out{_INSTEAD.get(name, '')}.",
+            )
+
+
+def _until(within: str | None) -> Until | None:
+    if within is None:
+        return None
+    within_s = parse_number("--within", within, "s", "5 min")
+    if not within_s > 0.0:
+        raise OptionError(
+            f"--within {within!r} must be greater than 0",
+            remedy="Give how long the search may take, like '5 min', or leave it out.",
+        )
+    return Until.within(within_s)
