@@ -91,7 +91,8 @@ def test_a_straight_line_is_one_block(tmp_path: Path, xya: Machine, target: str)
     assert len(found) == 2
     (told,) = [fact for fact in file.facts if "corners are cut" in fact]
     cut_mm = 30.0 - found[0][0]["X"]
-    assert 0.0 < float(told.split(" by up to ")[1].split(" mm")[0]) == pytest.approx(cut_mm, abs=0.006)
+    told_mm = float(told.split(" by up to ")[1].split(" mm")[0])
+    assert 0.0 < told_mm == pytest.approx(cut_mm, abs=0.006)
     assert max(map(len, out.read_text().splitlines())) < 80
     assert f"{len(found)} blocks, read back" in file.warnings[0]
     text = out.read_text()
