@@ -87,7 +87,7 @@ CROSSOVER = 'crossover = ["6 Hz exact, assumed", "{} exact, assumed"]\n'
         (f"[design.settings]\n{CROSSOVER.format('1e9 Hz')}", "4: design.settings.crossover: it re"),
         (
             '[design.settings]\nphase_margin = ["60 deg exact, assumed", "300 deg exact, assumed"]',
-            "4: design.settings.phase_margin: it reaches 300 deg, at most 90 deg",
+            "4: design.settings.phase_margin: it reaches 300 deg, limit 90 deg",
         ),
         (
             '[design.settings]\nneedle_delay = ["9 ms exact, assumed", "4 ms exact, assumed"]',
