@@ -49,7 +49,7 @@ BETWEEN = re.compile(r"(,| and| to| or|;|)\s*")  # two numbers of one unit
 LAST_DIGIT = 0.51  # of a unit of the last digit that is printed: rounding, and its own rounding
 NOISE = 1e-9  # what rounding leaves of nothing
 COLUMNS = ("claim", "printed", "checked by hand", "here", "level", "command")
-LEVELS = ("nominal", "repeated", "over tolerances")
+LEVELS = ("nominal", "repeated", "over tolerances", "drawn machines")
 
 
 @dataclass(frozen=True, slots=True)
