@@ -186,7 +186,7 @@ def test_who_waited_long_enough_compiles_for_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The process that was to make it may have been stopped."""
-    monkeypatch.setattr("threadline.base.compiled.WAITS_S", 0.1)
+    monkeypatch.setattr("threadline.base.compiled.LOCK_TIMEOUT_S", 0.1)
     stopped = cache(tmp_path, "file")
     assert stopped.load("a float") is None
     other = cache(tmp_path, "file")

@@ -19,7 +19,7 @@ import pytest
 import threadline as tl
 from tests.test_limits_alone import files as limits_alone
 from threadline import face
-from threadline.cli.fastest import TOLD
+from threadline.cli.fastest import OUTPUTS
 from threadline.errors import InputError, OptionError
 from threadline.jobs.operations import Pace
 from threadline.motion.path.interpolations import OPTIMAL
@@ -35,7 +35,7 @@ PAGE = ROOT / "docs" / "api.md"
 
 
 def test_every_pace_of_a_job_has_its_search() -> None:
-    assert set(SEARCHES) == set(TOLD) == set(ASKED) == {*get_args(Pace), OPTIMAL}
+    assert set(SEARCHES) == set(OUTPUTS) == set(ASKED) == {*get_args(Pace), OPTIMAL}
 
 
 def test_the_page_lists_the_face_and_nothing_else() -> None:

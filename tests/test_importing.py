@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.live import hal_link as hal_process
 from threadline.live import sim_process
 from threadline.panel import calculation, kept_traces, owner_process
@@ -28,7 +28,7 @@ def test_a_process_begins_without_looking_for_garbage() -> None:
 
     Where they are, it is looked for garbage some hundred times.
     """
-    words = words_of("threadline.proof.pipeline", "__name__.upper")
+    words = import_and_call("threadline.proof.pipeline", "__name__.upper")
     found = subprocess.run(
         [sys.executable, "-c", _SEEN.format(words=words)],
         capture_output=True,

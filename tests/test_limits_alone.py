@@ -86,7 +86,7 @@ def broken(folder: Path, old: str, new: str) -> MachineError:
 
 def test_a_machine_file_of_limits_alone_is_read(tmp_path: Path) -> None:
     machine = load_machine(files(tmp_path, "")[0])
-    assert machine.without_dynamics and machine.told_positions
+    assert machine.without_dynamics and machine.takes_positions
     assert machine.moving == {"A": "kinematic", "X": "kinematic"}
     assert float(machine.tick_clock.period_s) == 1e-3
     assert machine.velocity_limit.tolist() == pytest.approx([5.0 * math.pi, 0.1])

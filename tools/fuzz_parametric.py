@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import re
 from collections.abc import Callable
 
 Mutate = Callable[[random.Random, bytes], bytes]
@@ -56,3 +57,8 @@ def parametric_program(rng: random.Random, mutate: Mutate) -> bytes:
     block(0)
     data = "\n".join([*lines, "G0 X1", "M30"]).encode()
     return mutate(rng, data) if rng.random() < 0.3 else data
+
+
+def fluidnc_program(rng: random.Random, mutate: Mutate) -> bytes:
+    """The same with #41 and #42: FluidNC reads no parameter below #31."""
+    return re.sub(rb"#(?=[12]\b)", b"#4", parametric_program(rng, mutate))

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
-from tools.fuzz_parametric import parametric_program
+from tools.fuzz_parametric import fluidnc_program, parametric_program
 
 from threadline.jobs import read_job
 from threadline.jobs.gcode.dialects import DIALECTS
@@ -44,8 +44,8 @@ def fuzz_programs(mutate: Mutate) -> dict[str, Target]:
         f"program-{name}": ("a.nc", _cases(dialect_program, mutate), reader_of(name), 4)
         for name in DIALECTS
     }
-    for name in ("linuxcnc", "fluidnc"):
-        target = ("a.nc", _cases(parametric_program, mutate), reader_of(name, SHORT), 4)
+    for name, made in (("linuxcnc", parametric_program), ("fluidnc", fluidnc_program)):
+        target = ("a.nc", _cases(made, mutate), reader_of(name, SHORT), 4)
         found[f"parametric-{name}"] = target
     found["x-winder"] = ("a.X4G", _cases(x_winder_program, mutate), reader_of("x-winder"), 6)
     found["settings"] = ("settings.txt", _cases(settings_file, mutate), read_machine, 3)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _PER_REVOLUTION = 0.15915494309189535
 _DEGREE = 0.017453292519943295
 
-_OF_KIND: dict[str, dict[str, float]] = {
+_FACTORS: dict[str, dict[str, float]] = {
     "": {"%": 0.01},
     "m": {"mm": 1e-3, "um": 1e-6, "in": 0.0254},
     "m/s": {"mm/s": 1e-3, "mm/min": 1.6666666666666667e-05, "in/s": 0.0254},
@@ -68,7 +68,7 @@ _OF_KIND: dict[str, dict[str, float]] = {
 
 _USUAL = {
     unit: (kind, factor)
-    for kind, units in _OF_KIND.items()
+    for kind, units in _FACTORS.items()
     for unit, factor in (units | ({kind: 1.0} if kind else {})).items()
 }
 
@@ -80,7 +80,7 @@ def usual_factor(unit: str, target: str) -> float | None:
     (0.001, 0.0, None)
     """
     known = _USUAL.get(unit)
-    if known is None or target not in _OF_KIND:
+    if known is None or target not in _FACTORS:
         return None
     kind, factor = known
     return factor if kind == target else 0.0
@@ -147,16 +147,16 @@ _UNIT_TEXT = re.compile(r"[A-Za-z0-9µμ·²³%*/^()\s.+-]*")
 _NUMBER_LEFT = re.compile(r"[\d^]|\*\*")
 _DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*(?![\d,.])")
 _RUN_TOGETHER = re.compile(r"[A-Za-z0-9 ·/]{2,16}")
-_KNOWN = (
+_UNIT_NAMES = (
     "kg g km m cm mm um in ft s ms us min N kN mN A mA V kV mV ohm H mH uH W kW J Hz kHz rad deg "
     "rev count tick bit dac bar Pa"
 )
 USUAL = {"m": "mm", "m/s": "mm/s", "s": "ms", "rad": "deg", "rad/s": "deg/s"}
 """Units that errors propose for a number without one: machine parts are given in mm, not in m."""
-_PIECES = tuple(_KNOWN.split())
+_PIECES = tuple(_UNIT_NAMES.split())
 _MOST_CUTS = 50
 _SMALLEST_EXACT, _LARGEST_EXACT = 1e-30, 1e30
-LEAST_MEANT = 1e-9
+SMALLEST_MEANINGFUL = 1e-9
 """Smallest SI value that means anything. 1 nm is a thousandth of the finest encoder count, 1 ns is
 less than a tick of the fastest timer, and 1 nA is far below the resolution of a converter. Rounding
 errors of doubles of a machine's size stay below 1e-12."""
@@ -253,7 +253,7 @@ def unit_factor(unit: str, target: str) -> float:
     usual = usual_factor(unit, target)
     if usual is not None:
         if not usual:
-            raise _of_another_kind(unit, target)
+            raise _dimension_error(unit, target)
         return usual
     registry = _registry()
     try:
@@ -269,7 +269,7 @@ def unit_factor(unit: str, target: str) -> float:
         raise UnitError(f"unknown unit {unit!r}", remedy=hint) from error
     wanted = registry.parse_units(_normalise(target))
     if source.dimensionality != wanted.dimensionality:
-        raise _of_another_kind(unit, target)
+        raise _dimension_error(unit, target)
     try:
         factor = float(registry.Quantity(1.0, source).to(wanted).magnitude)
     except ArithmeticError as error:
@@ -279,7 +279,7 @@ def unit_factor(unit: str, target: str) -> float:
     return factor
 
 
-def _of_another_kind(unit: str, target: str) -> UnitError:
+def _dimension_error(unit: str, target: str) -> UnitError:
     return UnitError(
         f"{unit!r} does not measure the same quantity as {target!r}"
         if target
@@ -331,15 +331,15 @@ def parse_quantity(text: str, target: str) -> float:
 def without_noise(value: float, limit: float | None = None) -> float:
     """Return ``value`` for display: 0 where it is only a rounding error.
 
-    A rounding error is a value below ``LEAST_MEANT``, or below the same share of ``limit`` where
-    that is above 1: a jerk in the thousands carries a larger rounding error.
+    A rounding error is a value below ``SMALLEST_MEANINGFUL``, or below the same share of ``limit``
+    if ``limit`` is above 1: a jerk in the thousands carries a larger rounding error.
 
     >>> without_noise(4.3e-19), without_noise(2e-8), without_noise(-1e-7, 500.0)
     (0.0, 2e-08, 0.0)
     """
     largest = max(1.0, abs(limit or 0.0))
     scale = largest if math.isfinite(largest) else 1.0
-    return 0.0 if abs(value) < LEAST_MEANT * scale else value
+    return 0.0 if abs(value) < SMALLEST_MEANINGFUL * scale else value
 
 
 def same_dimension(unit: str, target: str) -> bool:

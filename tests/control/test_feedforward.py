@@ -88,7 +88,7 @@ def test_volts_of_the_inverse_drive_the_plant_along_the_motion(axis):
     load = done.y.T @ plant.C[0]
     # 0.2 um: the volts are interpolated between samples 50 us apart.
     np.testing.assert_allclose(load, motion(done.t), atol=2e-7)
-    counts = done.y.T @ inverse.loop.own().C[0]
+    counts = done.y.T @ inverse.loop.axis_plant().C[0]
     np.testing.assert_allclose(np.interp(done.t, t, followed.measured_counts), counts, atol=0.1)
     coil = plant.states.index(f"{axis.lower()}.i")
     assert np.abs(followed.current_a).max() == pytest.approx(np.abs(done.y[coil]).max(), rel=1e-2)

@@ -18,6 +18,7 @@ from threadline.dynamics.robust_averages import (
     ChangeOfSpeed,
     RobustWeights,
     StepOfSpeed,
+    WeightGrid,
     frequencies_rad_s,
     robust_weights,
 )
@@ -79,11 +80,7 @@ def found_for(
             machines=[response(factor, omega) for factor in factors],
         ),
         [change(stop) for stop in stops],
-        count=COUNT,
-        step_s=STEP_S,
-        degree=5,
-        grid_s=GRID_S,
-        samples=SAMPLES,
+        WeightGrid(count=COUNT, step_s=STEP_S, degree=5, grid_s=GRID_S, samples=SAMPLES),
         near=near,
     )
     assert found is not None
@@ -145,11 +142,7 @@ def test_a_mean_is_even_where_the_speed_is_not():
         robust_weights(
             axis,
             [replace(early, mean_s=lasts_s)],
-            count=COUNT,
-            step_s=STEP_S,
-            degree=5,
-            grid_s=GRID_S,
-            samples=SAMPLES,
+            WeightGrid(count=COUNT, step_s=STEP_S, degree=5, grid_s=GRID_S, samples=SAMPLES),
         )
         for lasts_s in (0.0, mean_s)
     )
@@ -210,11 +203,7 @@ def start_of_y(share_of_limit: float, seed: int) -> RobustWeights | None:
                 share=(1.014, 1.014),
             )
         ],
-        count=COUNT,
-        step_s=step_s,
-        degree=5,
-        grid_s=step_s / 4,
-        samples=SAMPLES,
+        WeightGrid(count=COUNT, step_s=step_s, degree=5, grid_s=step_s / 4, samples=SAMPLES),
     )
 
 

@@ -37,6 +37,7 @@ class Told(NamedTuple):
 
 
 _NEW = "@new"
+_TRIES = 5
 
 
 def grbl_folder() -> Path | None:
@@ -94,6 +95,23 @@ def run(program: Path, programs: Sequence[Sequence[str]]) -> list[Told]:
     told = [_told(part) for part in done.stdout.split(f"{_NEW}\n")[1:]]
     assert len(told) == len(programs)
     return told
+
+
+def interpreted(rs274: str, program: Path, timeout_s: float = 60.0) -> str:
+    """Return what LinuxCNC's interpreter says of a program: its calls, or its refusal.
+
+    Now and then it dies of SIGBUS while other processes of LinuxCNC share its memory; it is asked
+    again.
+    """
+    for _ in range(_TRIES):
+        done = subprocess.run(
+            [rs274, "-g", program.name], cwd=program.parent, capture_output=True, text=True,
+            timeout=timeout_s, check=False,
+        )  # fmt: skip
+        if done.returncode >= 0:
+            break
+    assert done.returncode >= 0, f"rs274 dies of signal {-done.returncode}"
+    return done.stdout + done.stderr
 
 
 def _told(text: str) -> Told:

@@ -6,11 +6,11 @@ import math
 import random
 import re
 import shutil
-import subprocess
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+from tests.jobs.controls_themselves import interpreted
 
 from threadline.errors import MachineError, OptionError
 from threadline.jobs import Job, Move, read_job
@@ -90,11 +90,8 @@ def test_linuxcnc_by_its_own_interpreter(tmp_path: Path, winder: Machine, rule: 
         moves += [out, re.sub(r"([AXY])", r"\1-", out)]
     program = tmp_path / "theirs.ngc"
     program.write_text("\n".join(["G21 G91 G93", *(f"G1 {m} F1" for m in moves), "M2"]) + "\n")
-    done = subprocess.run(
-        [rs274, "-g", program.name], cwd=tmp_path, capture_output=True, text=True, timeout=60,
-        check=True,
-    )  # fmt: skip
-    rates = re.findall(r"SET_FEED_RATE\(([\d.]+)\)[^S]*STRAIGHT_FEED", done.stdout + done.stderr)
+    said = interpreted(rs274, program)
+    rates = re.findall(r"SET_FEED_RATE\(([\d.]+)\)[^S]*STRAIGHT_FEED", said)
     assert len(rates) == len(moves)
 
     lines = [f"G1 {m} F{rate}" for m, rate in zip(moves, rates, strict=True)]

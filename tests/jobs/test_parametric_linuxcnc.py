@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
+from tests.jobs.controls_themselves import interpreted
 from tests.jobs.in_dialects import millimetres
 from tests.jobs.made_machines import made_machine
 from tests.jobs.random_parametric import random_parametric
@@ -34,17 +34,14 @@ def test_linuxcnc_reckons_alike(tmp_path: Path, xyza: Machine, first: int) -> No
     for seed in range(first, first + 6):
         program = tmp_path / "a.ngc"
         program.write_text(random_parametric(seed))
-        done = subprocess.run(
-            [rs274, "-g", program.name], cwd=tmp_path, capture_output=True, text=True, timeout=60,
-            check=False,
-        )  # fmt: skip
-        if "PROGRAM_END" not in done.stdout:
+        said = interpreted(rs274, program)
+        if "PROGRAM_END" not in said:
             with pytest.raises(JobError):
                 read_job(program, xyza, dialect="linuxcnc")
             continue
         theirs = [
             [float(number) for number in re.findall(r"[-+]?[0-9]+\.[0-9]+", line)[:4]]
-            for line in done.stdout.splitlines()
+            for line in said.splitlines()
             if "STRAIGHT_" in line
         ]
         ours = millimetres(read_job(program, xyza, dialect="linuxcnc"))

@@ -59,7 +59,7 @@ def test_another_layout_of_the_fifo_is_refused(tmp_path: Path) -> None:
     """Nothing is written into memory that is not what it is taken for."""
     hal = HalSession(winder(), ZERO, plant=False)
     try:
-        with pytest.raises(LinkFaultError, match="another way"):
+        with pytest.raises(LinkFaultError, match="differs from LinuxCNC"):
             left_samples(winder_at_1_ms(tmp_path))
     finally:
         hal.close()

@@ -70,7 +70,7 @@ def test_a_length_out_of_range_is_refused(length: int) -> None:
     ours, theirs = socket.socketpair()
     ours.sendall(struct.pack("<I", length) + b"x" * 8)
     connection = Connection(theirs)
-    with pytest.raises(LinkFaultError, match="no message"):
+    with pytest.raises(LinkFaultError, match="not a message"):
         connection.receive(1.0)
     ours.close()
     connection.close()

@@ -15,7 +15,13 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import Proof, Trials, plan_job, prove_plan
 from threadline.report.figures import all_figures
 from threadline.report.style import figure_style
-from threadline.report.traces import AROUND_SAMPLES, MAX_SAMPLES, collect, envelope, pass_slowly
+from threadline.report.traces import (
+    AROUND_SAMPLES,
+    MAX_SAMPLES,
+    collect,
+    envelope,
+    scale_to_run_rate,
+)
 from threadline.verdict import judge, load_spec
 
 AT = 12_345  # of 30 000 samples, alone
@@ -180,7 +186,7 @@ def test_a_plan_that_is_passed_slowly_has_the_speed_that_is_passed_at() -> None:
     time_s = np.arange(0.0, 4.0, every_s)
     due_s = time_s - 0.3 * np.sin(time_s)
     planned = np.stack([np.sin(due_s), np.cos(due_s), -np.sin(due_s)], axis=1)[:, :, None]
-    pass_slowly(planned, due_s - time_s, every_s)
+    scale_to_run_rate(planned, due_s - time_s, every_s)
     rate, change = 1.0 - 0.3 * np.cos(time_s), 0.3 * np.sin(time_s)
     velocity = np.cos(due_s) * rate
     acceleration = -np.sin(due_s) * rate**2 + np.cos(due_s) * change

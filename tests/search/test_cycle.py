@@ -242,7 +242,7 @@ def test_a_specification_that_asks_little_keeps_the_cycle_as_it_is(
     code, out, _ = run(capsys, "fastest", CYCLE, "-m", PLACER, "-s", spec)
     assert code == 0
     assert "1 cycles tried on the twin; unshaped it takes 8.010 s and is in spec (repeated)" in out
-    assert "what the list lets overlap saves 0." in out
+    assert "overlapping moves, as the list allows, save 0." in out
     listed = tmp_path / "listed.toml"
     text = CYCLE.read_text(encoding="utf-8")
     listed.write_text(text.replace("\nmove =", "\noverlap = false\nmove ="), encoding="utf-8")

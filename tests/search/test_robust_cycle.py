@@ -14,7 +14,7 @@ from tests.blank_pictures import blank_pictures
 
 import threadline.machine
 from threadline.cli.fastest_cycle import robust_lines
-from threadline.cli.fastest_told import show
+from threadline.cli.fastest_output import show
 from threadline.cli.main import main
 from threadline.dynamics.pneumatic import flow_mode, frame_mode
 from threadline.jobs import read_job
@@ -249,4 +249,7 @@ def test_the_line_of_a_band_says_that_each_machine_ran_once(
     )
     show(robust_lines(cast("RobustCycle", none_found)))
     said = " ".join(capsys.readouterr().out.split())
-    assert "at most 0.0975 mm ring on 17 machines, one run each, with modes of X 2.33" in said
+    assert (
+        "residual vibration at most 0.0975 mm on 17 machines, one run each, with modes of X 2.33"
+        in said
+    )

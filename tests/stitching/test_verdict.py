@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.made import Made
+from threadline.errors import RecordingError
 from threadline.files import Recording, RecordingBlock
 from threadline.jobs import read_job
 from threadline.machine import load_machine
@@ -68,6 +69,23 @@ def test_the_stitch_that_is_off_is_named() -> None:
     assert found.job_line == plan.stitched.turns.line[turn]
     assert 3e-4 - 1e-4 < found.measured < 3e-4 + 1e-4
     assert verdict.result("stitch_residual", "X").status is Status.PASSED
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])
+@pytest.mark.parametrize("far_s", [0.0, 0.3])
+def test_a_sample_that_cannot_be_is_refused_wherever_it_lies(value: float, far_s: float) -> None:
+    """One that no stitch is judged by was passed over, on frames and placers."""
+    plan = proof().plan
+    turn = int(np.flatnonzero(plan.stitched.turns.moves.needle)[99])
+    when = plan.stitched.turns.begin[turn] / 16e6
+
+    def spoil(samples, block):
+        times = (block.first_tick["servo"] + np.arange(len(samples["needle"]))) * 1e-3
+        samples["Y.load"][(times > when + far_s) & (times < when + far_s + 0.0015)] = value
+        return samples
+
+    with pytest.raises(RecordingError, match=r"channel 'Y\.load' ha|channel 'Y\.load' holds"):
+        judge([changed(spoil)], plan, SPEC)
 
 
 def test_a_stitch_is_out_where_either_axis_is() -> None:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.jobs.controls_themselves import interpreted
 from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
 from threadline.commands import firmware_program
@@ -178,11 +178,7 @@ def test_linuxcnc_takes_what_is_written_for_it(tmp_path: Path, xya: Machine) -> 
     made = plan(tmp_path, xya, text)
     out = tmp_path / "out.ngc"
     write(made, "linuxcnc", out)
-    done = subprocess.run(
-        [rs274, "-g", out.name], cwd=tmp_path, capture_output=True, text=True, timeout=60,
-        check=True,
-    )  # fmt: skip
-    found = re.findall(r"STRAIGHT_FEED\(([^)]*)\)", done.stdout)
+    found = re.findall(r"STRAIGHT_FEED\(([^)]*)\)", interpreted(rs274, out))
     ends = [[float(n) for n in call.split(",")] for call in found]
     written = [[e["X"], e["Y"], e["A"]] for e, _ in blocks(out.read_text())]
     assert [[e[0], e[1], e[3]] for e in ends] == [pytest.approx(w, abs=1.01e-4) for w in written]

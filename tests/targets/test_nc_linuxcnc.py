@@ -10,12 +10,12 @@ import math
 import random
 import re
 import shutil
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from tests.jobs.controls_themselves import interpreted
 from threadline.commands.nc import NcStyle, write_part_program
 from threadline.jobs import Dwell, FeedMode, Move, Stop, read_job
 from threadline.machine import load_machine
@@ -50,12 +50,7 @@ def rs274() -> str:
 
 def interpret(rs274: str, program: Path) -> list[Canonical]:
     """Run LinuxCNC's interpreter; return moves, dwells and stops in millimetres."""
-    done = subprocess.run(
-        [rs274, "-g", program.name], cwd=program.parent, capture_output=True, text=True,
-        timeout=60, check=False,
-    )  # fmt: skip
-    output = done.stdout + done.stderr
-    assert done.returncode == 0, output
+    output = interpreted(rs274, program)
     assert "PROGRAM_END()" in output, output
     calls: list[Canonical] = []
     unit, rate = 1.0, 0.0

@@ -12,12 +12,12 @@ import math
 import random
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.jobs.controls_themselves import interpreted
 from tests.jobs.made_machines import made_machine
 from threadline.cli.main import main
 from threadline.commands.boards import BOARDS
@@ -324,12 +324,9 @@ def test_linuxcnc_switches_where_the_program_did(
     (tmp_path / "out.nc").write_text(compiled(tmp_path, machines["linuxcnc"], text, "linuxcnc"))
 
     def calls(name: str) -> list[tuple[str, float]]:
-        done = subprocess.run(
-            [rs274, "-g", name], cwd=tmp_path, capture_output=True, text=True, timeout=300,
-            check=True,
-        )  # fmt: skip
+        said = interpreted(rs274, tmp_path / name, 300.0)
         found, x = [], 0.0
-        for call, told in re.findall(r"([A-Z_]+)\(([^)]*)\)", done.stdout):
+        for call, told in re.findall(r"([A-Z_]+)\(([^)]*)\)", said):
             if call in {"STRAIGHT_TRAVERSE", "STRAIGHT_FEED"}:
                 x = float(told.split(",")[0])
             elif re.search("SPINDLE|FLOOD|OUTPUT", call):

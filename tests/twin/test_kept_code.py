@@ -172,7 +172,7 @@ def test_the_digest_is_of_all_sources_that_write_a_kernel() -> None:
     assert outside - known == {
         "threadline.base.arrays.FloatArray",
         "threadline.base.compiled.FileLock",
-        "threadline.base.compiled.where_kept",
+        "threadline.base.compiled.cache_folder",
     }
 
 

@@ -14,7 +14,7 @@ from threadline.machine import Machine, load_machine
 from threadline.machine.vary import vary
 from threadline.proof.options import Options
 from threadline.proof.pipeline import open_job, plan_job
-from threadline.twin import simulate, simulate_told_runs
+from threadline.twin import simulate, simulate_position_runs
 from threadline.verdict import Judge, load_spec
 
 ROOT = Path(__file__).parents[2]
@@ -48,7 +48,7 @@ def test_each_run_is_that_of_its_own_to_the_bit(project: Path) -> None:
     plan = plan_job(open_job(project / "job.gcode", machine, Options()), machine, Options())
     table, phases = tick_table(plan.commands), np.random.default_rng(4).uniform(size=(4, 2))
     machines = others(machine)
-    beside = simulate_told_runs(table, machines, encoder_phase=phases)
+    beside = simulate_position_runs(table, machines, encoder_phase=phases)
     assert beside is not None and beside.runs == 4
     for number, (one, phase) in enumerate(zip(machines, phases, strict=True), start=1):
         alone = simulate(table, one, encoder_phase=phase)
@@ -68,7 +68,7 @@ def test_the_judge_finds_the_same_side_by_side(project: Path) -> None:
     plan = plan_job(open_job(project / "job.gcode", machine, Options()), machine, Options())
     table, phases = tick_table(plan.commands), np.random.default_rng(5).uniform(size=(4, 2))
     spec = load_spec(project / "spec.toml", machine)
-    beside = simulate_told_runs(table, others(machine), encoder_phase=phases)
+    beside = simulate_position_runs(table, others(machine), encoder_phase=phases)
     assert beside is not None
     alone = [
         simulate(table, one, encoder_phase=phase)
@@ -88,4 +88,4 @@ def test_a_belt_that_may_fall_slack_is_not_run_side_by_side() -> None:
     )
     phases = np.full((2, 2), 0.5)
     table = tick_table(plan.commands)
-    assert simulate_told_runs(table, [machine, machine], encoder_phase=phases) is None
+    assert simulate_position_runs(table, [machine, machine], encoder_phase=phases) is None

@@ -267,7 +267,9 @@ def test_a_wider_limit_than_the_machines_fails_with_the_machines_own(tmp_path: P
         assert max(r.severity for r in failed)[0] == 3
         assert verdict.result("velocity", "X").limit == 1.0
         assert verdict.result("velocity", "X").status is Status.FAILED
-        wide = [r for r in failed if r.limit == 2.0]
+        wide = [
+            r for r in failed if (r.limit or 0.0) > 1.0
+        ]  # 2.2: a recording may exceed 2 by 10 %
         assert all(r.status is Status.PASSED for r in wide)
         assert ("cannot widen" in verdict.result("velocity", "X").note) is bool(wide)
 

@@ -40,10 +40,10 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
     """
 
     @wraps(function)
-    def asked(*given: P.args, **named: P.kwargs) -> T:
-        _check(function, given, named)
+    def wrapper(*positional: P.args, **named: P.kwargs) -> T:
+        _check(function, positional, named)
         try:
-            return function(*given, **named)
+            return function(*positional, **named)
         except OSError as error:
             raise OptionError(
                 f"cannot use {error.filename or 'a file'}: {error.strerror or error}",
@@ -55,16 +55,17 @@ def checked(function: Callable[P, T]) -> Callable[P, T]:
                 remedy="Give a shorter job, a higher feed or a longer clock.",
             ) from error
 
-    return asked
+    return wrapper
 
 
-def _check(function: Callable[..., Any], given: Sequence[Any], named: dict[str, Any]) -> None:
+def _check(function: Callable[..., Any], positional: Sequence[Any], named: dict[str, Any]) -> None:
     signature = inspect.signature(function)
     try:
-        bound = signature.bind(*given, **named)
+        bound = signature.bind(*positional, **named)
     except TypeError as error:
         raise OptionError(
-            f"{function.__name__}: {error}", remedy=f"It is {function.__name__}{_told(signature)}."
+            f"{function.__name__}: {error}",
+            remedy=f"It is {function.__name__}{_signature_text(signature)}.",
         ) from None
     for name, value in bound.arguments.items():
         options = signature.parameters[name].kind is inspect.Parameter.VAR_KEYWORD
@@ -75,11 +76,11 @@ def _check(function: Callable[..., Any], given: Sequence[Any], named: dict[str, 
 @cache
 def _takes(function: Callable[..., Any], name: str) -> Any:
     """Return the types that an argument may have; Any where the function checks it itself."""
-    told = inspect.signature(function).parameters[name].annotation
-    if told is inspect.Parameter.empty:
+    annotation = inspect.signature(function).parameters[name].annotation
+    if annotation is inspect.Parameter.empty:
         return Any
     # Evaluate parameters only: return types may be imported for type checkers alone.
-    return eval(told, function.__globals__) if isinstance(told, str) else told  # noqa: S307
+    return eval(annotation, function.__globals__) if isinstance(annotation, str) else annotation  # noqa: S307
 
 
 def check_argument(name: str, value: object, takes: Any) -> None:
@@ -140,5 +141,5 @@ def _shown(value: object) -> str:
     return text if len(text) <= _MOST else f"{text[:_MOST]}..."
 
 
-def _told(signature: inspect.Signature) -> str:
+def _signature_text(signature: inspect.Signature) -> str:
     return "(" + ", ".join(map(str, signature.parameters)) + ")"

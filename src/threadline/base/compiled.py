@@ -49,26 +49,26 @@ if _config.DISABLE_JIT:
         remedy="Unset it.",
     )
 
-__all__ = ["FileLock", "njit", "where_kept"]
+__all__ = ["FileLock", "cache_folder", "njit"]
 
 F = TypeVar("F", bound=Callable[..., Any])
-WAITS_S = 120.0
+LOCK_TIMEOUT_S = 120.0
 """Longest wait for the machine code of another process; after it, this process compiles."""
-_LOOKS_EACH_S = 0.02
+_POLL_S = 0.02
 _PLAIN = (bool, int, float, complex, str, bytes, tuple)
 
 
 class FileLock:
     """A file that one process locks until it deletes this object, where the system has file locks.
 
-    Other processes wait at most ``WAITS_S``: the owner may have been suspended.
+    Other processes wait at most ``LOCK_TIMEOUT_S``: the owner may have been suspended.
     """
 
     def __init__(self, path: Path) -> None:
         self._path, self._file = path, -1
         if sys.platform == "win32":
             return
-        end_s = time.monotonic() + WAITS_S
+        end_s = time.monotonic() + LOCK_TIMEOUT_S
         # Work goes on without a lock if the file cannot be written or locked.
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -77,7 +77,7 @@ class FileLock:
                 try:
                     fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
-                    time.sleep(_LOOKS_EACH_S)
+                    time.sleep(_POLL_S)
                 else:
                     break
 
@@ -194,11 +194,11 @@ class _Clock(Listener):
     """Reports to ``COMPILING`` the start and end of every compilation."""
 
     def on_start(self, event: Event) -> None:  # noqa: ARG002
-        """Note the start."""
+        """Report the start of a compilation."""
         COMPILING.begin()
 
     def on_end(self, event: Event) -> None:  # noqa: ARG002
-        """Note the end, with or without success."""
+        """Report the end of a compilation, with or without success."""
         COMPILING.end()
 
 
@@ -222,7 +222,7 @@ def njit(**options: Any) -> Callable[[F], Dispatcher[F]]:
     return compiled
 
 
-def where_kept(function: Callable[..., Any]) -> Path | None:
+def cache_folder(function: Callable[..., Any]) -> Path | None:
     """Return the cache folder of a function's file; None where no folder can be written.
 
     The folder is beside the source file, or the user's cache folder if that one is read-only, or

@@ -30,10 +30,10 @@ def imported(name: str) -> ModuleType:
         return import_module(name)
 
 
-def words_of(module: str, function: str) -> str:
+def import_and_call(module: str, function: str) -> str:
     """Return Python source that imports a module with ``imported`` and calls its function.
 
-    >>> words_of("threadline.base.arrays", "be")
+    >>> import_and_call("threadline.base.arrays", "be")
     "from threadline.base.importing import imported; imported('threadline.base.arrays').be()"
     """
     return f"from {__name__} import imported; imported({module!r}).{function}()"

@@ -173,16 +173,16 @@ def toml_fault(error: Exception, text: str) -> tuple[str, int]:
     """
     if isinstance(error, RecursionError):
         return "the file is nested too deeply", 0
-    said = str(error)
-    at = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)$", said)
+    message = str(error)
+    at = re.search(r" ?\(at (?:line (\d+), column \d+|end of document)\)$", message)
     if at is None:
-        return f"not valid TOML: {said}", 0
-    said = said[: at.start()]
-    said = said[:1].lower() + said[1:]
+        return f"not valid TOML: {message}", 0
+    message = message[: at.start()]
+    message = message[:1].lower() + message[1:]
     if at[1] is not None:
-        return f"not valid TOML: {said}", int(at[1])
+        return f"not valid TOML: {message}", int(at[1])
     last = text.rstrip("\n").count("\n") + 1
-    return f"not valid TOML: {said} before the end; the file may be truncated", last
+    return f"not valid TOML: {message} before the end; the file may be truncated", last
 
 
 def line_in_rows(text: str, rows: str, index: int | None, key: str) -> int:
@@ -247,8 +247,8 @@ def field_fault(error: Mapping[str, Any]) -> tuple[str, str]:
         return must + got, remedy
     if kind == "value_error":
         return str(error["msg"]).removeprefix("Value error, "), ""
-    said = str(error["msg"]).removeprefix("Input ")
-    return f"{said[:1].lower()}{said[1:]}{got}", "Correct it."
+    message = str(error["msg"]).removeprefix("Input ")
+    return f"{message[:1].lower()}{message[1:]}{got}", "Correct it."
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "Known") -> str:
@@ -282,8 +282,8 @@ def grouped(warnings: Iterable[str]) -> list[str]:
     """
     groups: dict[str, list[str]] = {}
     for text in warnings:
-        of_part = _PARTS.match(text) is not None
-        kind = _FIGURES.sub("#", _PARTS.sub(r"\1", text)) if of_part else text
+        names_a_part = _PARTS.match(text) is not None
+        kind = _FIGURES.sub("#", _PARTS.sub(r"\1", text)) if names_a_part else text
         groups.setdefault(kind, []).append(text)
     lines = []
     for first, *others in groups.values():

@@ -82,7 +82,7 @@ class _Move:
 
     made: Path | None
     place: Path
-    asked: Path
+    requested: Path
 
 
 @dataclass(slots=True)
@@ -92,7 +92,7 @@ class _Together:
     stack: ExitStack
     moves: list[_Move] = field(default_factory=list)
     folders: list[Path] = field(default_factory=list)
-    unasked: list[Path] = field(default_factory=list)  # folders that no option named
+    unrequested: list[Path] = field(default_factory=list)  # folders that no option named
 
 
 @dataclass(slots=True)
@@ -155,7 +155,7 @@ def together(*outputs: Path | None) -> Iterator[None]:
             appeared = _APPEARED.get()
             if appeared is not None:
                 appeared.files += [move.place for move in pending.moves]
-                appeared.folders += pending.unasked
+                appeared.folders += pending.unrequested
 
 
 @contextmanager
@@ -198,7 +198,7 @@ def staging_folder(folder: Path) -> Iterator[Path]:
         pending = _pending()
         real = _real(folder)
         with naming(folder, real), _uninterrupted():  # what is made is noted, to be removed
-            home = _made(real, asked=True)
+            home = _made(real, requested=True)
             temporary = tempfile.TemporaryDirectory(dir=home, prefix=".threadline-")
             made = Path(pending.stack.enter_context(temporary))
         with naming(folder, made):
@@ -216,7 +216,7 @@ def remove_with(path: Path) -> None:
 def content_of(path: Path) -> Path:
     """Return the file that holds the bytes of ``path`` now: a temporary one until it appears."""
     pending = _TOGETHER.get()
-    staged = [m.made for m in pending.moves if m.asked == path and m.made] if pending else []
+    staged = [m.made for m in pending.moves if m.requested == path and m.made] if pending else []
     return staged[-1] if staged else path
 
 
@@ -230,12 +230,12 @@ def _real(path: Path) -> Path:
     return Path(os.path.realpath(path))
 
 
-def _made(folder: Path, *, asked: bool = False) -> Path:
+def _made(folder: Path, *, requested: bool = False) -> Path:
     """Make ``folder`` and its parents; they are removed again if the block fails.
 
     Parameters
     ----------
-    asked
+    requested
         Whether the user named the folder itself instead of a file in it.
     """
     missing = [p for p in (folder, *folder.parents) if not os.path.lexists(p)]
@@ -243,8 +243,8 @@ def _made(folder: Path, *, asked: bool = False) -> Path:
         with _uninterrupted():
             each.mkdir()
             _pending().folders.append(each)
-            if not asked or each != folder:
-                _pending().unasked.append(each)
+            if not requested or each != folder:
+                _pending().unrequested.append(each)
     return folder
 
 
@@ -277,19 +277,19 @@ def _commit(pending: _Together) -> None:
     to_stdout = []
     places: dict[Path, Path] = {}
     for move in pending.moves:
-        check_output(move.asked)  # again: files may have been read and folders made since
-        other = places.setdefault(move.place, move.asked)
-        if move.made is not None and places[move.place] is not move.asked:
+        check_output(move.requested)  # again: files may have been read and folders made since
+        other = places.setdefault(move.place, move.requested)
+        if move.made is not None and places[move.place] is not move.requested:
             raise OptionError(
-                f"{str(move.asked)!r} is written twice, as {str(other)!r} too", remedy=_REMEDY
+                f"{str(move.requested)!r} is written twice, as {str(other)!r} too", remedy=_REMEDY
             )
-        if move.made is not None and is_stdout(move.asked):
+        if move.made is not None and is_stdout(move.requested):
             to_stdout.append(move.made)
     try:
         for move in pending.moves:
             if move.made in to_stdout or (move.made is None and not move.place.exists()):
                 continue
-            with naming(move.asked, move.made or move.place):
+            with naming(move.requested, move.made or move.place):
                 kept = _kept(move, pending.stack)
                 undo.append((move.place, kept))
                 if move.made is None:
@@ -330,7 +330,7 @@ def _uninterrupted() -> Iterator[None]:
         return
     came: list[tuple[int, FrameType | None]] = []
     before = {
-        number: signal.signal(number, lambda *told: came.append(told))
+        number: signal.signal(number, lambda *arguments: came.append(arguments))
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         if callable(signal.getsignal(number))
     }
@@ -339,7 +339,7 @@ def _uninterrupted() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-        for told in came[:1]:
-            handler = before[signal.Signals(told[0])]
+        for arguments in came[:1]:
+            handler = before[signal.Signals(arguments[0])]
             if callable(handler):
-                handler(*told)
+                handler(*arguments)

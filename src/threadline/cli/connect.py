@@ -1,4 +1,4 @@
-"""``threadline connect``: the settings of a controller, read from the controller itself."""
+"""``threadline connect``: read the settings of a controller from the controller itself."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def connect(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="File to write; KIND-settings.txt unless you name it."),
+        typer.Option("--output", "-o", help="File to write; default KIND-settings.txt."),
     ] = None,
     baud: Annotated[
         int | None,
@@ -38,11 +38,11 @@ def connect(
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Read the settings of a controller from itself, and write them to a file.
+    """Read the settings of a controller from the controller, and write them to a file.
 
-    Nothing moves and no setting is changed. Opening a serial line restarts many boards, as it does
-    in every sender. grbl, grblHAL, FluidNC, Marlin and RepRapFirmware answer over a serial line or
-    the network, Klipper through Moonraker. The file is what threadline new --from reads.
+    Nothing moves and no setting is changed. Opening a serial line restarts many boards, with
+    any sender. grbl, grblHAL, FluidNC, Marlin and RepRapFirmware answer over a serial line or
+    the network, Klipper through Moonraker. threadline new --from reads the file.
 
     Example: threadline connect /dev/ttyUSB0
     """

@@ -29,8 +29,8 @@ from threadline.report.design import (
     candidate_rows,
     change_rows,
     corners_title,
+    design_sentence,
     gain_rows,
-    what_binds,
     write_design_report,
 )
 from threadline.search.design import Candidate, DesignResult, Wanted
@@ -193,7 +193,7 @@ def _show(result: DesignResult) -> None:
             print_table(title, *verdict_rows(result.found.corners))
         say(closing(result.found.verdict))
     print_table("Cost against margin, and other machines", *candidate_rows(result))
-    say(what_binds(result))
+    say(design_sentence(result))
     say(f"{result.simulated} machines simulated")
 
 
@@ -207,7 +207,7 @@ def _content(result: DesignResult, written: list[str], page: Path | None) -> dic
         "nearest": _candidate(result.nearest),
         "known": {name: _candidate(c) for name, c in result.known.items()},
         "pareto": [_candidate(c) for c in result.pareto],
-        "what_binds": what_binds(result),
+        "what_binds": design_sentence(result),
         "refused": list(result.refused),
         "simulated": result.simulated,
         "written": written,

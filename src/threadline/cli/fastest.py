@@ -11,8 +11,14 @@ import typer
 
 from threadline.cli import option_parameters
 from threadline.cli.arguments import JobArgument, JsonOption, MachineOption, named_folder
-from threadline.cli.fastest_cycle import CycleTold, write_move_list
-from threadline.cli.fastest_told import FeedTold, NeedleTold, OptimalTold, ShaftTold, Told
+from threadline.cli.fastest_cycle import CycleOutput, write_move_list
+from threadline.cli.fastest_output import (
+    FeedOutput,
+    NeedleOutput,
+    OptimalOutput,
+    SearchOutput,
+    ShaftOutput,
+)
 from threadline.cli.found import as_typed, command_line
 from threadline.cli.output import check_outputs, print_json, progress_bar
 from threadline.cli.warn import tell, warn
@@ -32,8 +38,8 @@ def fastest(
         typer.Option(
             parser=named_folder,
             metavar="<path>",
-            help="Folder for the report of the fastest, or with --mismatch for its picture "
-            "(PNG, SVG).",
+            help="Folder for the report on the fastest plan; with --mismatch, for the picture of "
+            "that search (PNG, SVG).",
         ),
     ] = None,
     out: Annotated[
@@ -42,66 +48,66 @@ def fastest(
             "--out",
             "--output",
             "-o",
-            help="Of an on/off machine: write the move list of the shortest cycle to this file.",
+            help="Write the move list of the shortest cycle to this file (on/off machines).",
         ),
     ] = None,
     json: JsonOption = False,
 ) -> None:
-    """Find every interval of feed at which JOB stays in spec on the machine, the highest first.
+    """Find every interval of feed in which JOB stays in spec on the machine, the highest first.
 
-    A program with several F keeps their ratios: the feed override in percent is searched. For a
-    seam the needle speed is searched, in stitch/s. With --margin "20 %" a fifth of every
-    limit is kept free. For an on/off machine the shortest cycle is searched: every move gets a
-    shaper or switchings of its own, and every wait its length; with --band "20 %" the commands
-    hold wherever the modes are within 20 % of their frequency. With --robust "100 %" one plan
-    is to hold on every machine at the ends of the tolerances.
-    For an embroidery design the speed of the shaft is searched, a constant one and one that is
-    different for each stitch. Every trial is proved by twenty runs, as by threadline prove, or with
-    --nominal by one. With --interpolation optimal no feed is searched: a few plans are proved, and
-    the answer tells how much slower the fastest is than the limits of axes and drives alone allow.
+    If a program has several F, their ratios are kept and the feed override is searched, in percent.
+    For a seam the needle speed is searched, in stitch/s; for an embroidery design the shaft speed,
+    constant and stitch by stitch. For an on/off machine the shortest cycle is searched: each move
+    gets its own shaper or switching times, and each wait its length.
 
-    Exit status: 0 when some feed passes, 1 when none does, 2 wrong input.
+    Every trial is proved by twenty runs, like threadline prove, or by one with --nominal. With
+    --margin "20 %" a fifth of every limit is kept free. With --robust "100 %" one plan must pass on
+    every machine at the ends of the tolerances. With --band "20 %" the commands of an on/off
+    machine must pass for all modes within 20 % of their frequency. With --interpolation optimal no
+    feed is searched: a few plans are proved, and the fastest in spec is compared with the fastest
+    within the limits of axes and drives alone.
+
+    Exit status: 0 if a feed passes, 1 if none does, 2 for wrong input.
 
     Example: threadline fastest examples/x-180.prg -m lathe-winder --interpolation linear
 
-    Of an on/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer
-    -o best.toml
+    On/off machine: threadline fastest examples/letter-cycle.toml -m letter-placer -o best.toml
     """
     asked = question_of(words, job, machine)
     refuse_others(asked.job, asked.options, {"--out": out})
     check_outputs(file=out, folder=report)
-    telling = TOLD[searched_as(asked.job, asked.options)]
+    output_class = OUTPUTS[searched_as(asked.job, asked.options)]
     warn(asked.machine, asked.job, own_feed=False)
     with progress_bar(not json) as progress:
         found = answered(replace(asked, until=asked.until or Until(), progress=progress))
-        told = telling(found, f"{asked.job.name} on {asked.machine.name}")
-    tell(told.warnings())
-    page = None if report is None else told.report(report)
+        output = output_class(found, f"{asked.job.name} on {asked.machine.name}")
+    tell(output.warnings())
+    page = None if report is None else output.report(report)
     written = None if out is None else write_move_list(found, out)
     again = None
     if written is not None or found.again is not None:
         typed = words.typed(robust=asked.words.get("robust")) | {"--interpolation": None}
-        if told.on_ticks and words.text("law") is None:
+        if output.on_ticks and words.text("law") is None:
             typed["--interpolation"] = asked.options.interpolation
         best = as_typed(found.words or {}) if written is None else {}
         options = {"-m": machine, **typed, **best, **level_option(asked.trials)}
         again = command_line("prove", written or job, options)
     if json:
-        said = {"command": again} | ({} if page is None else {"report": str(page)})
-        print_json(told.content() | said)
+        extra = {"command": again} | ({} if page is None else {"report": str(page)})
+        print_json(output.content() | extra)
     else:
-        told.show(again, page)
+        output.show(again, page)
     raise typer.Exit(0 if found.passed else 1)
 
 
-TOLD: Mapping[str, type[Told]] = {
-    "feed": FeedTold,
-    OPTIMAL: OptimalTold,
-    "needle": NeedleTold,
-    "shaft": ShaftTold,
-    "switchings": CycleTold,
+OUTPUTS: Mapping[str, type[SearchOutput]] = {
+    "feed": FeedOutput,
+    OPTIMAL: OptimalOutput,
+    "needle": NeedleOutput,
+    "shaft": ShaftOutput,
+    "switchings": CycleOutput,
 }
-"""By ``searched_as``, as ``search.by_pace`` has the searches: how they are told."""
+"""Output of each kind of search; keys as of ``searched_as`` and ``search.by_pace``."""
 
 
 def register(app: typer.Typer) -> None:

@@ -1,4 +1,4 @@
-"""How ``threadline fastest`` tells cycles: of a move list, for a band of modes, side by side."""
+"""Output of ``threadline fastest`` for cycles: one cycle, a band of modes, cycles side by side."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from threadline.base.writing import together
-from threadline.cli.fastest_told import Told, verdict_content
+from threadline.cli.fastest_output import SearchOutput, verdict_content
 from threadline.cli.found import limit_words
 from threadline.report.document import Printed
 from threadline.report.switching import write_switching
@@ -23,7 +23,7 @@ from threadline.verdict import closing, verdict_rows
 
 
 def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
-    """Return the moves of the cycle found for the band ``band`` (half width, a share)."""
+    """Return the moves of the cycle found for a band of modes; ``band`` is its half width."""
     header = ["step", "axis", "mm", "unshaped s", "bound s", "found s", "over the bound"]
     rows = [
         [
@@ -47,10 +47,10 @@ def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
 
 
 def robust_lines(robust: RobustCycle) -> Iterator[Printed | str]:
-    """Yield what holds over a band of modes, and the verdict of the cycle that was found for it."""
+    """Yield the residual vibration over a band of modes, and the verdict of the cycle for it."""
     yield (
-        "bound: the shortest on the same scan with levels free between 0 and 1, this move alone "
-        "and all that may ring its own; no valves are faster"
+        "bound: the shortest command on the same scan with levels free between 0 and 1, with all "
+        "the allowed vibration for this move alone; no valves are faster"
     )
     for move in robust.moves:
         yield f"{move.step}, {move.axis}: {move.levels}"
@@ -59,22 +59,22 @@ def robust_lines(robust: RobustCycle) -> Iterator[Printed | str]:
     )
     worst = max(robust.over, key=lambda run: run.worst_m)
     over = (
-        f"at most {worst.worst_m * 1e3:.4g} mm ring on {len(robust.over)} machines, one run each, "
-        f"with modes of {modes}; the most at {worst.relative * 100:+.3g} %"
+        f"residual vibration at most {worst.worst_m * 1e3:.4g} mm on {len(robust.over)} machines, "
+        f"one run each, with modes of {modes}; largest at {worst.relative * 100:+.3g} %"
     )
     if robust.job is None:
-        yield f"no cycle in spec all over the band was found ({robust.tried} tried): {over}"
+        yield f"no cycle in spec over the whole band was found ({robust.tried} tried): {over}"
         return
     yield (
         f"fastest for the band: a cycle of {cycle_s(robust.proof):.3f} s, "
         f"{robust.tried} cycles tried on the twin; {over}"
     )
-    yield "verdict of the machine as its file says", *verdict_rows(robust.proof.verdict)
+    yield "verdict for the nominal machine", *verdict_rows(robust.proof.verdict)
     yield closing(robust.proof.verdict)
 
 
 def beside_table(rows: Sequence[BesideRow], title: str, band: float | None) -> Printed:
-    """Return one table of several cycles: a row each, with the verdicts of both machines."""
+    """Return one table of several cycles, with verdicts for the nominal machine and the band."""
     header = ["cycle", "s", "rings mm", "as typed"]
     if band is not None:
         header += [f"rings mm, +-{band * 100:g} %", "all over it"]
@@ -133,8 +133,8 @@ def beside_json(rows: Sequence[BesideRow]) -> list[dict[str, Any]]:
     ]
 
 
-class CycleTold(Told):
-    """A search for the shortest cycle of a move list, with a band of modes or without."""
+class CycleOutput(SearchOutput):
+    """Output of a search for the shortest cycle of a move list, with or without a band of modes."""
 
     of: FastestCycle
     on_ticks = False
@@ -157,7 +157,7 @@ class CycleTold(Told):
         )
         saved_s = cycle_s(found.unshaped) - cycle_s(found.base)
         if saved_s > 0.0:
-            unshaped += f"; what the list lets overlap saves {saved_s:.3f} s"
+            unshaped += f"; overlapping moves, as the list allows, save {saved_s:.3f} s"
         limits = limit_words(found.limited_by)
         if found.cycle_s is None:
             yield f"no cycle in spec was found ({found.tried} tried): {limits} fails; {unshaped}"
@@ -187,7 +187,7 @@ class CycleTold(Told):
         moves = self._table() if robust is None else self._banded(robust)
         return write_switching(studied(proof), folder, [moves, self._cycles()])
 
-    def _own(self) -> dict[str, Any]:
+    def _details(self) -> dict[str, Any]:
         found, robust = self.of, self.found.over_band
         return {
             "unshaped_s": cycle_s(found.unshaped),
@@ -216,7 +216,7 @@ class CycleTold(Told):
 
 
 def write_move_list(found: Answer, file: Path) -> Path | None:
-    """Write the move list of the shortest cycle; return its file, None where none is in spec."""
+    """Write the move list of the shortest cycle; return its file, None if no cycle is in spec."""
     asked, robust = found.asked, found.over_band
     job = found.of.job if robust is None else robust.job
     if job is None:
@@ -232,7 +232,7 @@ def write_move_list(found: Answer, file: Path) -> Path | None:
 
 
 def moves_table(found: FastestCycle, title: str) -> Printed:
-    """Return the moves of the fastest cycle, each beside its unshaped and its shortest command."""
+    """Return the moves of the fastest cycle, with unshaped and time-optimal commands to compare."""
     header = ["step", "axis", "mm", "unshaped s", "optimal s", "found s", "wait s", "how"]
     rows = [_row(move) for move in found.moves]
     sums = [

@@ -19,7 +19,7 @@ from threadline.search.mismatch import Certainty
 
 END = "the end of the search (--high)"
 AXES_ALONE = "the velocity limits of the axes"
-"""What ends a search for a feed without --high: no axis can go faster."""
+"""Upper end of a search for a feed without --high: no axis can go faster."""
 _ENDS = {
     LIMITS: "the limits of axes and drives",
     ALLOWED: "what --contour allows",
@@ -27,7 +27,7 @@ _ENDS = {
 
 
 def limit_words(limited_by: str, end: str = END) -> str:
-    """Return what stops a search from going faster, in words: mostly the name of a criterion.
+    """Return the limit of a search in words: usually the name of a criterion.
 
     >>> limit_words("range"), limit_words("contour_error")
     ('the end of the search (--high)', 'contour_error')
@@ -37,7 +37,7 @@ def limit_words(limited_by: str, end: str = END) -> str:
     Parameters
     ----------
     end
-        What the highest that was tried is.
+        Words for the upper end of the search.
     """
     if limited_by == RANGE:
         return end
@@ -45,7 +45,7 @@ def limit_words(limited_by: str, end: str = END) -> str:
 
 
 def resolution_words(found: Fastest) -> str:
-    """Return the sentence on the steps of a search and the intervals that it can miss."""
+    """Return the sentence on the steps of a search, and which intervals it can miss."""
     edges = "the edges" if found.every else "the upper edge"
     below = "; slower intervals are as the steps have them, down to the lowest feed listed"
     slower = "" if found.every else below
@@ -57,22 +57,22 @@ def resolution_words(found: Fastest) -> str:
 
 
 def alone_words(found: Fastest, unit: str, per_unit: float = 1.0) -> str:
-    """Return the sentence on feeds that pass while those beside them fail; "" without any.
+    """Return the sentence on isolated feeds, which pass while their neighbours fail; else "".
 
     Parameters
     ----------
     unit, per_unit
-        In which feeds are printed, and what a feed is multiplied by for that.
+        Unit of the printed feeds, and the factor to it.
     """
     if found.fastest is None or not found.alone:
         return ""
     each = ", ".join(typed(feed * per_unit) for feed in found.alone)
-    told = f"in spec alone, out of it within {found.edge:.1%} on both sides: {each} {unit}"
-    return f"{told}; no range is in spec" if found.fastest.alone else told
+    text = f"in spec alone, out of it within {found.edge:.1%} on both sides: {each} {unit}"
+    return f"{text}; no range is in spec" if found.fastest.alone else text
 
 
 def typed(value: float) -> str:
-    """Return a number with twelve digits: typed into a command it is the value that was tried.
+    """Return a number with twelve digits, as it is typed into a command to get the same value.
 
     >>> typed(32.4437), typed(0.0395 * 1e3)
     ('32.4437', '39.5')
@@ -81,9 +81,9 @@ def typed(value: float) -> str:
 
 
 def forbidden_words(
-    forbidden: Sequence[Forbidden], limited_by: str, told: Callable[[float], str]
+    forbidden: Sequence[Forbidden], limited_by: str, feed_text: Callable[[float], str]
 ) -> Iterator[str]:
-    """Yield what forbids every feed that was tried, and a line on those that pass in one run.
+    """Yield a line on the criteria that fail, and one on feeds that pass in one run only.
 
     >>> from threadline.search.forbidden import Forbidden
     >>> slow = Forbidden(name="repeatability", low=1.0, high=5.0, feeds=9, repeated=9)
@@ -97,15 +97,15 @@ def forbidden_words(
     Parameters
     ----------
     limited_by
-        What fails where the search came closest; told alone where nothing else forbids a feed.
-    told
+        Criterion that fails at the closest trial; named alone if no other criterion fails.
+    feed_text
         Returns the text of a feed.
     """
     if len(forbidden) < 2:
         yield f"{limited_by} fails at all"
     else:
         each = (
-            f"{one.name}{' fails' if one is forbidden[0] else ''} {_span_words(one, told)}"
+            f"{one.name}{' fails' if one is forbidden[0] else ''} {_span_words(one, feed_text)}"
             for one in forbidden
         )
         yield ", ".join(each)
@@ -117,13 +117,13 @@ def forbidden_words(
         )
 
 
-def _span_words(one: Forbidden, told: Callable[[float], str]) -> str:
-    low, high = told(one.low), told(one.high)
+def _span_words(one: Forbidden, feed_text: Callable[[float], str]) -> str:
+    low, high = feed_text(one.low), feed_text(one.high)
     return f"at {low}" if low == high else f"from {low} to {high}"
 
 
 def certainty_words(sure: Certainty) -> str:
-    """Return the sentence on what it costs to hold at the ends of the tolerances."""
+    """Return the sentence on the speed lost by passing at the ends of the tolerances."""
     both = [
         "none" if best is None else f"{typed(best)} {sure.unit}" for best in (sure.sure, sure.alone)
     ]
@@ -135,7 +135,7 @@ def certainty_words(sure: Certainty) -> str:
 
 
 def margin_words(margin: float) -> str:
-    """Return the end of a title that tells which part of every limit is kept free; or "".
+    """Return the end of a title that names the margin; "" without a margin.
 
     >>> margin_words(0.2)
     ', 20 % of every limit kept free'
@@ -144,13 +144,13 @@ def margin_words(margin: float) -> str:
 
 
 def until_words(ended: str) -> Iterator[str]:
-    """Yield the line that says why a search stopped before its end; nothing where it did not."""
+    """Yield the line on why a search stopped early; nothing if it did not."""
     if ended:
         yield f"{ended}: this is the best of what was tried so far"
 
 
 def command_line(verb: str, job: Path, options: Mapping[str, str | Path | None]) -> str:
-    """Return a command of the shell; options that are None are left out, "" is a flag.
+    """Return a shell command; an option with the value "" is a flag, None leaves it out.
 
     >>> command_line("prove", Path("a b.prg"), {"-m": "lathe-winder", "--feed": "1 mm/s"})
     "threadline prove 'a b.prg' -m lathe-winder --feed '1 mm/s'"
@@ -172,7 +172,7 @@ def as_typed(words: Mapping[str, str]) -> dict[str, str]:
 
 
 def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Join neighbouring rows that differ in their first cell alone.
+    """Join neighbouring rows that differ only in their first cell.
 
     >>> merged([["100 %", "a"], ["50 %", "a"], ["25 %", "b"]])
     [['100 % to 50 %', 'a'], ['25 %', 'b']]
@@ -190,13 +190,13 @@ def merged(rows: Sequence[Sequence[str]]) -> list[list[str]]:
 
 _GRBL_FIRST = 120  # $120 to $122: the accelerations of X, Y and Z; A, B and C follow
 _GRBL_AXES = "XYZABC"
-_SEARCHED = 2  # shares of the limits that were tried, where they make a difference
+_SEARCHED = 2  # least number of tried shares of the limits that makes the best share a result
 
 
 def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[str]:
-    """Yield lines with F and the accelerations of the axes, as the machine's controller has them.
+    """Yield lines with F and the axes' accelerations in the units of the machine's controller.
 
-    Firmwares count in mm and degrees. Nothing is said where no feed passes.
+    Firmwares use mm and degrees. Yields nothing if no feed passes.
     """
     best = result.best
     if best.found.best is None:
@@ -220,10 +220,10 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
         turns = axis.kind == "rotary"
         value = axis.acceleration.si * best.share * (math.degrees(1.0) if turns else 1e3)
         unit = "deg/s^2" if turns else "mm/s^2"
-        told = f"{name} {value:.4g} {unit}"
+        setting = f"{name} {value:.4g} {unit}"
         if isinstance(machine.planner, GrblPlanner) and name in _GRBL_AXES:
-            told = f"${_GRBL_FIRST + _GRBL_AXES.index(name)}={value:.3f} ({name}, {unit})"
-        shares.append(told)
+            setting = f"${_GRBL_FIRST + _GRBL_AXES.index(name)}={value:.3f} ({name}, {unit})"
+        shares.append(setting)
     where = ""
     if machine.planner is not None and not isinstance(machine.planner, GrblPlanner):
         where = " (max_accel)" if isinstance(machine.planner, KlipperPlanner) else " (M201)"

@@ -161,18 +161,21 @@ def _report(
     move: _Move, tables: Sequence[Table], warnings: Sequence[str],
 ) -> Path:  # fmt: skip
     """Write the report on the best laws, ``COPIED`` and the made law; return its page."""
-    from threadline.report.laws import Curve, write_laws
+    from threadline.report.laws import Curve, ResidualPlot, write_laws
 
     drawn = [Curve(one.law, move.window_s) for one in found[:_DRAWN]]
     if all(one.law.name != COPIED for one in drawn) and len(laws) > 1:
         drawn[-1] = Curve(LAWS[COPIED], move.window_s)
     if made is not None:
         drawn.insert(0, Curve(made.law, made.window_s))
-    return write_laws(
-        [curve.law for curve in drawn], tables, warnings, folder, curves=drawn, mode=move.mode,
-        move_m=move.length_m, residual_m=move.residual_m,
+    residual = ResidualPlot(
+        curves=drawn,
+        mode=move.mode,
+        move_m=move.length_m,
+        limit_m=move.residual_m,
         band=None if made is None else made.demand.band,
-    )  # fmt: skip
+    )
+    return write_laws([curve.law for curve in drawn], tables, warnings, folder, residual=residual)
 
 
 def _demand(

@@ -18,6 +18,7 @@ from threadline.dynamics.robust_averages import (
     ChangeOfSpeed,
     RobustWeights,
     StepOfSpeed,
+    WeightGrid,
     frequencies_rad_s,
     robust_weights,
 )
@@ -276,11 +277,13 @@ class _Program:
                 weights = robust_weights(
                     spared,
                     changes,
-                    count=_COUNT,
-                    step_s=self._change_s / _STEPS,
-                    degree=DEGREE,
-                    grid_s=self._grid_s,
-                    samples=self._samples,
+                    WeightGrid(
+                        count=_COUNT,
+                        step_s=self._change_s / _STEPS,
+                        degree=DEGREE,
+                        grid_s=self._grid_s,
+                        samples=self._samples,
+                    ),
                     near=self._near,
                     # Where one is enough only what is cheaper can be taken in its place.
                     dearest=cheaper if enough else np.inf,

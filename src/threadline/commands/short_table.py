@@ -9,7 +9,15 @@ from math import ceil
 import numpy as np
 
 from threadline.base.arrays import FloatArray
-from threadline.dynamics import CHOSEN, EARLIEST, AxisEnds, AxisPreview, Demand, TableEnd, Told
+from threadline.dynamics import (
+    CHOSEN,
+    EARLIEST,
+    AxisEnds,
+    AxisPreview,
+    Demand,
+    InverseOutput,
+    TableEnd,
+)
 from threadline.files import Stream
 from threadline.machine import Machine
 from threadline.motion.timing import Trajectory, TrajectoryBlock
@@ -52,10 +60,10 @@ class ToldEnds:
     """What an axis is told at the ticks next to the ends of its motion."""
 
     def __init__(self) -> None:
-        self.first = self.last = Told.none()
+        self.first = self.last = InverseOutput.none()
         self.ticks = 0
 
-    def add(self, told: Told) -> None:
+    def add(self, told: InverseOutput) -> None:
         """Go on by what was told at the next ticks."""
         self.ticks += len(told)
         if len(self.first) < _KEPT_TICKS:
@@ -68,12 +76,12 @@ class ToldEnds:
         """Whether anything is told but one place."""
         return any(float(np.ptp(of.references_si)) > 0.0 for of in (self.first, self.last))
 
-    def from_start(self, count: int, memory: int) -> Told:
+    def from_start(self, count: int, memory: int) -> InverseOutput:
         """Return the first ticks, as many as the loop remembers behind the first ``count``."""
         told = self.first.part(0, count + memory)
         return told.held(count + memory - len(told))
 
-    def to_end(self, first: int, memory: int) -> Told:
+    def to_end(self, first: int, memory: int) -> InverseOutput:
         """Return the ticks from number ``first`` on, and as many at rest as the loop remembers."""
         begin = len(self.last) - (self.ticks - first)
         return self.last.part(begin, len(self.last)).held(memory)

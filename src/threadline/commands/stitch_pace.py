@@ -15,7 +15,7 @@ import numpy as np
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.dynamics.without_loop import analyse_told
+from threadline.dynamics.without_loop import analyse_position_drive
 from threadline.machine import Machine
 from threadline.machine.shaft import Shaft, Tables
 from threadline.machine.vary import DAMPING_OF_DAYS, vary
@@ -252,7 +252,7 @@ def _modes_of(machine: Machine) -> Modes:
     return {
         name: tuple(
             FlexibleMode(mode.frequency_hz, mode.damping)
-            for mode in analyse_told(machine, name).locked[:_MODES]
+            for mode in analyse_position_drive(machine, name).locked[:_MODES]
         )
         for name in machine.axes
     }

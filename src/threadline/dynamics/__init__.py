@@ -5,7 +5,7 @@ from __future__ import annotations
 from threadline.dynamics.feedforward import FeedForward, SmoothMotion, feed_forward, smooth_motion
 from threadline.dynamics.inverse import Followed, Inverse, Motion, inverse_of
 from threadline.dynamics.lead import LeadDesign, design_lead, lead_deg, lead_from_response
-from threadline.dynamics.loop_ticks import Told
+from threadline.dynamics.loop_ticks import InverseOutput
 from threadline.dynamics.preview import AxisPreview, Demand, Timing, timing_of
 from threadline.dynamics.table_ends import CHOSEN, EARLIEST, AxisEnds, TableEnd
 
@@ -18,12 +18,12 @@ __all__ = [
     "FeedForward",
     "Followed",
     "Inverse",
+    "InverseOutput",
     "LeadDesign",
     "Motion",
     "SmoothMotion",
     "TableEnd",
     "Timing",
-    "Told",
     "design_lead",
     "feed_forward",
     "inverse_of",

@@ -259,7 +259,7 @@ def analyse_axis(machine: Machine, axis: str) -> AxisAnalysis:
     """
     loop = axis_loop(machine, axis)
     _check_gain(machine, loop)
-    own = loop.own()
+    own = loop.axis_plant()
     steps = {name: step_response(loop, name) for name in ("measured", "load")}
     return AxisAnalysis(
         axis=axis,
@@ -374,7 +374,7 @@ def unstable_loops(machine: Machine) -> list[str]:
 
 def _routh(loop: Loop) -> tuple[tuple[float, float], ...]:
     """Return the stable gains by Routh's array with a Pade dead time; s is in 100 rad/s."""
-    own, digital = loop.own(), loop.filters[loop.index]
+    own, digital = loop.axis_plant(), loop.filters[loop.index]
     chain, zeros, poles = chain_of(own), zeros_of(own), own.poles()
     degree = len(poles) - len(zeros)
     top = np.poly(zeros / _SCALE_RAD_S).real * chain.gain / _SCALE_RAD_S**degree

@@ -77,13 +77,17 @@ def drive_limits(
         Limit, (3,) needs in its unit, and a format string with the name of the limit.
     """
     amplifier = machine.drive_of(axis).amplifier
-    told = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
+    command = (winding if amplifier.mode == "voltage" else current) / amplifier.gain.si
     most_v, most_a = (
         np.inf if limit is None else limit.si
         for limit in (amplifier.voltage_limit, amplifier.current_limit)
     )
     return [
-        (machine.controller_of(axis).dac.range.si, told, "full output of the controller, {:.4g} V"),
+        (
+            machine.controller_of(axis).dac.range.si,
+            command,
+            "full output of the controller, {:.4g} V",
+        ),
         (most_v, winding, "voltage_limit of {:.4g} V"),
         (most_a, current, "current_limit of {:.4g} A"),
     ]

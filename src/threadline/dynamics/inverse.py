@@ -176,7 +176,7 @@ class Inverse:
         return Followed(
             time_s=time_s,
             load_si=ladder[:, 0],
-            measured_counts=states @ self.loop.own().C[0],
+            measured_counts=states @ self.loop.axis_plant().C[0],
             volts=volts,
             current_a=states[:, coil[0]] if len(coil) == 1 else None,
         )

@@ -72,7 +72,7 @@ class Loop:
         """Return the plant from all controllers' voltages to their sensors, in counts."""
         return self.plant.select(list(self.plant.inputs), list(self.sensors))
 
-    def own(self) -> StateSpace:
+    def axis_plant(self) -> StateSpace:
         """Return the plant from this axis' voltage to its sensor, in counts, other loops open."""
         return self.plant.select([self.plant.inputs[self.index]], [self.sensors[self.index]])
 

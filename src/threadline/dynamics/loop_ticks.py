@@ -201,9 +201,9 @@ def _levels(volts, held, sign, band):
             lost = level
             sure = min(abs(before), abs(after))
             level = -sign * max(abs(now) if away else band, sure)
-            share = _kept(before, 0.5 * lost)
+            share = _limited_change(before, 0.5 * lost)
             before += share
-            given = _kept(after, lost - share)
+            given = _limited_change(after, lost - share)
         elif sign * level > 0.0 and abs(level) < band:
             given = level - sign * band
             level = sign * band
@@ -215,7 +215,7 @@ def _levels(volts, held, sign, band):
 
 
 @njit()
-def _kept(level, change):
+def _limited_change(level, change):
     """Return ``change``, limited so that at least half of ``level`` remains."""
     if level * change >= 0.0:
         return change
@@ -223,7 +223,7 @@ def _kept(level, change):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Told:
+class InverseOutput:
     """Output of the exact inverse for one axis at consecutive ticks of its controller.
 
     Parameters
@@ -244,30 +244,30 @@ class Told:
         return len(self.levels)
 
     @classmethod
-    def none(cls) -> Told:
+    def none(cls) -> InverseOutput:
         """Return an empty object."""
         return cls(references_si=np.zeros(0), levels=np.zeros(0), counts=np.zeros(0))
 
-    def joined(self, other: Told) -> Told:
+    def joined(self, other: InverseOutput) -> InverseOutput:
         """Return this followed by the ticks of ``other``."""
-        return Told(
+        return InverseOutput(
             references_si=np.concatenate([self.references_si, other.references_si]),
             levels=np.concatenate([self.levels, other.levels]),
             counts=np.concatenate([self.counts, other.counts]),
         )
 
-    def part(self, first: int, stop: int) -> Told:
+    def part(self, first: int, stop: int) -> InverseOutput:
         """Return the ticks from ``first`` to before ``stop``."""
         some = slice(first, stop)
-        return Told(
+        return InverseOutput(
             references_si=self.references_si[some],
             levels=self.levels[some],
             counts=self.counts[some],
         )
 
-    def held(self, more: int) -> Told:
+    def held(self, more: int) -> InverseOutput:
         """Return this followed by ``more`` ticks at rest."""
-        return Told(
+        return InverseOutput(
             references_si=np.pad(self.references_si, (0, more), mode="edge"),
             levels=np.pad(self.levels, (0, more)),
             counts=np.pad(self.counts, (0, more), mode="edge"),

@@ -387,7 +387,7 @@ def root_locus(
         highest = max(3.0 * critical[0][0] if critical else 10.0, 3.0)
         gains = np.geomspace(1e-3, highest, _GAINS)
     own = open_loop_poles(loop)
-    plant_zeros = zeros_of(loop.own())
+    plant_zeros = zeros_of(loop.axis_plant())
     filter_zeros = np.roots(loop.filters[loop.index].continuous_numerator)
     if within_rad_s is None:
         crossing = margins.worst_phase

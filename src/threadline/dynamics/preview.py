@@ -9,7 +9,7 @@ import numpy as np
 from threadline.base.arrays import FloatArray
 from threadline.base.compiled import njit
 from threadline.dynamics.inverse import Inverse, decay_and_moments, inverse_of
-from threadline.dynamics.loop_ticks import AHEAD, Levels, Told
+from threadline.dynamics.loop_ticks import AHEAD, InverseOutput, Levels
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError
 from threadline.machine import Machine
@@ -169,7 +169,7 @@ class AxisPreview:
         self._driven = _Inner(self.inverse, self.timing.tick_s)
         self._peaks = (0.0, 0.0, 0.0)
         self._levels = Levels(self._filter.numerator, skips=controller.dac.zero_on_reversal)
-        self.latest = Told.none()
+        self.latest = InverseOutput.none()
 
     @property
     def orders(self) -> int:
@@ -210,7 +210,7 @@ class AxisPreview:
         self._note(driven.time_s, driven.volts, driven.current_a)
         counts = sensed.measured_counts
         references = np.asarray((counts + error) / self.inverse.loop.counts_per_unit)
-        self.latest = Told(references_si=references, levels=volts, counts=counts)
+        self.latest = InverseOutput(references_si=references, levels=volts, counts=counts)
         return references
 
     @property

@@ -273,7 +273,7 @@ def speed_response(loop: Loop, omega_rad_s: FloatArray) -> tuple[FloatArray, Flo
 
     It is the continuous response of amplifier and plant, without sampling.
     """
-    own = loop.own()
+    own = loop.axis_plant()
 
     def speed(omega: FloatArray) -> FloatArray:
         return np.asarray(1j * omega * own.response(omega)[:, 0, 0])

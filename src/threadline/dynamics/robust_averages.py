@@ -47,34 +47,49 @@ def frequencies_rad_s(period_s: float, count: int) -> FloatArray:
     return np.asarray(omega)
 
 
-def answer_steps(
-    answers: Answers,
-    machines: Sequence[CornerResponse],
-    shift_s: FloatArray,
-    *,
-    step_s: float,
-    degree: int,
-    grid_s: float,
-    samples: int,
-) -> None:
-    """Add the missing responses of ``machines`` to ``answers``.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WeightGrid:
+    """Instants of the weights, and of the responses from which they follow.
 
     Parameters
     ----------
-    shift_s
-        (count,) shift of the step by each weight.
-    step_s, degree
-        Knot spacing and degree of the uniform B-spline.
+    count, step_s
+        Number of weights, and the time from weight to weight.
+    degree
+        Degree of the uniform B-spline whose control points are the averages; its knots are
+        ``step_s`` apart.
     grid_s, samples
-        Spacing and number of instants around the step; ``machines`` are sampled at
+        Spacing and number of the instants of responses; the responses of machines are sampled at
         ``frequencies_rad_s(grid_s, samples)``.
     """
+
+    count: int
+    step_s: float
+    degree: int
+    grid_s: float
+    samples: int
+
+    @property
+    def shift_s(self) -> FloatArray:
+        """(count,) instants of the weights, s; their mean is 0."""
+        return np.asarray((np.arange(self.count) - 0.5 * (self.count - 1)) * self.step_s)
+
+    @property
+    def instants_s(self) -> FloatArray:
+        """(samples,) instants of the responses around the step, s."""
+        return np.asarray((np.arange(self.samples) - self.samples // 2) * self.grid_s)
+
+
+def _answer_steps(answers: Answers, machines: Sequence[CornerResponse], grid: WeightGrid) -> None:
+    """Add the missing responses of ``machines`` to ``answers``."""
     new = [one for one in machines if one not in answers]
     if not new:
         return
-    omega = frequencies_rad_s(grid_s, samples)
-    spline = np.sinc(omega * step_s / (2.0 * np.pi)) ** (degree + 1)
-    shape = spline[:, None] * np.exp(-1j * omega[:, None] * (shift_s + samples // 2 * grid_s))
+    samples = grid.samples
+    omega = frequencies_rad_s(grid.grid_s, samples)
+    spline = np.sinc(omega * grid.step_s / (2.0 * np.pi)) ** (grid.degree + 1)
+    late_s = grid.shift_s + samples // 2 * grid.grid_s
+    shape = spline[:, None] * np.exp(-1j * omega[:, None] * late_s)
 
     def steps(answer: NDArray[np.complex128]) -> FloatArray:
         return np.asarray(np.cumsum(np.fft.irfft(answer[:, None] * shape, samples, axis=0), axis=0))
@@ -211,12 +226,8 @@ class _Band:
 def robust_weights(
     axis: StepOfSpeed,
     changes: Sequence[ChangeOfSpeed],
+    grid: WeightGrid,
     *,
-    count: int,
-    step_s: float,
-    degree: int,
-    grid_s: float,
-    samples: int,
     near: RobustWeights | None = None,
     dearest: float = np.inf,
     kept: Answers | None = None,
@@ -229,42 +240,30 @@ def robust_weights(
     ----------
     changes
         The changes that use the weights: a start, a stop or both.
-    count, step_s
-        Number of weights, and the time between samples.
-    degree
-        Degree of the uniform B-spline whose control points are the averages.
-    grid_s, samples
-        Spacing and number of the instants of responses; ``machines`` are sampled at
-        ``frequencies_rad_s(grid_s, samples)``.
+    grid
+        Instants of the weights and of the responses.
     near
         Weights of a similar problem: the first program contains their binding instants, so fewer
         programs are needed. The result is the same.
     dearest
         Return None if the cost reaches this value.
     kept
-        Cache of responses from calls with the same ``count``, ``step_s``, ``degree``, ``grid_s``
-        and ``samples``; this call adds to it.
+        Cache of responses from calls with the same ``grid``; this call adds to it.
 
     Raises
     ------
     PlanError
         If the solver fails, or too many programs are needed.
     """
-    shift_s: FloatArray = np.asarray((np.arange(count) - 0.5 * (count - 1)) * step_s)
-    middle = samples // 2
-    t: FloatArray = np.asarray((np.arange(samples) - middle) * grid_s)
     answers = {} if kept is None else kept
-    answer_steps(
-        answers, axis.machines, shift_s,
-        step_s=step_s, degree=degree, grid_s=grid_s, samples=samples,
-    )  # fmt: skip
+    _answer_steps(answers, axis.machines, grid)
     bands = [
         band
         for change in changes
         for index, one in enumerate(axis.machines)
-        for band in _bands(axis, one, index == 0, t, change, answers[one])
+        for band in _bands(axis, one, index == 0, grid.instants_s, change, answers[one])
     ]
-    return _least(bands, np.asarray(shift_s / step_s), near, min(dearest, _DEAREST))
+    return _least(bands, np.asarray(grid.shift_s / grid.step_s), near, min(dearest, _DEAREST))
 
 
 def _least(

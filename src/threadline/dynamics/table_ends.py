@@ -18,7 +18,7 @@ import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.linear_programs import solved
-from threadline.dynamics.loop_ticks import LoopTicks, Told, acting, acts_after
+from threadline.dynamics.loop_ticks import InverseOutput, LoopTicks, acting, acts_after
 from threadline.dynamics.preview import AxisPreview
 from threadline.machine import Machine
 
@@ -78,62 +78,62 @@ class AxisEnds:
         """Number of ticks until the response to a change of the references has settled."""
         return self._loop.memory
 
-    def begun(self, told: Told, count: int, rest_si: float) -> TableEnd | None:
+    def begun(self, output: InverseOutput, count: int, rest_si: float) -> TableEnd | None:
         """Return the first references of a table that has ``rest_si`` before its first row.
 
         None where voltage or current have no room for it.
 
         Parameters
         ----------
-        told
+        output
             Output of the inverse from the first tick of the table, whose reference is the rest
             position.
         count
             Number of references after that tick to optimise.
         """
-        forced = np.zeros(len(told))
-        forced[0] = rest_si - told.references_si[0]
-        return self._best(told, forced, np.arange(1, 1 + count), None)
+        forced = np.zeros(len(output))
+        forced[0] = rest_si - output.references_si[0]
+        return self._best(output, forced, np.arange(1, 1 + count), None)
 
-    def ended(self, told: Told, count: int, rest_si: float) -> TableEnd | None:
+    def ended(self, output: InverseOutput, count: int, rest_si: float) -> TableEnd | None:
         """Return the last references of a table that has ``rest_si`` from a tick on.
 
         None where voltage or current have no room for it.
 
         Parameters
         ----------
-        told
+        output
             Output of the inverse at ticks before and after the end.
         count
-            Number of ticks in ``told`` before the end; their references are optimised.
+            Number of ticks in ``output`` before the end; their references are optimised.
         """
-        forced = np.zeros(len(told))
-        forced[count:] = rest_si - told.references_si[count:]
-        return self._best(told, forced, np.arange(count), count)
+        forced = np.zeros(len(output))
+        forced[count:] = rest_si - output.references_si[count:]
+        return self._best(output, forced, np.arange(count), count)
 
     def _best(
-        self, told: Told, forced: FloatArray, chosen: IntArray, held: int | None
+        self, output: InverseOutput, forced: FloatArray, chosen: IntArray, held: int | None
     ) -> TableEnd | None:
         if not forced.any():
             return TableEnd(more_si=forced, off_si=0.0, volts=0.0, current_a=0.0)
         ways = [None, held] if self._skips and held is not None else [None]
-        found = [self._chosen(told, forced, chosen, held, lost) for lost in ways]
+        found = [self._chosen(output, forced, chosen, held, lost) for lost in ways]
         return min((end for end in found if end), key=lambda end: end.off_si, default=None)
 
     def _chosen(
         self,
-        told: Told,
+        output: InverseOutput,
         forced: FloatArray,
         chosen: IntArray,
         held: int | None,
         lost: int | None,
     ) -> TableEnd | None:
         """Return the best end if the DAC loses the tick ``lost`` in addition to the others."""
-        acts = acting(told.levels) if self._skips else told.levels
-        gone = acts != told.levels
+        acts = acting(output.levels) if self._skips else output.levels
+        gone = acts != output.levels
         if lost is not None:
             gone[lost] = True
-        size, n = len(told), len(chosen)
+        size, n = len(output), len(chosen)
         more = np.zeros((size, n + 1))
         more[chosen, np.arange(n)] = 1.0
         more[:, n] = forced
@@ -142,17 +142,17 @@ class AxisEnds:
             return np.append(np.zeros(n), -acts[tick]) if gone[tick] else levels
 
         answer = self._loop.changed(more, effect)
-        current = self._loop.current_a(acts, told.counts)
-        volts = max(self._volts, float(np.abs(told.levels).max()))
+        current = self._loop.current_a(acts, output.counts)
+        volts = max(self._volts, float(np.abs(output.levels).max()))
         amperes = max(self._amperes, float(np.abs(current).max()))
-        signs = self._signs(told.levels, acts, chosen, held, lost, volts)
+        signs = self._signs(output.levels, acts, chosen, held, lost, volts)
         if signs is None:
             return None
         low, high = signs
         load, levels, amps = answer.load_si * _MM, answer.levels, answer.current_a
         rows = [load, -load, levels, -levels]
         zero = np.zeros(size)
-        most = [zero, zero, high - told.levels, told.levels - low]
+        most = [zero, zero, high - output.levels, output.levels - low]
         slack = [zero - 1.0, zero - 1.0, zero, zero]
         if np.isfinite(amperes):
             rows += [amps, -amps]
@@ -171,7 +171,7 @@ class AxisEnds:
             return None
         added = forced.copy()
         added[chosen] += found.x[:n] / _MM
-        return self._followed(added, told.levels, acts, current)
+        return self._followed(added, output.levels, acts, current)
 
     def _signs(
         self,

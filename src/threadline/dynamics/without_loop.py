@@ -127,7 +127,7 @@ def _oscillations(matrix: FloatArray) -> tuple[Oscillation, ...]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ToldAnalysis:
+class PositionDriveAnalysis:
     """The analysis of an axis with a position-commanded drive, whose load may vibrate.
 
     Parameters
@@ -193,7 +193,7 @@ class ToldAnalysis:
         }
 
 
-def told_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
+def held_motor_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
     """Return the modes of an axis' load with its position-commanded drive at rest.
 
     Raises
@@ -204,7 +204,7 @@ def told_modes(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
     return _oscillations(piece_of(machine, axis).matrix)
 
 
-def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
+def analyse_position_drive(machine: Machine, axis: str) -> PositionDriveAnalysis:
     """Return the analysis of an axis with a position-commanded drive.
 
     Raises
@@ -217,10 +217,10 @@ def analyse_told(machine: Machine, axis: str) -> ToldAnalysis:
     turns = abs(drive_rate(machine, axis, rigid_motion(machine, axis)))
     speeds = np.array([0.0, part.velocity.si * turns])
     still, fast = source.most_torque(speeds).tolist()
-    return ToldAnalysis(
+    return PositionDriveAnalysis(
         axis=axis,
         drive=part.drive,
-        locked=told_modes(machine, axis),
+        locked=held_motor_modes(machine, axis),
         resonance_hz=resonance_hz(source, float(piece.inertia[piece.drives.index(part.drive)])),
         torque=still,
         torque_at_speed=fast,
@@ -242,16 +242,16 @@ def modes_held(machine: Machine, axis: str) -> tuple[Oscillation, ...]:
     if machine.without_dynamics:
         return ()
     if machine.axes[axis].drive:
-        return told_modes(machine, axis)
+        return held_motor_modes(machine, axis)
     return tuple(sorted(locked_modes(machine, axis), key=lambda mode: mode.frequency_hz))
 
 
 ANALYSES: Mapping[str, Callable[[Machine, str], Analysis]] = {
     "linear": analyse_axis,
     "rotary": analyse_axis,
-    "stepper": analyse_told,
-    "pulse-servo": analyse_told,
-    "stepped": analyse_told,
+    "stepper": analyse_position_drive,
+    "pulse-servo": analyse_position_drive,
+    "stepped": analyse_position_drive,
     "cylinder": analyse_cylinder,
 }
 """Analysis function for each kind in ``Machine.moving``."""

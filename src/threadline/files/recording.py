@@ -88,11 +88,13 @@ class Outcome:
         return known
 
 
-def said_once(ended: str, why: str) -> str:
+def end_with_reason(ended: str, why: str) -> str:
     """Return how a run ended and why, without repeating a word.
 
-    >>> said_once("stopped", "stopped by the operator"), said_once("fault", "the link is gone")
-    ('stopped by the operator', 'fault: the link is gone')
+    >>> end_with_reason("stopped", "stopped by the operator")
+    'stopped by the operator'
+    >>> end_with_reason("fault", "the link is gone")
+    'fault: the link is gone'
     """
     if not why:
         return ended

@@ -59,7 +59,7 @@ class Stream(Generic[T]):
     @classmethod
     def of(cls, items: Iterable[T]) -> Stream[T]:
         """Return a stream over ``items``, which are kept in memory."""
-        return Stream(_kept, tuple(items))
+        return Stream(_iterate, tuple(items))
 
 
 class KeptStream(Stream[SizedT]):
@@ -136,7 +136,7 @@ class KeptStream(Stream[SizedT]):
         return None
 
 
-def _kept(items: tuple[T, ...]) -> Iterator[T]:
+def _iterate(items: tuple[T, ...]) -> Iterator[T]:
     return iter(items)
 
 

@@ -97,7 +97,7 @@ class Guards:
     def __init__(self, machine: Machine) -> None:
         tick_s = float(machine.tick_clock.period_s)
         # Drives with a position interface have no loop and no encoder to watch.
-        answers = {} if machine.told_positions else answers_of(machine)
+        answers = {} if machine.takes_positions else answers_of(machine)
         scale = machine.counts_per_unit
         self._tick_s, self._switches = tick_s, tuple(machine.inputs)
         self._lateness = Lateness()

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 
 from threadline.base.arrays import IntArray
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.commands.plan import Plan
 from threadline.errors import LinkFaultError, OptionError
 from threadline.live.hal_rows import HalRows
@@ -34,7 +34,7 @@ from threadline.proof.kinds import kind_of
 
 _LOOK_S = 0.005
 """Interval between two readings of HAL's samples, s."""
-_CHILD = words_of("threadline.live.hal_link", "hal_main")
+_CHILD = import_and_call("threadline.live.hal_link", "hal_main")
 
 
 @contextmanager
@@ -151,7 +151,7 @@ class HalLink(ExecutedLink):
         super().__init__(1.0)
         self._plant = what == "plant"
         self.label = WHAT[what]
-        if self._plant and machine.told_positions:
+        if self._plant and machine.takes_positions:
             raise OptionError(
                 f"{machine.name} has no encoders that a plant could answer with",
                 remedy="Use hal:loopback.",

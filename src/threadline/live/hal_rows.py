@@ -60,7 +60,7 @@ class _Played(RowSession):
         self._events.clear()
         self._halted, self._held = None, False
         self._ended, self._final = (Ended.FAULT, why), True
-        self._tell("fault", name=why)
+        self._record_event("fault", name=why)
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
         nothing = np.zeros((0, len(self._start)))
@@ -77,7 +77,7 @@ class _Played(RowSession):
         samples["operation"] = np.concatenate(
             [np.zeros(0), *(part.operation.astype(np.float64) for part in parts)]
         )
-        events, self._told = tuple(self._told), []
+        events, self._pending_events = tuple(self._pending_events), []
         clock = self._machine.tick_clock.name
         return RecordingBlock(first_tick={clock: first}, samples=samples, events=events)
 

@@ -1,10 +1,10 @@
-"""The settings of a controller, read from the controller itself.
+"""Read the settings of a controller from the controller itself.
 
-What is asked moves nothing and changes nothing: ``$I`` and ``$$`` of grbl and grblHAL, ``$CD`` of
-FluidNC, ``M115`` and ``M503`` of Marlin and RepRapFirmware, and the configuration that Klipper
-holds, which Moonraker tells over HTTP.
+The queries move and change nothing: ``$I`` and ``$$`` for grbl and grblHAL, ``$CD`` for FluidNC,
+``M115`` and ``M503`` for Marlin and RepRapFirmware; for Klipper, the configuration that Moonraker
+returns over HTTP.
 
-Sources: "Grbl v1.1 Commands" of gnea/grbl (``$$`` is answered in Idle and Alarm alone); FluidNC,
+Sources: "Grbl v1.1 Commands" of gnea/grbl (``$$`` is answered only in Idle and Alarm); FluidNC,
 ``ProcessSettings.cpp`` (``$CD`` is ``Config/Dump``); marlinfw.org/docs/gcode, M115 and M503;
 docs.duet3d.com, "Gcode dictionary", M115 and M503 (lists the lines of ``config.g``); Klipper,
 "Status reference", ``configfile.config``; Moonraker, "Printer Administration",
@@ -28,10 +28,10 @@ from threadline.live.guards import clock_s
 
 KLIPPER = "klipper"
 _BAUDS = (BAUD, 250_000)
-"""Speeds that are tried on a serial device: Arduino boards with Marlin often have the second."""
-STARTS_S = 3.0  # an Arduino begins anew when its serial line is opened
+"""Tried speeds of a serial device: Arduino boards with Marlin often use the second."""
+STARTS_S = 3.0  # an Arduino restarts when its serial line is opened
 _ANSWERS_S = 5.0
-SILENCE_S = 0.5  # behind an answer
+SILENCE_S = 0.5  # after an answer
 _MOST_LINES, _MOST_BYTES = 20_000, 8_000_000
 _FIRMWARE = re.compile(r"FIRMWARE_NAME:\s*([A-Za-z]+)")
 _QUERY = "/printer/objects/query?configfile=config"
@@ -39,22 +39,22 @@ _BANNER, _STATUS, _NEVER = re.compile("Grbl "), re.compile("<"), re.compile(r"(?
 _OK = re.compile(r"\s*ok(?:\s|$)")
 _ERROR = re.compile(r"\s*(?:error|Error|ALARM|!!)")
 _END = re.compile(rf"{_OK.pattern}|{_ERROR.pattern}|.*Unknown command")
-_REPORT = re.compile(r"\s*(?:<|echo:\s*busy|ok?\s*T:|T:|\[MSG)")  # that come of themselves
+_REPORT = re.compile(r"\s*(?:<|echo:\s*busy|ok?\s*T:|T:|\[MSG)")  # unrequested reports
 _MOVES = re.compile(r"<(Run|Jog|Home|Hold|Door)\b")
 
 
 @dataclass(frozen=True, slots=True)
 class ControllerSettings:
-    """The settings of a controller, in its own words.
+    """Settings of a controller, as it wrote them.
 
     Parameters
     ----------
     kind
         ``grbl``, ``fluidnc``, ``marlin``, ``rrf`` or ``klipper``.
     identity
-        The version of its firmware, such as ``[VER:1.1h.20190830:]``.
+        Version of the firmware, such as ``[VER:1.1h.20190830:]``.
     text
-        Its settings, line by line, as ``threadline new --from`` reads them.
+        Settings, line by line, as ``threadline new --from`` reads them.
     """
 
     kind: str
@@ -63,7 +63,7 @@ class ControllerSettings:
 
 
 def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
-    """Ask the controller at ``address`` who it is, and for its settings.
+    """Return the identity and the settings of the controller at ``address``.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
     Raises
     ------
     LinkFaultError
-        If nothing answers there, or what answers is busy or does not tell its settings.
+        If nothing answers, or the controller is busy or does not return its settings.
     OptionError
-        If ``address`` is no address, or the controller is none whose settings can be read.
+        If ``address`` is invalid, or settings of such a controller cannot be read.
     """
     if "://" in address:
         return _of_moonraker(address)
@@ -95,7 +95,7 @@ def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
             ) from error
         if baud is not None:
             raise OptionError(
-                f"{address[:60]!r} is on the network, where --baud says nothing",
+                f"{address[:60]!r} is on the network, where --baud has no meaning",
                 remedy="Leave --baud out.",
             )
     heard: list[str] = []
@@ -117,9 +117,9 @@ def ask_controller(address: str, baud: int | None = None) -> ControllerSettings:
 
 
 def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
-    """Return what the controller at a port tells; None where it does not say who it is."""
+    """Return the settings of the controller at a port; None if it does not identify itself."""
     heard += _lines_until(port, STARTS_S, _BANNER)
-    port.send(b"?")  # acted on at once by grbl; others take it for the begin of a wrong line
+    port.send(b"?")  # grbl answers at once; others take it as the start of an invalid line
     for line in _lines_until(port, SILENCE_S, _STATUS):
         if (match := _MOVES.match(line)) is not None:
             raise LinkFaultError(
@@ -161,7 +161,7 @@ def _asked(port: Port, heard: list[str]) -> ControllerSettings | None:
 def _settings(
     port: Port, kind: str, identity: str, question: bytes, about: list[str]
 ) -> ControllerSettings:
-    """Ask for the settings, and return them behind the lines ``about`` the controller."""
+    """Ask for the settings; return them, preceded by the lines ``about`` the controller."""
     port.send(question)
     lines = [line for line in _answer(port) if not _REPORT.match(line)]
     refused = next((line for line in lines if _ERROR.match(line)), "")
@@ -175,10 +175,9 @@ def _settings(
 
 
 def _answer(port: Port) -> list[str]:
-    """Return the lines up to the first ``ok`` or error; those after it are thrown away.
+    """Return the lines up to the first ``ok`` or error; discard later lines.
 
-    A firmware answers each line that it does not know, too, and an ``ok`` which is late must not
-    be taken for the end of the next answer.
+    Firmwares answer unknown lines, too, and a late ``ok`` must not end the next answer.
     """
     lines = _lines_until(port, _ANSWERS_S, _END)
     _lines_until(port, SILENCE_S, _NEVER)
@@ -186,9 +185,9 @@ def _answer(port: Port) -> list[str]:
 
 
 def _lines_until(port: Port, silence_s: float, last: re.Pattern[str]) -> list[str]:
-    """Return lines up to the ``last``, or until none came for ``silence_s`` seconds.
+    """Return lines up to one that matches ``last``, or until ``silence_s`` of silence.
 
-    That ends after ten times as long in any case: a controller may report for ever.
+    It ends after ten times ``silence_s`` in any case: a controller may send reports for ever.
     """
     lines: list[str] = []
     until = clock_s() + 10.0 * silence_s
@@ -211,7 +210,7 @@ def _of_moonraker(address: str) -> ControllerSettings:
             remedy='Write it like "http://192.168.0.10:7125".',
         )
     try:
-        with urllib.request.urlopen(  # noqa: S310 - the scheme was looked at
+        with urllib.request.urlopen(  # noqa: S310 - the scheme was checked
             f"{parts.scheme}://{parts.netloc}{_QUERY}", timeout=_ANSWERS_S
         ) as got:
             content = json.loads(got.read(_MOST_BYTES))
@@ -241,7 +240,7 @@ def _of_moonraker(address: str) -> ControllerSettings:
 
 
 def _as_printer_cfg(sections: Mapping[str, Any]) -> str:
-    """Return sections and their raw values as a ``printer.cfg`` has them."""
+    """Return sections and their raw values as the text of a ``printer.cfg``."""
     lines = []
     for name, values in sections.items():
         lines.append(f"[{name}]")

@@ -113,7 +113,7 @@ class SimFault:
 
 def _places(machine: Machine) -> dict[str, list[str]]:
     """Return the parts that each kind of fault can affect; not for faults of the whole machine."""
-    looped = [] if machine.told_positions else list(machine.axes)
+    looped = [] if machine.takes_positions else list(machine.axes)
     contacts = machine.contacts.items()
     return {
         **dict.fromkeys(OF_AXES, looped),

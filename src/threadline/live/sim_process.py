@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from math import ceil
 
 from threadline.base.arrays import IntArray
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.live.machine_process import machine_end, process_link
 from threadline.live.sim_kinds import SimRows, SimScans, SimTurns
 from threadline.live.sim_machine import LATE, SimFault, SimMachine
@@ -50,7 +50,7 @@ LEAST_SPEED = 1e-3
 """Least speed: at a lower one the machine's reports come later than the executor waits."""
 _WAKE_S = 0.005
 """Shortest period of reports in s; several shorter ticks are played at a time."""
-_CHILD = words_of("threadline.live.sim_process", "machine_main")
+_CHILD = import_and_call("threadline.live.sim_process", "machine_main")
 
 
 def group_ticks(machine: Machine, speed: float) -> int:

@@ -107,7 +107,7 @@ def missing_keys(
         # here.
         node = field_node(_AXES)
         found.append(MissingKey(_AXES, _assigned(_AXES, node, sample(node, "linear"))))
-    if found and "bodies" not in content and not _limits_alone(content):
+    if found and "bodies" not in content and not _has_only_limits(content):
         node = field_node(_BODIES)
         found.append(MissingKey(_BODIES, _assigned(_BODIES, node, sample(node))))
     turns = any(
@@ -191,7 +191,7 @@ def _unit(units: Sequence[str], kind: str) -> str:
     return "A/V" if kind == "current" and "A/V" in units else units[0]
 
 
-def _limits_alone(content: Mapping[str, Any]) -> bool:
+def _has_only_limits(content: Mapping[str, Any]) -> bool:
     drives = content.get("drives")
     parts = drives.values() if isinstance(drives, Mapping) else ()
     return any(isinstance(part, Mapping) and part.get("kind") == "kinematic" for part in parts)

@@ -34,7 +34,7 @@ from threadline.machine.parts import (
     Tool,
     check_known,
 )
-from threadline.machine.path_limits import PathLimits, acts_at_m, check_asked_of_paths, check_radii
+from threadline.machine.path_limits import PathLimits, acts_at_m, check_path_limits, check_radii
 from threadline.machine.pneumatics import (
     MOST_SCANS,
     Contact,
@@ -46,7 +46,7 @@ from threadline.machine.pneumatics import (
 )
 from threadline.machine.quantity import Quantity, Units
 from threadline.machine.shaft import Shaft, Tables
-from threadline.machine.sources import Kinematic, PulseServo, Source, Stepper, check_limits_alone
+from threadline.machine.sources import Kinematic, PulseServo, Source, Stepper, check_limits_only
 from threadline.machine.tables import Design, Tolerances, check_named, quantities
 
 
@@ -215,7 +215,7 @@ class Machine(AxisArrays):
     def _references(self) -> Machine:
         if self.without_dynamics:
             beside = {name: getattr(self, name) for name in _WITH_DYNAMICS}
-            check_limits_alone(self.drives, self.axes, beside)
+            check_limits_only(self.drives, self.axes, beside)
         elif not self.bodies:
             raise ValueError("a machine needs at least one [bodies.x]")
         for name, link in self.links.items():
@@ -262,7 +262,7 @@ class Machine(AxisArrays):
         check_radii(self.axes, self.tool)
         if self.planner is not None:
             check_by_axis(self.planner, self.axes, self.rotary)
-        check_asked_of_paths(self.path, self.axes, self.cylinders, self.tables)
+        check_path_limits(self.path, self.axes, self.cylinders, self.tables)
         self._on_off_references()
         self._stitching_references()
         if self.tolerances != Tolerances():  # most variants name none; the check is slow
@@ -379,7 +379,7 @@ class Machine(AxisArrays):
         return any(isinstance(drive, Kinematic) for drive in self.drives.values())
 
     @property
-    def told_positions(self) -> bool:
+    def takes_positions(self) -> bool:
         """Whether its drives take positions, so that Threadline closes no control loop."""
         return any(axis.drive for axis in self.axes.values())
 

@@ -84,7 +84,7 @@ class PathLimits:
         return self
 
 
-def check_asked_of_paths(
+def check_path_limits(
     path: PathLimits | None, axes: Mapping[str, Axis], cylinders: Sized, tables: object
 ) -> None:
     """Refuse path limits on machines that follow no path; ``ValueError`` begins with the key."""

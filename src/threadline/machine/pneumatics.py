@@ -51,7 +51,7 @@ class Output:
         return 0.0 if self.ramp is None else self.ramp.most
 
     @model_validator(mode="after")
-    def _of_its_kind(self) -> Output:
+    def _check_kind_keys(self) -> Output:
         if (self.kind == "soft-start") != (self.ramp is not None):
             raise ValueError("a soft-start valve needs a ramp; other outputs have none")
         if self.needs and self.kind not in {"tool", "vacuum"}:
@@ -251,9 +251,9 @@ def check_contacts(
                 f"{contact.cylinder}, {stroke * 1e3:g} mm, so that the switch would always be "
                 f"{'on' if contact.beyond == 'below' else 'off'}"
             )
-    told = [(f"cylinders.{name}", name, one.needs) for name, one in cylinders.items()]
-    told += [(f"outputs.{name}", "", one.needs) for name, one in outputs.items()]
-    for where, own, needs in told:
+    parts = [(f"cylinders.{name}", name, one.needs) for name, one in cylinders.items()]
+    parts += [(f"outputs.{name}", "", one.needs) for name, one in outputs.items()]
+    for where, own, needs in parts:
         for name in needs:
             if name not in contacts or contacts[name].cylinder is None:
                 known = [n for n, c in contacts.items() if c.cylinder not in {None, own}]

@@ -75,38 +75,38 @@ def written_out(text: str) -> str:
     return ", ".join(parts)
 
 
-def _with_radius(axis: Axis, written: str, machine: Machine, told: str) -> Axis:
+def _with_radius(axis: Axis, written: str, machine: Machine, option: str) -> Axis:
     if " at " not in written:
-        return replace(axis, radius=_length(written, told, positive=True), profile=None)
+        return replace(axis, radius=_length(written, option, positive=True), profile=None)
     matches = [_PLACE.fullmatch(place.strip()) for place in written.split(";")]
     places = [match for match in matches if match is not None]
     along = {match["along"] for match in places}
     if len(places) < len(matches) or len(along) > 1:
-        raise OptionError(f"{told} is not a profile along one axis", remedy=_FORM)
+        raise OptionError(f"{option} is not a profile along one axis", remedy=_FORM)
     beside = along.pop()
     if beside not in machine.axes or machine.axes[beside].kind != "linear":
         raise OptionError(
-            f"{told} is along {beside}, not a linear axis of {machine.name!r}", remedy=_FORM
+            f"{option} is along {beside}, not a linear axis of {machine.name!r}", remedy=_FORM
         )
     try:
         profile = Mandrel(
             along=beside,
-            at=tuple(_length(match["at"], told) for match in places),
-            radius=tuple(_length(match["radius"], told, positive=True) for match in places),
+            at=tuple(_length(match["at"], option) for match in places),
+            radius=tuple(_length(match["radius"], option, positive=True) for match in places),
         )
     except ValidationError as error:
         said = str(error.errors()[0]["msg"]).removeprefix("Value error, ")
-        raise OptionError(f"{told}: {said}", remedy=_FORM) from error
+        raise OptionError(f"{option}: {said}", remedy=_FORM) from error
     return replace(axis, radius=None, profile=profile)
 
 
-def _length(written: str, told: str, *, positive: bool = False) -> Quantity:
+def _length(written: str, option: str, *, positive: bool = False) -> Quantity:
     try:
         length = parse_machine_quantity(f"{written.strip()} exact, assumed", ("m",))
     except UnitError as error:
-        raise OptionError(f"{told}: {error.message}", remedy=_FORM) from error
+        raise OptionError(f"{option}: {error.message}", remedy=_FORM) from error
     if positive and length.si <= 0.0:
-        raise OptionError(f"{told}: a radius must be greater than 0", remedy=_FORM)
+        raise OptionError(f"{option}: a radius must be greater than 0", remedy=_FORM)
     return length
 
 
@@ -122,12 +122,12 @@ def _rows(table: Path) -> str:
             remedy=f"Begin it with the line X_mm,{_RADIUS} (X: the axis along the mandrel).",
         )
     radius, place = header.index(_RADIUS), 1 - header.index(_RADIUS)
-    told = []
+    parts = []
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header) or any("," in cell or ";" in cell for cell in row):
             raise OptionError(
                 f"{table}: row {number} has {len(row)} columns, the header has {len(header)}",
                 remedy="Give each row a position and a radius, with decimal points.",
             )
-        told.append(f"{row[radius].strip()} mm at {named[0]} {row[place].strip()} mm")
-    return "; ".join(told)
+        parts.append(f"{row[radius].strip()} mm at {named[0]} {row[place].strip()} mm")
+    return "; ".join(parts)

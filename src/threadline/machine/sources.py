@@ -146,7 +146,7 @@ Source = Stepper | PulseServo
 """Position-commanded drives with known loads."""
 
 
-def check_limits_alone(
+def check_limits_only(
     drives: Mapping[str, object], axes: Mapping[str, Axis], tables: Mapping[str, object]
 ) -> None:
     """Refuse parts with dynamics next to kinematic drives; a ``ValueError`` begins with the key."""

@@ -208,9 +208,9 @@ class Others:
     Parameters
     ----------
     name
-        Which they are, in words.
+        Description of the group.
     machines
-        For each, how it differs from the machine of the file, and the machine.
+        Each machine with a description of its difference from the machine of the file.
     """
 
     name: str

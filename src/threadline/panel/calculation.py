@@ -13,7 +13,7 @@ from typing import Any
 from fastapi import FastAPI, Response
 from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
 
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.errors import CommandError
 from threadline.machine import Machine
 from threadline.panel.protocol import Calculate, Figures, Proven
@@ -111,7 +111,7 @@ def add_guide(app: FastAPI, guide: MachineGuide) -> None:
         return FileResponse(guide.printable, media_type="application/pdf")
 
 
-_CHILD = words_of("threadline.panel.calculating", "main")
+_CHILD = import_and_call("threadline.panel.calculating", "main")
 _MOST_LINE = 32 << 20
 
 

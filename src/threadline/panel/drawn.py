@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from starlette.requests import ClientDisconnect
 
 from threadline.base.arrays import FloatArray
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.errors import InputError, JobError, Place
 from threadline.geometry.contours import drop_zero_lengths
 from threadline.geometry.curves import Pieces
@@ -264,7 +264,7 @@ def outlines(asked: Lettering) -> list[dict[str, Any]]:
 
 LONGEST_S = 20.0
 """Longest time in s for reading a drawing."""
-CHILD = words_of("threadline.panel.drawn", "main")
+CHILD = import_and_call("threadline.panel.drawn", "main")
 _WRONG = 2
 _one_at_a_time = asyncio.Semaphore(1)
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from threadline.base.arrays import finite
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.base.reading import inputs_read, noting_inputs
 from threadline.commands.plan import Plan
 from threadline.errors import (
@@ -60,7 +60,7 @@ from threadline.proof.proof_file import ProofFile
 from threadline.verdict import Spec, closing, judge, load_spec, verdict_json
 from threadline.verdict.progress import PlanClock
 
-_JUDGE = words_of("threadline.panel.kept_runs", "judge_main")
+_JUDGE = import_and_call("threadline.panel.kept_runs", "judge_main")
 _NICE = 10  # the executor comes first
 
 

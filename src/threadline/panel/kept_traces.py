@@ -12,12 +12,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.errors import StoreError
 from threadline.live.store.run_store import TRACE, opened, verdict_of_run
 from threadline.panel.calculation import answer_of
 
-_CHILD = words_of("threadline.panel.thinned_traces", "main")
+_CHILD = import_and_call("threadline.panel.thinned_traces", "main")
 _TOLD = ("run", "started", "job", "ended", "text", "passed")
 _MOST_RUNS = 200
 _one_at_a_time = asyncio.Semaphore(1)

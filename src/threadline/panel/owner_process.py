@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from threadline.base.importing import words_of
+from threadline.base.importing import import_and_call
 from threadline.errors import LinkFaultError, ThreadlineError
 from threadline.live.guards import clock_s
 from threadline.live.links import at_link, operated
@@ -144,7 +144,7 @@ def _wait_for(process: subprocess.Popen[bytes]) -> None:
         process.wait(_ENDS_S)
 
 
-_CHILD = words_of("threadline.panel.owner_process", "owner_main")
+_CHILD = import_and_call("threadline.panel.owner_process", "owner_main")
 SEND_S = 2.0
 """Time in s after which an unsent message means that the other side is gone."""
 

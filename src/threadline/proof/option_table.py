@@ -344,8 +344,8 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="within", group=Group.SEARCH, unit="s", verbs=("fastest",),
-        help='How long the search may take, "5 min"; then the best so far is told. Ctrl-C '
-        "asks for it at once.",
+        help='Longest time of the search, "5 min"; then the best result so far is printed. '
+        "Ctrl-C ends the search at once.",
         doors=(Door.LINE, Door.PYTHON),
     ),
 )  # fmt: skip

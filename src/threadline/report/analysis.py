@@ -11,7 +11,7 @@ import numpy as np
 from threadline.dynamics.analysis import HERTZ, AxisAnalysis
 from threadline.dynamics.poles import root_locus
 from threadline.dynamics.responses import MeasuredResponse, speed_response
-from threadline.dynamics.without_loop import Analysis, CylinderAnalysis, ToldAnalysis
+from threadline.dynamics.without_loop import Analysis, CylinderAnalysis, PositionDriveAnalysis
 from threadline.machine import Machine
 from threadline.report.document import Document, Table, origin_facts
 from threadline.report.publish import write_document
@@ -79,15 +79,15 @@ def analysis_tables(analyses: Mapping[str, Analysis]) -> list[Table]:
     """Return the tables of an analysis: control loops, network, steps, modes of other axes."""
     axes = {name: a for name, a in analyses.items() if isinstance(a, AxisAnalysis)}
     others = {name: a for name, a in analyses.items() if isinstance(a, CylinderAnalysis)}
-    told = {name: a for name, a in analyses.items() if isinstance(a, ToldAnalysis)}
+    told = {name: a for name, a in analyses.items() if isinstance(a, PositionDriveAnalysis)}
     return [
         *(_axis_tables(axes) if axes else ()),
-        *(_told_tables(told) if told else ()),
+        *(_position_drive_tables(told) if told else ()),
         *(_cylinder_tables(others) if others else ()),
     ]
 
 
-def _told_tables(analyses: Mapping[str, ToldAnalysis]) -> list[Table]:
+def _position_drive_tables(analyses: Mapping[str, PositionDriveAnalysis]) -> list[Table]:
     rows = [
         [
             axis,

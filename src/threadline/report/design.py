@@ -101,7 +101,7 @@ def corners_title(corners: Verdict) -> str:
     return f"Verdict of one run at each of {count} corners of the tolerances of [design]"
 
 
-def what_binds(result: DesignResult) -> str:
+def design_sentence(result: DesignResult) -> str:
     """Return one sentence: the design that was found, or the criterion that prevents one."""
     if result.found is not None:
         level = f"in spec ({result.found.verdict.level})"
@@ -169,7 +169,7 @@ def write_design_report(result: DesignResult, folder: Path) -> Path:
             Document(
                 title=f"{result.job.name} on {result.machine.name}: redesign",
                 subtitle=result.machine.title,
-                verdicts=[(what_binds(result), result.found is not None)],
+                verdicts=[(design_sentence(result), result.found is not None)],
                 tables=tables,
                 figures=figures,
                 captions=captions,

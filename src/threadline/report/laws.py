@@ -36,27 +36,38 @@ class Curve:
     window_s: float
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualPlot:
+    """Contents of the figure of the residual vibration over the frequency of a mode.
+
+    Parameters
+    ----------
+    curves
+        Laws and durations.
+    mode
+        The mode whose frequency is varied.
+    move_m
+        Length of the move, m.
+    limit_m, band
+        Residual and half width of the band for which a law was made; None if none was made.
+    """
+
+    curves: Sequence[Curve]
+    mode: FlexibleMode
+    move_m: float
+    limit_m: float | None
+    band: float | None
+
+
 def write_laws(
     laws: Sequence[Law],
     tables: Sequence[Table],
     warnings: Sequence[str],
     folder: Path,
     *,
-    curves: Sequence[Curve] = (),
-    mode: FlexibleMode | None = None,
-    move_m: float = 0.0,
-    residual_m: float | None = None,
-    band: float | None = None,
+    residual: ResidualPlot | None = None,
 ) -> Path:
     """Write the report of ``laws`` into ``folder``; return the path of the HTML page.
-
-    Parameters
-    ----------
-    curves
-        Laws and durations; their residual after a move of ``move_m`` is drawn over the frequency of
-        ``mode``.
-    residual_m, band
-        Residual and half width of the band for which a law was made; None if none was made.
 
     Raises
     ------
@@ -69,8 +80,8 @@ def write_laws(
             "laws": "Rise 1 in time 1 and its derivatives; the peaks are Cv, Ca and Cj. Marks tell "
             "the curves apart without colour."
         }
-        if mode is not None:
-            figures["residual"] = _residual(curves, mode, move_m, residual_m, band)
+        if residual is not None:
+            figures["residual"] = _residual(residual)
             captions["residual"] = (
                 "Amplitude of a mode of each frequency when the move ends; the damping ratio is "
                 "held. Upright: the mode; grey: the band."
@@ -131,28 +142,27 @@ def _laws(laws: Sequence[Law]) -> Figure:
     return figure
 
 
-def _residual(
-    curves: Sequence[Curve], mode: FlexibleMode, move_m: float, limit_m: float | None,
-    band: float | None,
-) -> Figure:  # fmt: skip
+def _residual(plot: ResidualPlot) -> Figure:
     from matplotlib.figure import Figure
 
+    mode = plot.mode
     figure = Figure(figsize=(7.2, 4.6))
     axes = figure.subplots()
     f = np.geomspace(_SPAN[0] * mode.frequency_hz, _SPAN[1] * mode.frequency_hz, _FREQUENCIES)
-    for index, curve in enumerate(curves):
+    for index, curve in enumerate(plot.curves):
         at = np.array([curve.window_s])
         left = [
-            residual_m(curve.law, FlexibleMode(x, mode.damping_ratio), move_m, at)[0] for x in f
+            residual_m(curve.law, FlexibleMode(x, mode.damping_ratio), plot.move_m, at)[0]
+            for x in f
         ]
         label = f"{curve.law.name}, {curve.window_s * 1e3:.4g} ms"
         axes.plot(
             f, 1e3 * np.array(left), label=label, markevery=(10 + 9 * index, 45), **_style(index)
         )
-    if limit_m is not None:
-        axes.axhline(1e3 * limit_m, label=f"asked for: {1e3 * limit_m:g} mm", **LIMIT)
-    if band:
-        low, high = (mode.frequency_hz * (1.0 + sign * band) for sign in (-1.0, 1.0))
+    if plot.limit_m is not None:
+        axes.axhline(1e3 * plot.limit_m, label=f"asked for: {1e3 * plot.limit_m:g} mm", **LIMIT)
+    if plot.band:
+        low, high = (mode.frequency_hz * (1.0 + sign * plot.band) for sign in (-1.0, 1.0))
         axes.axvspan(low, high, color="0.9", zorder=0)
     axes.axvline(mode.frequency_hz, color="0.3", linewidth=0.9)
     axes.annotate(

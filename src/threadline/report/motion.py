@@ -205,7 +205,7 @@ def write_motion(studied: Studied, folder: Path) -> Path:
                     rows=[
                         [part.strip() for part in line.split(":", 1)]
                         for line in [
-                            *asked_lines(proof),
+                            *specification_lines(proof),
                             *feed_lines(plan),
                             *motion_lines(plan),
                             *([] if bound is None else binding_lines(bound)),
@@ -230,7 +230,7 @@ def about_motion(proof: Proof) -> list[str]:
     plan = proof.plan
     added = plan.motion.path.summary.get("points_added")
     return [
-        *asked_lines(proof),
+        *specification_lines(proof),
         *feed_forward_lines(plan.motion.demands),
         *feed_lines(plan),
         *motion_lines(plan),
@@ -260,7 +260,7 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
         )
 
 
-def asked_lines(proof: Proof) -> list[str]:
+def specification_lines(proof: Proof) -> list[str]:
     """Return a line with the specification, for a machine file that has only limits."""
     if not proof.plan.machine.without_dynamics:
         return []

@@ -261,7 +261,7 @@ def _kept(
         planned = reader.ladder(block.due_s, 3)
         reader.drop(float(block.due_s[0]))
         if block.slow is not None:
-            pass_slowly(planned, block.due_s - block.time_s, interval_s)
+            scale_to_run_rate(planned, block.due_s - block.time_s, interval_s)
         keep = np.ones(len(actual), dtype=bool)
         if stride > 1:
             told = planned.reshape(len(planned), -1)
@@ -280,7 +280,7 @@ def _kept(
         )
 
 
-def pass_slowly(planned: FloatArray, ahead_s: FloatArray, interval_s: float) -> None:
+def scale_to_run_rate(planned: FloatArray, ahead_s: FloatArray, interval_s: float) -> None:
     """Scale (n, 3, axes) planned velocity and acceleration to the rate at which they were run.
 
     During a hold, a motion x(p) of the plan's time p has the velocity x' p' and the acceleration

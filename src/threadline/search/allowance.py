@@ -143,7 +143,7 @@ def fastest_allowed(asked: Question) -> FastestJob:
     job, machine, until = asked.job, asked.machine, asked.until
     top = feed_range_m_s(machine)[1] if asked.high is None else asked.high
     options = replace(asked.options, feed=Feed(FeedMode.FASTEST_AXIS, top))
-    by_contour = options.follows_contour and not machine.told_positions  # no loop, no lag
+    by_contour = options.follows_contour and not machine.takes_positions  # no loop, no lag
 
     def proved(amount: float) -> Rung:
         if until is not None:

@@ -415,7 +415,7 @@ def run_experiments(machine: Machine, axis: str) -> Campaign:
             delay_s=delay,
         )
     else:
-        own = axis_loop(machine, axis).own()
+        own = axis_loop(machine, axis).axis_plant()
         omega = 2 * np.pi * sweep.frequency_hz
         late = np.exp(1j * omega * own.delay_s[0])
         delay = dead_time_s(sweep, 1j * omega * own.response(omega)[:, 0, 0] * late)

@@ -1,6 +1,6 @@
 """Tick-exact simulation: commands and machine in, recording out; batches of variants."""
 
-from threadline.twin.batch import BatchResult, simulate_batch, simulate_told_runs
+from threadline.twin.batch import BatchResult, simulate_batch, simulate_position_runs
 from threadline.twin.session import Session
 from threadline.twin.simulate import fastest_rates, session_of, simulate, simulate_runs
 
@@ -11,6 +11,6 @@ __all__ = [
     "session_of",
     "simulate",
     "simulate_batch",
+    "simulate_position_runs",
     "simulate_runs",
-    "simulate_told_runs",
 ]

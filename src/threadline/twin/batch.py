@@ -25,7 +25,7 @@ from threadline.files import (
 from threadline.machine import Machine
 from threadline.twin.channels import encoder_phases, run_phases
 from threadline.twin.kernel import NEVER, Engine, Reading, Run, Signal
-from threadline.twin.prescribed import Advance, ToldSession, advances_of, told_channels
+from threadline.twin.prescribed import Advance, PositionSession, advances_of, position_channels
 from threadline.twin.simulate import DEFAULT_SETTLE_S, RunOptions, check_commands, run_over
 
 _AT_ONCE = 2048
@@ -296,7 +296,7 @@ _SHARED = (ChannelKind.COMMANDED, ChannelKind.OPERATION)
 """Kinds of channels that are the same in all runs."""
 
 
-def simulate_told_runs(
+def simulate_position_runs(
     commands: TickTable, machines: Sequence[Machine], *, encoder_phase: FloatArray
 ) -> Recording | None:
     """Simulate machines with position-commanded drives together, bit by bit as ``simulate``.
@@ -327,8 +327,8 @@ def simulate_told_runs(
         answers=None,
     )
     return Recording(
-        channels=told_channels(machine, 1),
-        blocks=Stream(_told_runs_blocks, advances, tuple(machines), commands, options),
+        channels=position_channels(machine, 1),
+        blocks=Stream(_position_runs_blocks, advances, tuple(machines), commands, options),
         job_sha256=commands.job_sha256,
         machine_sha256=machine.sha256,
         simulated=True,
@@ -336,7 +336,7 @@ def simulate_told_runs(
     )
 
 
-def _told_runs_blocks(
+def _position_runs_blocks(
     advances: tuple[tuple[Advance, ...], ...],
     machines: tuple[Machine, ...],
     commands: TickTable,
@@ -344,13 +344,13 @@ def _told_runs_blocks(
 ) -> Iterator[RecordingBlock]:
     """Run sessions of all machines over the commands and the settling time."""
     sessions = [
-        ToldSession(machine, start_counts=commands.start_counts, phases=phase, advances=own)
+        PositionSession(machine, start_counts=commands.start_counts, phases=phase, advances=own)
         for own, machine, phase in zip(advances, machines, options.phases, strict=True)
     ]
-    yield from run_over(ToldRuns(sessions), commands, options)
+    yield from run_over(PositionRuns(sessions), commands, options)
 
 
-class ToldRuns:
+class PositionRuns:
     """Sessions of machines with different numbers, under the same rows, as one recording.
 
     No session may fail, so that all have the same number of samples.
@@ -363,7 +363,7 @@ class ToldRuns:
 
     failed = False  # sessions cannot fail
 
-    def __init__(self, sessions: Sequence[ToldSession]) -> None:
+    def __init__(self, sessions: Sequence[PositionSession]) -> None:
         self._sessions = tuple(sessions)
 
     @property

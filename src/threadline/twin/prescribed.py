@@ -71,8 +71,8 @@ class Advance:
         (s,) number of ticks over which a stepper's acceleration is averaged: half a period of its
         resonance, because its magnetic spring absorbs single microsteps.
     spread
-        (s,) number of ticks over which a stepper makes a step: a quarter of that period, which its
-        rotor takes to its next position. 1 where a tick is longer.
+        (s,) number of ticks over which a stepper makes a step: a quarter of that period, the time
+        of its rotor to the next position; 1 if a tick is longer.
     """
 
     piece: Prescribed
@@ -174,7 +174,7 @@ def _half_period(machine: Machine, drive: str, swing_hz: float, tick_s: float) -
     return max(1, round(ticks))
 
 
-class Moving:
+class PieceRun:
     """One connected piece during a simulation: its state between blocks."""
 
     def __init__(self, machine: Machine, advance: Advance, phases: FloatArray) -> None:
@@ -186,7 +186,7 @@ class Moving:
             for drive in advance.piece.drives
         ]
         self.phases = phases[self.columns]
-        # Counts of the previous ticks, the latest last: the drive starts at rest.
+        # Counts at the previous ticks, the latest last; 0 at the start.
         self.counts = np.zeros((int(advance.spread.max()), len(advance.sources)), dtype=np.int64)
         # Speeds in the previous ticks, the latest last.
         self.before = np.zeros((int(advance.averaged.max()), len(advance.sources)))
@@ -208,7 +208,7 @@ class Moving:
         stood = np.concatenate((self.counts, travelled[:, self.columns]))
         told = np.stack(
             [
-                _stands(source, stood[:, k], phase, len(travelled), int(a.spread[k]))
+                _commanded_position(source, stood[:, k], phase, len(travelled), int(a.spread[k]))
                 for k, (source, phase) in enumerate(zip(a.sources, self.phases, strict=True))
             ],
             axis=1,
@@ -241,9 +241,9 @@ class Moving:
         most = np.stack([s.most_torque(rate[:, k]) for k, s in enumerate(a.sources)], axis=1)
         # If the drive has no torque left, the share becomes a very large number.
         share = np.abs(demand) / np.maximum(most, 1e-9 * np.abs(demand) + 1e-300)
-        return whole, share.reshape(-1, count), self._tight(whole)
+        return whole, share.reshape(-1, count), self._check_belts(whole)
 
-    def _tight(self, whole: FloatArray) -> tuple[int, str]:
+    def _check_belts(self, whole: FloatArray) -> tuple[int, str]:
         known, why = len(whole), ""
         for belt in self.advance.piece.belts:
             force = in_order(whole, belt.row[None])[:, 0]
@@ -282,14 +282,15 @@ def _summed(rows: FloatArray, factors: FloatArray) -> FloatArray:
 summed = njit(nogil=True)(_summed)
 
 
-_FINEST = 2.0**40  # parts of a radian in which errors are summed up: whole numbers, exactly
+_FINEST = 2.0**40  # parts of a radian: errors are summed exactly, as whole numbers of them
 
 
-def _stands(source: Source, counts: IntArray, phase: float, rows: int, ticks: int) -> FloatArray:
-    """Return the commanded position of a drive at the last ``rows`` of ``counts``.
+def _commanded_position(
+    source: Source, counts: IntArray, phase: float, rows: int, ticks: int
+) -> FloatArray:
+    """Return the commanded position of a drive at the last ``rows`` of ``counts``, rad or m.
 
-    It is in rad or m from the start, includes the microstep error, and is the mean over the last
-    ``ticks``.
+    The position includes the microstep error, and is the mean over the last ``ticks``.
     """
     kept = counts[len(counts) - rows - ticks + 1 :]
     position = kept / source.counts
@@ -306,7 +307,7 @@ def _stands(source: Source, counts: IntArray, phase: float, rows: int, ticks: in
 
 
 def _means(numbers: IntArray, ticks: int) -> FloatArray:
-    """Return the means of each ``ticks`` consecutive numbers; they do not depend on the first."""
+    """Return the means of every ``ticks`` consecutive numbers, without rounding of sums."""
     total = np.concatenate(([0], np.cumsum(numbers)))
     return np.asarray((total[ticks:] - total[:-ticks]) / ticks)
 
@@ -329,7 +330,7 @@ def _follow(step: FloatArray, pushed: FloatArray, start: FloatArray) -> FloatArr
 follow = njit(nogil=True)(_follow)
 
 
-class ToldSession(RowSession):
+class PositionSession(RowSession):
     """One simulated machine whose drives take positions, which receives its rows in pieces.
 
     Channels, per axis: ``X.commanded``, ``X.load`` and, if the axis has a frame, ``X.frame`` in m
@@ -375,8 +376,8 @@ class ToldSession(RowSession):
         at = encoder_phases(machine, phases)
         self._every = record_every
         found = advances_of(machine) if advances is None else advances
-        self._pieces = [Moving(machine, advance, at) for advance in found]
-        self.channels = told_channels(machine, record_every)
+        self._pieces = [PieceRun(machine, advance, at) for advance in found]
+        self.channels = position_channels(machine, record_every)
         self._tick = 0
         self._carried: FloatArray = np.zeros(len(machine.axes))
 
@@ -413,13 +414,13 @@ class ToldSession(RowSession):
 
     def _fail(self, tick: int, operation: int, why: str) -> None:
         """End the run with a fault at ``tick``, and drop all later events."""
-        self._told = [event for event in self._told if event.tick < tick]
+        self._pending_events = [event for event in self._pending_events if event.tick < tick]
         self._rows.clear()
         self._events.clear()
         self.failed, self._operation = True, operation
         self._halted, self._held = None, False
         self._ended, self._final = (Ended.FAULT, why), True
-        self._tell("fault", tick=tick, name=why)
+        self._record_event("fault", tick=tick, name=why)
 
     def _block(self, first: int, parts: list[Part]) -> RecordingBlock:
         begin = -(-first // self._every)
@@ -440,14 +441,14 @@ class ToldSession(RowSession):
                 samples[name] = values[kept]
         operation = np.concatenate([nothing[:, 0], *(part.operation for part in parts)])
         samples["operation"] = operation[kept].astype(np.float64)
-        events, self._told = tuple(self._told), []
+        events, self._pending_events = tuple(self._pending_events), []
         clock = self._machine.tick_clock.name
         return RecordingBlock(
             first_tick={clock: begin * self._every}, samples=samples, events=events
         )
 
 
-def told_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
+def position_channels(machine: Machine, every: int) -> tuple[Channel, ...]:
     """Return the channels of a machine whose drives take positions."""
     return tuple(_channels(machine, every))
 

@@ -1,7 +1,7 @@
 """Base class of the sessions that take rows of counts, one row at each tick.
 
-The derived classes simulate the plant: ``Session`` for machines with control loops, ``ToldSession``
-for machines whose drives take positions.
+The derived classes simulate the plant: ``Session`` for machines with control loops,
+``PositionSession`` for machines whose drives take positions.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class RowSession(ABC):
         self._held = False
         self._ended: tuple[Ended, str] | None = None
         self._final = False  # the end has been recorded
-        self._told: list[Event] = []  # since the last block
+        self._pending_events: list[Event] = []  # since the last block
 
     @property
     @abstractmethod
@@ -181,7 +181,7 @@ class RowSession(ABC):
         """
         if not self._held:
             self._held = True
-            self._tell("hold")
+            self._record_event("hold")
 
     def resume(self) -> None:
         """Continue with the rows after ``hold``, after a stop, or instead of a wait.
@@ -190,7 +190,7 @@ class RowSession(ABC):
         """
         if self._held or self._halted is not None:
             self._held, self._halted = False, None
-            self._tell("resume")
+            self._record_event("resume")
 
     def set_input(self, name: str, value: float) -> None:
         """Set an input for which the job may wait.
@@ -222,7 +222,7 @@ class RowSession(ABC):
             self._rows.clear()
             self._events.clear()
             self._halted, self._held = None, False
-        self._meet_events()
+        self._process_events()
 
     def advance(self, rows: TickBlock | None = None, *, ticks: int | None = None) -> RecordingBlock:
         """Take rows, simulate, and return the samples and events.
@@ -255,8 +255,8 @@ class RowSession(ABC):
         end = None if ticks is None else first + max(ticks, 0)
         parts: list[Part] = []
         while not self.failed and (end is None or self.tick < end):
-            self._meet_events()
-            part = self._moving(end) or self._still(end)
+            self._process_events()
+            part = self._moving(end) or self._standstill(end)
             if part is None:
                 break
             part.read = self._read(part)
@@ -281,29 +281,29 @@ class RowSession(ABC):
             self._rows.append((rows.counts, rows.operation))
         self._events.extend(rows.events)
 
-    def _tell(
+    def _record_event(
         self, kind: EventKind, *, tick: int | None = None, name: str = "", value: float = 0.0
     ) -> None:
         at = self.tick if tick is None else tick
-        self._told.append(
+        self._pending_events.append(
             Event(tick=at, kind=kind, operation=self._operation, name=name, value=value)
         )
 
-    def _meet_events(self) -> None:
+    def _process_events(self) -> None:
         """Record the events before the next row; halt at a stop and at an unfulfilled wait."""
         waits = self._halted
         if waits is not None and waits.kind == "wait" and self._met(waits):
             self._halted = None
-            self._tell("resume")
+            self._record_event("resume")
         while self._halted is None and self._events and self._events[0].tick <= self._row:
             event = self._events.popleft()
-            self._told.append(replace(event, tick=self.tick))
+            self._pending_events.append(replace(event, tick=self.tick))
             if event.kind == "stop" or (event.kind == "wait" and not self._met(event)):
                 self._halted = event
         if self._ended is not None and not self._final and self._halted is None and not self._rows:
             self._final = True
             ended, text = self._ended
-            self._tell(ended.value, name=text)
+            self._record_event(ended.value, name=text)
 
     def _met(self, wait: Event) -> bool:
         if wait.name in self._machine.inputs:
@@ -326,12 +326,12 @@ class RowSession(ABC):
         travelled[1:] += self._position
         while self._events and self._events[0].tick < self._row + n:
             event = self._events.popleft()
-            self._told.append(replace(event, tick=self.tick + event.tick - self._row))
+            self._pending_events.append(replace(event, tick=self.tick + event.tick - self._row))
         self._position = travelled[-1] + counts[n - 1]
         self._row, self._operation = self._row + n, int(operation[n - 1])
         return Part(travelled, operation[:n])
 
-    def _still(self, end: int | None) -> Part | None:
+    def _standstill(self, end: int | None) -> Part | None:
         """Return ticks without rows up to ``end``; None if there is no ``end``."""
         if end is None:
             return None
@@ -339,6 +339,6 @@ class RowSession(ABC):
         if self._halted is not None and self._halted.name in self._machine.inputs:
             n = 1  # the limit switch can change at any tick
         if self._row and self._halted is None and not self._held and self._ended is None:
-            self._tell("late", value=float(n))
+            self._record_event("late", value=float(n))
         still = np.broadcast_to(self._position, (n, len(self._position)))
         return Part(still, np.full(n, self._operation))

@@ -159,5 +159,5 @@ class Session(RowSession):
         kept = slice(begin - first, None, self._every)
         samples = samples_of(self._sources, whole.read, whole.travelled[kept])
         samples["operation"] = whole.operation[kept].astype(np.float64)
-        events, self._told = tuple(self._told), []
+        events, self._pending_events = tuple(self._pending_events), []
         return RecordingBlock(first_tick={self._clock: begin}, samples=samples, events=events)

@@ -25,7 +25,7 @@ from threadline.files import (
 from threadline.machine import Machine
 from threadline.twin.channels import encoder_phases, run_phases, tick_channels
 from threadline.twin.kernel import Engine
-from threadline.twin.prescribed import Advance, ToldSession, advances_of, told_channels
+from threadline.twin.prescribed import Advance, PositionSession, advances_of, position_channels
 from threadline.twin.row_session import Rows, RowSession
 from threadline.twin.session import Session
 
@@ -33,7 +33,7 @@ _MOST_VARIANTS = 64  # engines with more are not kept; three times the days of a
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Asked:
+class _EngineKey:
     values: Values
     start_si: FloatArray
     least_rates: tuple[float, ...]
@@ -42,7 +42,7 @@ class _Asked:
         return Engine(self.values.machine, self.values, self.start_si, self.least_rates)
 
 
-def _alike(one: _Asked, other: _Asked) -> bool:
+def _same_key(one: _EngineKey, other: _EngineKey) -> bool:
     own, others = one.values.replaced, other.values.replaced
     return (
         one.values.machine is other.values.machine
@@ -54,7 +54,7 @@ def _alike(one: _Asked, other: _Asked) -> bool:
     )
 
 
-_RECENT: Recent[_Asked, Engine] = Recent(8, _alike)
+_RECENT: Recent[_EngineKey, Engine] = Recent(8, _same_key)
 
 
 def engine_of(values: Values, start_si: FloatArray, least_rates: tuple[float, ...] = ()) -> Engine:
@@ -73,8 +73,8 @@ def engine_of(values: Values, start_si: FloatArray, least_rates: tuple[float, ..
     MachineError
         If the clocks or parts of the machine cannot be simulated.
     """
-    asked = _Asked(values, start_si, least_rates)
-    return asked.made() if values.count > _MOST_VARIANTS else _RECENT.of(asked, asked.made)
+    key = _EngineKey(values, start_si, least_rates)
+    return key.made() if values.count > _MOST_VARIANTS else _RECENT.of(key, key.made)
 
 
 DEFAULT_SETTLE_S = 0.5
@@ -109,7 +109,7 @@ def simulate(
     ``X.current_peak``, the value of largest magnitude since the previous sample. Then ``operation``
     and one channel for each input, which is 1 once a limit switch has cut its drive.
 
-    A machine whose drives take positions has other channels: see ``ToldSession``.
+    A machine whose drives take positions has other channels: see ``PositionSession``.
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def simulate(
         quantised=quantised,
         answers=answers,
     )
-    if machine.told_positions:
-        return _told_recording(commands, machine, options)
+    if machine.takes_positions:
+        return _position_recording(commands, machine, options)
     return _recording(commands, Values.of(machine), options)
 
 
@@ -228,15 +228,15 @@ def _recording(
 
 def session_of(machine: Machine, start_counts: IntArray) -> RowSession:
     """Return a session for a machine with axes, with the defaults of ``simulate``."""
-    if machine.told_positions:
-        return ToldSession(machine, start_counts=start_counts)
+    if machine.takes_positions:
+        return PositionSession(machine, start_counts=start_counts)
     return Session(machine, start_counts=start_counts)
 
 
-def _told_recording(commands: TickTable, machine: Machine, options: RunOptions) -> Recording:
+def _position_recording(commands: TickTable, machine: Machine, options: RunOptions) -> Recording:
     return Recording(
-        channels=told_channels(machine, options.record_every),
-        blocks=Stream(_told_blocks, advances_of(machine), machine, commands, options),
+        channels=position_channels(machine, options.record_every),
+        blocks=Stream(_position_blocks, advances_of(machine), machine, commands, options),
         job_sha256=commands.job_sha256,
         machine_sha256=machine.sha256,
         simulated=True,
@@ -302,11 +302,11 @@ def _blocks(
     yield from run_over(session, commands, options)
 
 
-def _told_blocks(
+def _position_blocks(
     advances: tuple[Advance, ...], machine: Machine, commands: TickTable, options: RunOptions
 ) -> Iterator[RecordingBlock]:
     """Yield the blocks of a new session of a machine whose drives take positions."""
-    session = ToldSession(
+    session = PositionSession(
         machine,
         start_counts=commands.start_counts,
         phases=options.phases[0],

@@ -259,7 +259,7 @@ class StitchingSession:
         self.tick = self.taken = 0
         self._under_way = 0
         self._events: list[Event] = []
-        self._told: list[Event] = []
+        self._pending_events: list[Event] = []
 
     @property
     def steps(self) -> FloatArray:
@@ -329,7 +329,7 @@ class StitchingSession:
 
     def finish(self, ended: Ended, text: str) -> None:
         """Record how the run ended."""
-        self._told.append(
+        self._pending_events.append(
             Event(tick=self.tick, kind=ended.value, operation=self._under_way, name=text)
         )
 
@@ -362,7 +362,7 @@ class StitchingSession:
             self._under_way = int(under_way[-1])
         due = [event for event in self._events if event.tick < self.tick]
         self._events = [event for event in self._events if event.tick >= self.tick]
-        events, self._told = (*due, *self._told), []
+        events, self._pending_events = (*due, *self._pending_events), []
         return RecordingBlock(
             first_tick={self.channels[0].clock.name: first}, samples=told, events=events
         )

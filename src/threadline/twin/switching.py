@@ -253,7 +253,7 @@ def _read(
     while progress.plc[PHASE] in {RUNNING, CALMING}:
         count, ended = run(orders, progress, bank, motion, out, rows, over, UNBOUNDED)
         _refuse_stall(commands, progress.plc)
-        yield told_block(
+        yield run_block(
             channels,
             (out[:count], rows[:count], over[:ended]),
             (commands.outputs, commands.levels, commands.operation, waits),
@@ -262,7 +262,7 @@ def _read(
         first += count
 
 
-def told_block(
+def run_block(
     channels: Sequence[Channel],
     ran: tuple[FloatArray, IntArray, IntArray],
     told: tuple[Sequence[str], IntArray, IntArray, Sequence[Event]],

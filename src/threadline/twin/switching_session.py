@@ -20,10 +20,10 @@ from threadline.twin.switching import (
     SAMPLE_S,
     SwitchOptions,
     orders_of,
+    run_block,
     stall_of,
     switching_channels,
     times_of,
-    told_block,
 )
 from threadline.twin.switching_cylinder import cylinders_of
 from threadline.twin.switching_run import (
@@ -97,7 +97,7 @@ class SwitchingSession:
         self._reach, self._duration, self._off_at = 0, _ENDLESS, _ENDLESS
         self.tick = self.taken = 0
         self.failure, self.ran_dry = "", False
-        self._told: list[Event] = []
+        self._pending_events: list[Event] = []
         self._under_way = 0  # operation of the last sample
         self._stands = False  # at the end of the known schedule
         self._orders = self._made()
@@ -175,7 +175,7 @@ class SwitchingSession:
 
     def finish(self, ended: Ended, text: str) -> None:
         """Record how the run ended."""
-        self._told.append(
+        self._pending_events.append(
             Event(tick=self.sample, kind=ended.value, operation=self._under_way, name=text)
         )
 
@@ -194,13 +194,13 @@ class SwitchingSession:
             if plc[WAIT] == len(self._waits):
                 plc[STALL] = 0  # a hold has no time limit
             parts.append(self._run(bound))
-            self._tell_holds(int(plc[SCAN]) - self.tick)
+            self._record_holds(int(plc[SCAN]) - self.tick)
             self.tick = int(plc[SCAN])
             if plc[PHASE] == STALLED:
                 self.failure = stall_of(self._waits[int(plc[WAIT])])
                 plc[PHASE] = CALMING
         self.tick = until
-        events, self._told = tuple(self._told), []
+        events, self._pending_events = tuple(self._pending_events), []
         events += tuple(event for part in parts for event in part.events)
         if not parts:
             samples = {channel.name: np.empty(0) for channel in self.channels}
@@ -215,21 +215,21 @@ class SwitchingSession:
             first_tick={self.channels[0].clock.name: first}, samples=samples, events=events
         )
 
-    def _tell_holds(self, scans: int) -> None:
+    def _record_holds(self, scans: int) -> None:
         """Record where a hold of the schedule began and ended within the last ``scans`` scans."""
         plc = self._progress.plc
         held = plc[PHASE] == RUNNING and plc[WAIT] == len(self._waits)
         stood = int(plc[STALL]) if held else 0
         if self._stands and stood < scans and plc[PHASE] == RUNNING:
-            self._tell("resume", self.tick)
+            self._record_event("resume", self.tick)
             self._stands = False
         if stood and not self._stands:
-            self._tell("hold", int(plc[SCAN]) - stood)
+            self._record_event("hold", int(plc[SCAN]) - stood)
             self._stands = True
 
-    def _tell(self, kind: EventKind, scan: int) -> None:
+    def _record_event(self, kind: EventKind, scan: int) -> None:
         at = -(-scan * self._orders.scan // self._orders.sample)
-        self._told.append(Event(tick=at, kind=kind, operation=self._under_way))
+        self._pending_events.append(Event(tick=at, kind=kind, operation=self._under_way))
 
     def _run(self, until: int) -> RecordingBlock:
         orders, progress = self._orders, self._progress
@@ -240,7 +240,7 @@ class SwitchingSession:
         over = np.empty((len(self._waits) + 1, 2), dtype=np.int64)
         first = self.sample
         count, ended = run(orders, progress, self._bank, self._motion, out, rows, over, until)
-        return told_block(
+        return run_block(
             self.channels,
             (out[:count, :-1], rows[:count], over[:ended]),
             (self._outputs, self._levels, self._operation, self._waits),

@@ -9,11 +9,12 @@ import numpy as np
 
 from threadline.errors import RecordingError
 from threadline.files import Channel, ChannelKind, Event, Outcome, Recording, RecordingBlock, Stream
-from threadline.files.recording import said_once
+from threadline.files.recording import end_with_reason
 from threadline.machine import Machine
 from threadline.verdict.types import Change, Disturbance, Result, Status
 
 _ROUNDING = 1e-9  # of a sample
+_MOST = 1e15  # SI: no measurement is larger
 
 
 @dataclass(slots=True)
@@ -140,6 +141,29 @@ MOST_NAMED = 50
 _ENDS = {"stopped": Change.STOPPED, "fault": Change.FAULT}
 
 
+def _refuse_absurd(block: RecordingBlock) -> None:
+    """Refuse samples whose squares could overflow; NaN counts as not measured.
+
+    Parallel runs come from the simulation, which checks its own output.
+    """
+    for name, samples in block.samples.items():
+        if samples.ndim > 1 or not len(samples):
+            continue
+        if -_MOST <= samples.min() <= samples.max() <= _MOST:
+            continue
+        if np.isinf(samples).any():
+            raise RecordingError(
+                f"channel {name!r} holds a value that is not finite",
+                remedy="Repair the trace, or leave the channel out.",
+            )
+        if (np.abs(samples) > _MOST).any():
+            worst = float(np.nanmax(np.abs(samples)))
+            raise RecordingError(
+                f"channel {name!r} has a sample of {worst:.3g}, beyond {_MOST:g}",
+                remedy="No machine can have measured it; record it again.",
+            )
+
+
 class EventReader:
     """Reads the blocks of a recording and collects its events.
 
@@ -166,6 +190,7 @@ class EventReader:
         ]
         events = _Events(self._recording)
         for block in self._recording:
+            _refuse_absurd(block)
             known = known.after(block.events)
             for event in block.events:
                 events.take(event)
@@ -254,7 +279,7 @@ class _Events:
             last = self._found[-1] if self._found else None
             if self._brakes[1] >= event.tick and last and last.change is Change.HOLD:
                 self._found.pop()  # braking went on to the end of the run
-            why = said_once(event.kind, event.name)
+            why = end_with_reason(event.kind, event.name)
             self._add(_ENDS[event.kind], f"the run ended early, {why},", event)
 
     def found(self) -> list[Disturbance]:
@@ -362,7 +387,7 @@ def end_words(outcome: Outcome) -> str:
     # A controller that reports no operation leaves -1.
     told = outcome.operation is not None and outcome.operation >= 0
     where = f" in operation {outcome.operation}" if told else ""
-    return f"the run ended{where}, {said_once(outcome.ended.value, outcome.text)}"
+    return f"the run ended{where}, {end_with_reason(outcome.ended.value, outcome.text)}"
 
 
 def not_beyond(

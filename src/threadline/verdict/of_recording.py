@@ -1,8 +1,8 @@
-"""Limits of the machine that a recording is held against itself, and not only its plan.
+"""Machine limits that are measured on the recording, too, and not only on the plan.
 
-A plan is measured between samples, exactly. What the machine made of it is seen in samples of a
-position. A machine rings about its command, so a recording breaks a limit where it exceeds it by
-more than ``ALLOWED_SHARE``, or its travel by more than placement is allowed to be off.
+A plan is measured exactly, between samples too; a recording only by samples of positions. A machine
+vibrates about its command, so a recording fails a velocity limit only if it exceeds the limit by
+more than ``ALLOWED_SHARE``, and the travel only by more than the placement tolerance.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from threadline.verdict.samples import Block, Setting, enough_of
 from threadline.verdict.types import Result, Spec, Status
 
 ALLOWED_SHARE = 0.1
-"""Share of a limit of velocity by which a recording may exceed it."""
+"""Share of a velocity limit by which a recording may exceed it."""
 OVER_S = 0.02
-"""Time over which the velocity of a recording is taken: noise of its positions says nothing."""
+"""Time over which the velocity of a recording is averaged, against noise of its positions."""
 _PLACEMENT = "contour_error"
-_PLACED_M = 1e-3  # at the tool, where no specification says how far placement may be off
+_PLACED_M = 1e-3  # placement tolerance at the tool, without a specification
 _POSITIONS = (ChannelKind.TOOL, ChannelKind.LOAD, ChannelKind.MEASURED)
 
 
 def _positions(block: Block, column: int) -> FloatArray | None:
-    """Return the (n, runs) positions of an axis: of its tool or load, else of its own encoder."""
+    """Return the (n, runs) positions of an axis: of tool or load, else of the axis's encoder."""
     for values in (block.actual, block.own):
         if values is not None and not np.isnan(values[0, :, column]).all():
             return np.asarray(values[:, :, column])
@@ -40,7 +40,7 @@ def _positions(block: Block, column: int) -> FloatArray | None:
 
 
 class _OfAxes:
-    """The largest of a figure of every axis and run."""
+    """Keeps the largest value of each axis and run."""
 
     def __init__(self, setting: Setting) -> None:
         count = len(setting.axes)
@@ -49,7 +49,7 @@ class _OfAxes:
     def offer(
         self, column: int, values: FloatArray, block: Block, first: int, note: str = ""
     ) -> None:
-        """Take (n, runs) values of an axis; the first is of sample ``first`` of the block."""
+        """Take (n, runs) values of an axis; the first belongs to sample ``first`` of the block."""
         known = np.where(np.isnan(values), -np.inf, values)
         worst = self._worst[column]
         if len(known) and worst.is_beaten(known.max(axis=0)):
@@ -68,7 +68,7 @@ class _OfAxes:
 
 
 class _Reach(_OfAxes):
-    """Per axis: how far it goes beyond its travel, negative where room is left."""
+    """Overshoot of the travel, per axis; negative if room is left."""
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)
@@ -85,7 +85,7 @@ class _Reach(_OfAxes):
 
 
 class _Speed(_OfAxes):
-    """Per axis: the largest mean velocity over ``OVER_S``, or from sample to sample if longer."""
+    """Largest mean velocity per axis, over ``OVER_S`` or, if longer, the sampling interval."""
 
     def __init__(self, setting: Setting) -> None:
         super().__init__(setting)
@@ -135,14 +135,14 @@ VELOCITY = MeasureKind(
 
 
 def key_of(kind: MeasureKind) -> Key:
-    """Return the key of a measure here, which no criterion of a specification has."""
+    """Return the key of a measure of this module; no criterion of a specification has it."""
     return kind.name, (("recording", 1.0),)
 
 
 def kinds_of(spec: Spec, *, recorded: bool) -> dict[Key, MeasureKind]:
-    """Return the measures here for the criteria of a specification.
+    """Return the measures of this module that the criteria of a specification need.
 
-    Of a run that was simulated for its verdict only ``travel``: its velocity follows from its plan.
+    For a run simulated for this verdict, only ``travel``: its velocity follows from the plan.
     """
     asked = {criterion.name for criterion in spec.criteria}
     kinds = (TRAVEL, VELOCITY) if recorded else (TRAVEL,)
@@ -152,19 +152,19 @@ def kinds_of(spec: Spec, *, recorded: bool) -> dict[Key, MeasureKind]:
 def with_recording(
     result: Result, findings: Findings, plan: Plan, spec: Spec, *, complete: bool, recorded: bool
 ) -> Result:
-    """Return a result of the plan, or that of the recording in its place.
+    """Return the result of the plan, or the recording's result in its place.
 
-    What the plan breaks stays. What the recording breaks takes its place, and so does, of a
-    recording, what it was measured to keep to its end.
+    A failure of the plan stays. Otherwise a failure of the recording replaces it, and so does a
+    pass of a complete recording.
 
     Parameters
     ----------
     result
-        Of the plan, with its limit.
+        Result of the plan, with its limit.
     complete
-        Whether the runs came to their end.
+        Whether the runs were complete.
     recorded
-        Whether recordings are judged, and not runs that were simulated for the verdict.
+        Whether these are recordings, and not runs simulated for this verdict.
     """
     of_plan = replace(result, of="plan")
     kind = {one.name: one for one in (TRAVEL, VELOCITY)}.get(result.name)
@@ -198,7 +198,7 @@ def with_recording(
 
 
 def _limit(result: Result, plan: Plan, spec: Spec) -> float:
-    """Return what a recording may reach where a plan may reach the limit of ``result``."""
+    """Return the limit for a recording: the plan's limit, with an allowance for vibration."""
     assert result.limit is not None
     if result.name == VELOCITY.name:
         return result.limit * (1.0 + ALLOWED_SHARE)

@@ -31,6 +31,27 @@ def sample_interval_s(channel: Channel) -> float:
     return period_s.numerator * channel.stride / period_s.denominator
 
 
+def finite_samples(channel: Channel, block: RecordingBlock) -> FloatArray:
+    """Return the samples of a channel in a block.
+
+    Raises
+    ------
+    RecordingError
+        If one of them is not finite. Parallel runs come from the simulation, which checks its own.
+    """
+    values = block.samples[channel.name]
+    if values.ndim == 1 and not np.isfinite(values).all():
+        lost = block.first_tick[channel.clock.name] + channel.stride * int(
+            np.argmin(np.isfinite(values))
+        )
+        raise RecordingError(
+            f"channel {channel.name!r} holds a value that is not finite, at "
+            f"{channel.clock.time_s(lost):.6g} s",
+            remedy="Repair the trace, or leave the channel out.",
+        )
+    return values
+
+
 class Follower:
     """One channel at the instants of another: its own samples, or the last one held.
 
@@ -60,22 +81,11 @@ class Follower:
 
     def values(self, block: RecordingBlock, count: int) -> FloatArray:
         """Return the (count, ...) samples of a block, for a channel with the same instants."""
-        values = self._checked(block)
+        values = finite_samples(self._channel, block)
         # Samples missing in this block are NaN; the measures that need them are told why.
         lacking = max(count - len(values), 0)
         known = values[:count]
         return known if not lacking else np.concatenate([known, np.full(lacking, np.nan)])
-
-    def _checked(self, block: RecordingBlock) -> FloatArray:
-        values = block.samples[self._channel.name]
-        if values.ndim == 1 and not np.isfinite(values).all():
-            first = block.first_tick[self._channel.clock.name]
-            raise RecordingError(
-                f"channel {self._channel.name!r} holds a value that is not finite near "
-                f"{self._channel.clock.time_s(first):.6g} s",
-                remedy="Repair the trace, or leave the channel out.",
-            )
-        return values
 
     def take(self, block: RecordingBlock) -> None:
         """Keep the channel's samples in a block until they are requested.
@@ -85,7 +95,7 @@ class Follower:
         RecordingError
             If they come after their instants have counted as missing.
         """
-        values = self._checked(block)
+        values = finite_samples(self._channel, block)
         if not len(values):
             return
         channel = self._channel

@@ -27,7 +27,7 @@ from threadline.verdict.demands import SLACK
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, Option, Running, RunReading
 from threadline.verdict.needle import Stitches, has_stitches
-from threadline.verdict.samples import Block, Setting
+from threadline.verdict.samples import Block, Setting, finite_samples
 from threadline.verdict.sewn import Figure, SewnStitches, StitchFollower
 
 OPTIONS = {"delay": Option(unit="s", default=0.0)}
@@ -274,7 +274,10 @@ class StitchRun:
         force, force_at = np.full(shape, np.nan), np.full(shape, np.nan)
         seen, was, until_s = 0, False, 0.0
         for block in self.recording:
-            times, needle = self._times(block), block.samples[NEEDLE] != 0
+            times, needle = (
+                self._times(block),
+                finite_samples(self.recording.channel(NEEDLE), block) != 0,
+            )
             if not len(needle):
                 continue
             enters = needle & ~np.concatenate(([was], needle[:-1]))
@@ -282,7 +285,7 @@ class StitchRun:
             for k, axis in enumerate(axes):
                 load = self.recording.find(ChannelKind.LOAD, axis)
                 if load is not None:
-                    stood = block.samples[load.name][: len(needle)]
+                    stood = finite_samples(load, block)[: len(needle)]
                     inside = (needle & (number >= 0) & (number < count))[: len(stood)]
                     of = number[: len(stood)][inside]
                     off = np.abs(stood[inside] - self.places_m[of, k])
@@ -290,7 +293,7 @@ class StitchRun:
                 pull = self.recording.find(ChannelKind.TORQUE_SHARE, axis)
                 if pull is not None:
                     # Between two stitches the frame moves to the next one.
-                    asked = block.samples[pull.name][: len(needle)]
+                    asked = finite_samples(pull, block)[: len(needle)]
                     to = np.minimum(number + ~needle, count - 1)[: len(asked)]
                     _keep(force[:, k], force_at[:, k], to, asked, times)
             seen += int(enters.sum())

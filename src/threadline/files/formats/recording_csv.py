@@ -120,13 +120,13 @@ def read_recording_csv(path: Path) -> Recording:
     """
     with clear_errors(path):
         own = next(text_lines(path), (1, ""))[1] == f"# threadline {TITLE}"
-        recording = _own(path) if own else _foreign(path)
+        recording = _read_native(path) if own else _foreign(path)
         for _ in recording:
             pass  # read every line now, so that a wrong one is found before the recording is used
     return recording
 
 
-def _own(path: Path) -> Recording:
+def _read_native(path: Path) -> Recording:
     head: list[tuple[int, str]] = []
 
     def is_comment(numbered: tuple[int, str]) -> bool:
@@ -140,7 +140,7 @@ def _own(path: Path) -> Recording:
     if not head:
         raise RecordingError("the file ends before its columns", place=Place(str(path)))
     number, text = head[0]
-    recording = recording_from(meta, path, _own_blocks, number)
+    recording = recording_from(meta, path, _native_blocks, number)
     channels = recording.channels
     place = Place(str(path), number)
     if len({(c.clock, c.stride) for c in channels}) != 1:
@@ -153,7 +153,7 @@ def _own(path: Path) -> Recording:
     return in_si(recording, place)
 
 
-def _own_blocks(
+def _native_blocks(
     known: KnownFile, channels: tuple[Channel, ...], head: int
 ) -> Iterator[RecordingBlock]:
     layout = _Layout(

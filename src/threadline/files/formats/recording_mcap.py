@@ -151,7 +151,7 @@ def read_recording_mcap(path: Path) -> Recording:
     """
     with clear_errors(path), path.open("rb") as file:
         schema = next((r for r, _ in _records(file, path) if isinstance(r, Schema)), None)
-        if schema is None and _is_of_a_run(file):
+        if schema is None and _begins_like_a_trace(file):
             raise RecordingError(
                 "the trace ends before its first sample: there is nothing to judge",
                 place=Place(str(path)),
@@ -199,14 +199,14 @@ def _records(file: IO[bytes], path: Path) -> Iterator[tuple[Any, bool]]:
         if kind == Opcode.FOOTER:
             raise _damaged("a footer follows its records without an end of the data", path)
         crc = zlib.crc32(content, zlib.crc32(head, crc))
-        found, checked = _records_of(kind, content, path)
+        found, checked = _parse_records(kind, content, path)
         bare = bare or (bool(found) and not checked)
         for record in found:
             yield record, False
     _check_broken_off(file, path, bare=bare)
 
 
-def _is_of_a_run(file: IO[bytes]) -> bool:
+def _begins_like_a_trace(file: IO[bytes]) -> bool:
     """Return whether a file begins like one of ``TraceWriter``, or is still empty."""
     file.seek(0)
     head = file.read(len(_MAGIC) + _RECORD.size + _CRC.size + len(_PROFILE))
@@ -237,19 +237,19 @@ def _check_length(length: int, path: Path) -> None:
         )
 
 
-def _check_crc(told: int, found: int, what: str, path: Path) -> None:
+def _check_crc(stored: int, found: int, what: str, path: Path) -> None:
     """Refuse bytes with a wrong checksum; 0 means that none was written."""
-    if told not in {0, found}:
-        raise _damaged(f"the checksum of {what} is {found:08x}, the file says {told:08x}", path)
+    if stored not in {0, found}:
+        raise _damaged(f"the checksum of {what} is {found:08x}, the file says {stored:08x}", path)
 
 
 def _check_end(content: bytes, crc: int, path: Path, *, bare: bool) -> None:
     """Check the whole data section against the checksum in its last record."""
     if len(content) != _CRC.size:
         raise _damaged("the end of its data section has no checksum", path)
-    (told,) = _CRC.unpack(content)
-    _check_crc(told, crc, "its data", path)
-    if bare and not told:
+    (stored,) = _CRC.unpack(content)
+    _check_crc(stored, crc, "its data", path)
+    if bare and not stored:
         raise _unconfirmed(path)
 
 
@@ -265,8 +265,8 @@ def _check_summary(rest: bytes, path: Path) -> None:
     if not all(whole):
         raise _damaged("its footer or its last bytes are missing", path)
     body = rest[: -len(_MAGIC) - _CRC.size]
-    (told,) = _CRC.unpack_from(rest, len(body))
-    _check_crc(told, zlib.crc32(body), "its index", path)
+    (stored,) = _CRC.unpack_from(rest, len(body))
+    _check_crc(stored, zlib.crc32(body), "its index", path)
 
 
 def _check_cut(kind: int, length: int, content: bytes, path: Path) -> None:
@@ -291,7 +291,7 @@ def _check_broken_off(file: IO[bytes], path: Path, *, bare: bool) -> None:
         raise _unconfirmed(path)
 
 
-def _records_of(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]:
+def _parse_records(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]:
     """Return the schemas and messages in a record, or in the chunk that it holds.
 
     The second value tells whether a checksum of their own confirms them.
@@ -324,8 +324,8 @@ def _records_of(kind: int, content: bytes, path: Path) -> tuple[list[Any], bool]
             remedy="Write or fetch it again.",
         ) from error
     if kind == Opcode.ATTACHMENT:
-        (told,) = _CRC.unpack(content[-_CRC.size :])
-        _check_crc(told, zlib.crc32(content[: -_CRC.size]), "an attachment", path)
+        (stored,) = _CRC.unpack(content[-_CRC.size :])
+        _check_crc(stored, zlib.crc32(content[: -_CRC.size]), "an attachment", path)
     return found, checked
 
 

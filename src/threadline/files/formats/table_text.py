@@ -202,8 +202,8 @@ def _cut_off(place: Place) -> RecordingError:
     )
 
 
-def told_end(path: Path) -> int:
-    """Return the number of ticks that the end line of a table states; reads only that line.
+def stated_tick_count(path: Path) -> int:
+    """Return the number of ticks that the last line of a table gives, without reading the others.
 
     Raises
     ------

@@ -25,7 +25,7 @@ from threadline.files.formats.table_text import (
     body_lines,
     check_end,
     read_text_table,
-    told_end,
+    stated_tick_count,
     whole_number,
 )
 from threadline.files.formats.tick_table import (
@@ -162,7 +162,7 @@ def _blocks(known: KnownFile, axes: int, head: int, beside: int) -> Iterator[Tic
 
 def _check_within(end: int, path: Path, place: Place) -> None:
     """Refuse a line beyond the stated end of the table, before making its rows."""
-    told = told_end(path)
+    told = stated_tick_count(path)
     if end > told:
         raise RecordingError(
             f"the line extends to tick {end}, but the table ends after {told}",

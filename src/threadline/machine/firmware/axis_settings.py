@@ -121,7 +121,7 @@ class Settings:
         self._refuse_another(getattr(settings, what), said)
         setattr(settings, what, said)
 
-    def say_of_planner(
+    def set_planner(
         self,
         key: str,
         text: str,

@@ -114,18 +114,18 @@ def _take(read: _Read, code: int, words: dict[str, str], place: Place) -> None:
     for letter, text in words.items():
         name = f"M{code} {letter}"
         if code == 595 and letter == "P":
-            settings.say_of_planner("blocks", text, place, name, zero=False)
+            settings.set_planner("blocks", text, place, name, zero=False)
             if settings.planner["blocks"].value < _RING:  # the queue never shrinks
                 del settings.planner["blocks"]
         elif code == 566 and letter == "P":
-            settings.say_of_planner("policy", text, place, name)
+            settings.set_planner("policy", text, place, name)
         elif code == 204 and letter == "T":
-            settings.say_of_planner("acceleration", text, place, name, zero=False)
+            settings.set_planner("acceleration", text, place, name, zero=False)
         elif letter not in _LETTERS:
             continue
         elif code in (205, 566):  # mm/s, mm/min
             jump = times(text, 1.0 if code == 205 else 1.0 / 60.0)
-            settings.say_of_planner(f"jump.{letter}", jump, place, name, typed=text)
+            settings.set_planner(f"jump.{letter}", jump, place, name, typed=text)
         elif code == 208:
             _end(read.ends, letter, text, words, place)
         elif code == 92:

@@ -41,7 +41,7 @@ class DumpLine:
 
 
 @dataclass(frozen=True, slots=True)
-class Saying:
+class DumpSetting:
     """A setting and its value in one line of a log.
 
     Parameters
@@ -74,8 +74,8 @@ def dump_lines(lines: Sequence[str], file: str) -> list[DumpLine]:
 
 
 def in_force(
-    sayings: Sequence[Saying], same: Callable[[str, str], bool]
-) -> tuple[list[Saying], str]:
+    sayings: Sequence[DumpSetting], same: Callable[[str, str], bool]
+) -> tuple[list[DumpSetting], str]:
     """Return the settings of the last complete dump among ``sayings``, and a note or "".
 
     Settings without contradictions are one dump. Otherwise a new dump begins where the order of the
@@ -89,10 +89,10 @@ def in_force(
     same
         Returns whether two texts mean the same value.
     """
-    first: dict[str, Saying] = {}
+    first: dict[str, DumpSetting] = {}
     if all(same(first.setdefault(one.key, one).text, one.text) for one in sayings):
         return list(first.values()), ""
-    dumps: list[list[Saying]] = [[]]
+    dumps: list[list[DumpSetting]] = [[]]
     for one in sayings:
         if dumps[-1] and one.order < dumps[-1][-1].order:
             dumps.append([])

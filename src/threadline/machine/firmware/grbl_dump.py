@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import AxisSettings, Settings, number_or_nan, unknown
-from threadline.machine.firmware.dump_lines import DumpLine, Saying, dump_lines, in_force
+from threadline.machine.firmware.dump_lines import DumpLine, DumpSetting, dump_lines, in_force
 
 _LETTERS = "XYZABCUVW"
 _GRBL_AXES = "XYZABC"
@@ -49,7 +49,7 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
     """
     settings = Settings("grbl", file)
     letters = _GRBL_AXES
-    sayings: list[Saying] = []
+    sayings: list[DumpSetting] = []
     for line in dump_lines(lines, file):
         text = line.text
         if "FluidNC" in text and not text.startswith(";"):
@@ -73,7 +73,7 @@ def read_grbl(lines: Sequence[str], file: str) -> Settings:
     for one in kept:
         name = f"${one.key}"
         if one.order == _DEVIATION:
-            settings.say_of_planner("junction_deviation", one.text, one.place, name)
+            settings.set_planner("junction_deviation", one.text, one.place, name)
             continue
         letter = letters[one.order % 10]
         if _zero(one.text) and one.order < 110:
@@ -96,7 +96,7 @@ def _zero(text: str) -> bool:
     return number_or_nan(text) == 0.0
 
 
-def _settings_of(line: DumpLine) -> list[Saying]:
+def _settings_of(line: DumpLine) -> list[DumpSetting]:
     """Return the settings of axes and planner in a line, which may hold several."""
     text = line.text
     if text[:1] in ";(%":
@@ -111,7 +111,7 @@ def _settings_of(line: DumpLine) -> list[Saying]:
     while (match := _SETTING.match(text, at)) is not None:
         code = int(match[1])
         if code == _DEVIATION or (code - code % 10 in _GRBL and code % 10 < len(_GRBL_AXES)):
-            found.append(Saying(code, match[1], match[2], line.place))
+            found.append(DumpSetting(code, match[1], match[2], line.place))
         at = match.end()
         at += len(text[at:]) - len(text[at:].lstrip(" \t,;"))
     if not at or _COMMENT.match(text, at) is None:
@@ -163,7 +163,7 @@ def read_fluidnc(lines: Sequence[str], file: str) -> Settings:
         elif not above and key == "kinematics" and value.lower() not in ("", "cartesian"):
             settings.refuse_kinematics(f"kinematics: {value[:40]}", place)
         elif not above and key == "junction_deviation_mm":
-            settings.say_of_planner("junction_deviation", value, place, key)
+            settings.set_planner("junction_deviation", value, place, key)
     return settings
 
 

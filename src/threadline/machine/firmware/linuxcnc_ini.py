@@ -73,8 +73,8 @@ def read_linuxcnc(lines: Sequence[str], file: str) -> Settings:
         settings.turning[letter] = turns
         settings.axes[letter] = AxisSettings()
         factor = angle if turns else length
-        _say_axis(settings, letter, axis, joint, factor)
-    _most_of_path(settings, traj, length)
+        _set_axis(settings, letter, axis, joint, factor)
+    _path_limits(settings, traj, length)
     _path_mode(settings, sections.get("RS274NGC", {}), length)
     for key, (text, place) in sections.get("HAL", {}).items():
         if key.startswith("HALFILE"):
@@ -187,7 +187,7 @@ def _turns(letter: str, *sections: Keys) -> bool:
     return letter in _TURNING
 
 
-def _say_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: float) -> None:
+def _set_axis(settings: Settings, letter: str, axis: Keys, joint: Keys, factor: float) -> None:
     """Set the limits of an axis: the smaller of its [AXIS_] and [JOINT_] limits."""
     for key, (what, a_minute) in _LIMITS.items():
         given = [(keys[key], keys is joint) for keys in (axis, joint) if key in keys]
@@ -224,7 +224,7 @@ def _end(key: str, *sections: Keys) -> tuple[str, Place] | None:
     return next((keys[key] for keys in sections if key in keys), None)
 
 
-def _most_of_path(settings: Settings, traj: Mapping[str, tuple[str, Place]], length: float) -> None:
+def _path_limits(settings: Settings, traj: Mapping[str, tuple[str, Place]], length: float) -> None:
     """Apply the limit of path speed to axes with a higher limit."""
     said = traj.get("MAX_LINEAR_VELOCITY", traj.get("MAX_VELOCITY"))
     if said is None:
@@ -251,7 +251,7 @@ def _path_mode(settings: Settings, interpreter: Keys, length: float) -> None:
     code = text.upper()
     factor = 25.4 if re.search(r"\bG20\b", code) else 1.0 if "G21" in code else length
     if re.search(r"\bG61(?:\.1)?\b", code):
-        settings.say_of_planner("exact_stop", "1", place, "G61")
+        settings.set_planner("exact_stop", "1", place, "G61")
         return
     blend = re.search(r"\bG64\s*(?:P\s*([\d.]+))?\s*(?:Q\s*([\d.]+))?", code)
     if blend is None:
@@ -260,4 +260,4 @@ def _path_mode(settings: Settings, interpreter: Keys, length: float) -> None:
     for key, number, letter in (("tolerance", blend[1], "P"), ("cam_tolerance", blend[2], "Q")):
         if number is not None:
             name = f"G64 {letter}"
-            settings.say_of_planner(key, times(number, factor), place, name, typed=number)
+            settings.set_planner(key, times(number, factor), place, name, typed=number)

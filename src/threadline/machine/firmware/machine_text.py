@@ -12,7 +12,7 @@ from threadline.errors import MachineError, OptionError, Place, UnitError
 from threadline.machine.firmware.axis_settings import AxisSettings, Said, Settings
 from threadline.units import parse_quantity
 
-ASKED: dict[str, tuple[str, str]] = {
+QUESTIONS: dict[str, tuple[str, str]] = {
     "rotary": ("the letters of the axes that turn, or none", "A"),
     "microsteps": ("of the drivers", "16"),
     "torque": ("holding torque of the motors", "1.26 N m"),
@@ -34,7 +34,7 @@ OPTIONAL: dict[str, tuple[str, str]] = {
     "friction": ("of a motor and its bearings", "0.03 N m"),
 }
 _NONE = ("", "0", "-", "no", "none")
-_OF_AN_AXIS = frozenset(ASKED) - {"rotary"} | frozenset(OPTIONAL)
+_OF_AN_AXIS = frozenset(QUESTIONS) - {"rotary"} | frozenset(OPTIONAL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ def parse_answers(texts: Sequence[str]) -> Answers:
         If an answer has another form or an unknown name, or is given twice.
     """
     given: dict[str, str] = {}
-    known = {**ASKED, **OPTIONAL}
+    known = {**QUESTIONS, **OPTIONAL}
     for text in texts:
         name, equals, value = (part.strip() for part in text.partition("="))
         base, dot, axis = name.partition(".")
@@ -258,7 +258,7 @@ def check_answers(settings: Settings, answers: Answers) -> None:
         try:
             positive = parse_quantity(text, unit) > 0
         except UnitError as error:
-            asked = {**ASKED, **OPTIONAL, **(_TURNS if turns else {})}
+            asked = {**QUESTIONS, **OPTIONAL, **(_TURNS if turns else {})}
             raise OptionError(
                 f"--set {key}={text!r}: {error.message}",
                 remedy=f'Write it like "{key}={asked[base][1]}".',
@@ -284,7 +284,7 @@ def _missing(
     ]
     turning = turning_axes(settings, answers)
     if may_turn and "rotary" not in answers.given:
-        what, _ = ASKED["rotary"]
+        what, _ = QUESTIONS["rotary"]
         turning += "".join(may_turn)  # so that the examples together are complete
         yield "rotary", (what, turning)
     for axis, said in settings.axes.items():
@@ -298,7 +298,7 @@ def _missing(
         if not turns and said.travel is None and answers.of("travel", axis) is None:
             yield f"travel.{axis}", OPTIONAL["travel"]
     if turning and "radius" not in answers.given:
-        yield "radius", ASKED["radius"]
+        yield "radius", QUESTIONS["radius"]
 
 
 def _missing_of_motor(
@@ -306,12 +306,12 @@ def _missing_of_motor(
 ) -> Iterator[tuple[str, tuple[str, str]]]:
     for name in ("torque", "current", "resistance", "inductance", "supply"):
         if answers.of(name, axis) is None:
-            yield name, ASKED[name]
+            yield name, QUESTIONS[name]
     if said.microsteps is None and answers.of("microsteps", axis) is None:
-        yield "microsteps", ASKED["microsteps"]
+        yield "microsteps", QUESTIONS["microsteps"]
     load = "inertia" if turns else "mass"
     if answers.of(load, axis) is None:
-        yield load, ASKED[load]
+        yield load, QUESTIONS[load]
 
 
 def _planner(settings: Settings, turning: str) -> Iterator[str]:

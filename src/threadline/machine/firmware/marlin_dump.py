@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 from threadline.errors import MachineError, Place
 from threadline.machine.firmware.axis_settings import Settings, number_or_nan, times, unknown
-from threadline.machine.firmware.dump_lines import Saying, dump_lines, in_force
+from threadline.machine.firmware.dump_lines import DumpSetting, dump_lines, in_force
 
 FIRST = "Marlin 1.0"
 KIMBRA = "MarlinKimbra or MK4duo"
@@ -90,7 +90,7 @@ def read_marlin(lines: Sequence[str], file: str) -> Settings:
     """
     settings = Settings("marlin", file)
     evidence = _Evidence()
-    sayings: list[Saying] = []
+    sayings: list[DumpSetting] = []
     besides: dict[tuple[int, str], Place] = {}
     for line in dump_lines(lines, file):
         match = _CODE.match(line.text)
@@ -144,7 +144,9 @@ def _words(text: str) -> tuple[dict[str, str], str]:
     return found, text[at:]
 
 
-def _sayings(code: int, words: dict[str, str], place: Place, evidence: _Evidence) -> list[Saying]:
+def _sayings(
+    code: int, words: dict[str, str], place: Place, evidence: _Evidence
+) -> list[DumpSetting]:
     """Return the settings of a command, except settings of extruders and tools."""
     order = _ORDER.index(code) if code in _ORDER else len(_ORDER)
     letters = {letter.rstrip("'") for letter in words}
@@ -158,13 +160,13 @@ def _sayings(code: int, words: dict[str, str], place: Place, evidence: _Evidence
     if code == 205 and letters <= {"T", "E"}:
         return []
     return [
-        Saying(order, f"M{code} {letter.rstrip(chr(39))}", text, place)
+        DumpSetting(order, f"M{code} {letter.rstrip(chr(39))}", text, place)
         for letter, text in words.items()
         if letter != "E"
     ]
 
 
-def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) -> None:
+def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[DumpSetting]) -> None:
     """Set the axis and planner settings, according to the form of the dump."""
     keys = {one.key for one in kept}
     doubtful = "M204 S" in keys and "M204 T" in keys and not (evidence.first or evidence.later)
@@ -196,19 +198,19 @@ def _interpret(settings: Settings, evidence: _Evidence, kept: Sequence[Saying]) 
         elif code == 205 and letter == "S" and number_or_nan(one.text) != 0.0:
             settings.notes.append(f"{one.place}: M205 S{one.text}: only for moves with extrusion")
         elif code == 204 and letter in travel:
-            settings.say_of_planner("acceleration", one.text, one.place, one.key, zero=False)
+            settings.set_planner("acceleration", one.text, one.place, one.key, zero=False)
         elif code == 205 and letter == "J":
-            settings.say_of_planner("junction_deviation", one.text, one.place, one.key)
+            settings.set_planner("junction_deviation", one.text, one.place, one.key)
         elif code == 205 and letter == slowest:
             if number_or_nan(one.text) != 0.0:
-                settings.say_of_planner("least_speed", one.text, one.place, one.key)
+                settings.set_planner("least_speed", one.text, one.place, one.key)
         elif code == 205 and letter == segment:
             if number_or_nan(one.text) != _SEGMENT_US:
-                settings.say_of_planner(
+                settings.set_planner(
                     "short_time", times(one.text, 1e-3), one.place, one.key, typed=one.text
                 )
         elif code == 205 and letter in _LETTERS:
-            settings.say_of_planner(f"jump.{letter}", one.text, one.place, one.key)
+            settings.set_planner(f"jump.{letter}", one.text, one.place, one.key)
     for letter, found in ends.items():
         if letter in settings.axes and len(found) == 2:
             text, place = found["high"]
@@ -246,7 +248,7 @@ def _corners(settings: Settings, evidence: _Evidence, form: str, keys: set[str])
                 place=Place(settings.file),
                 remedy=f"Add it to M205, like M205 {axis}5.",
             )
-        settings.say_of_planner(f"jump.{axis}", default, Place(settings.file), _ASSUMED)
+        settings.set_planner(f"jump.{axis}", default, Place(settings.file), _ASSUMED)
         settings.notes.append(f"no jerk of {axis}: {default} mm/s, the default of {form}")
 
 

@@ -97,12 +97,12 @@ def read_printer_cfg(lines: Sequence[str], file: str) -> Settings:
     for key, ours in _PRINTER.items():
         if key in printer:
             text, place = printer[key]
-            settings.say_of_planner(ours, text, place, f"[printer] {key}")
+            settings.set_planner(ours, text, place, f"[printer] {key}")
     _braking(settings, printer)
     for name, keys in sections.items():
         found = re.match(r"stepper_([a-z])$", name)
         if found is not None and found[1].upper() in _LETTERS:
-            _of_kinematics(settings, found[1].upper(), keys, name, printer)
+            _from_kinematics(settings, found[1].upper(), keys, name, printer)
         elif name.startswith("manual_stepper "):
             _beside(settings, name, keys, read)
     return settings
@@ -126,7 +126,7 @@ def _braking(settings: Settings, printer: Keys) -> None:
     if most is None:
         return  # without max_accel the file is incomplete
     ratio = 1.0 - min(1.0, slow / most.value)
-    settings.say_of_planner("minimum_cruise_ratio", repr(ratio), place, name, typed=text)
+    settings.set_planner("minimum_cruise_ratio", repr(ratio), place, name, typed=text)
     settings.notes.append(
         f"{place}: max_accel_to_decel is deprecated; used minimum_cruise_ratio = 1 - "
         f"max_accel_to_decel / max_accel = {ratio:g}"
@@ -230,7 +230,9 @@ def _note_axis(settings: Settings, read: _File, code: str, place: Place) -> None
         read.axes.setdefault(words["STEPPER"], []).append((words, place))
 
 
-def _of_kinematics(settings: Settings, axis: str, keys: Keys, section: str, printer: Keys) -> None:
+def _from_kinematics(
+    settings: Settings, axis: str, keys: Keys, section: str, printer: Keys
+) -> None:
     _steps(settings, axis, keys, section)
     slow = "z_" if axis == "Z" and "max_z_velocity" in printer else ""
     for key, what, factor in (
@@ -286,7 +288,7 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
     if "accel" in keys:
         text, number = keys["accel"]
         if text.strip("0. "):  # 0 means none
-            settings.say_of_planner(f"alone.{axis}", text, number, f"[{section}] accel")
+            settings.set_planner(f"alone.{axis}", text, number, f"[{section}] accel")
     for words, number in commands:
         if words["GCODE_AXIS"] != axis:
             raise MachineError(
@@ -301,7 +303,7 @@ def _beside(settings: Settings, section: str, keys: Keys, read: _File) -> None:
         jump = words.get("INSTANTANEOUS_CORNER_VELOCITY")
         if jump is not None:
             name_of_it = "INSTANTANEOUS_CORNER_VELOCITY"
-            settings.say_of_planner(f"jump.{axis}", jump, number, name_of_it)
+            settings.set_planner(f"jump.{axis}", jump, number, name_of_it)
 
 
 def _steps(settings: Settings, axis: str, keys: Keys, section: str) -> None:

@@ -79,7 +79,7 @@ def _assume(settings: Settings) -> None:
     for key, number in _DEFAULTS.get(settings.firmware, {}).items():
         if key not in settings.planner and not (by_jerk and key == "junction_deviation"):
             name = f"default of {settings.firmware}"
-            settings.say_of_planner(key, number, Place(settings.file), name)
+            settings.set_planner(key, number, Place(settings.file), name)
 
 
 def _encoding(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""How much of each limit a motion uses, and the least number of ticks of a job."""
+"""Used share of each limit of a motion, and the least number of ticks of a job."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from threadline.motion.timing.optimal.motion_limits import Limits
 from threadline.motion.timing.optimal.rows import used_shares
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 
-_PARTS = 4  # of a polynomial in time: the bounds of its parts are nearer to it
+_PARTS = 4  # parts of a polynomial in time: shorter parts have tighter bounds
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Retimed(Locked, Trajectory):
-    """A motion with what it uses of its limits.
+    """A motion, and the share of each limit that it uses.
 
     Parameters
     ----------
     shares
-        By the name of the limit: the (axes,) largest shares of what each axis may do, and the (1,)
-        shares of what is limited along the path. Those of the axes and of ``centripetal`` are
-        proven: no instant has more, because Bernstein's coefficients bound polynomials. The three
-        along the path are the largest of thirteen instants of each polynomial in time.
+        Largest used share of each limit, by name: (axes,) for limits of axes, (1,) for limits of
+        the path. Shares of the axes and of ``centripetal`` hold at every instant, because
+        Bernstein coefficients bound polynomials. The three shares along the path are the largest
+        at thirteen instants of each polynomial in time.
     start
-        (axes,) the first point, where the motion stands for good if there is no way to go.
+        (axes,) first point; the only position of a motion of length 0.
     """
 
     shares: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -53,12 +53,12 @@ class Retimed(Locked, Trajectory):
 
     @property
     def bound(self) -> float:
-        """The largest of all shares; at most 1 but for rounding."""
+        """Largest of all shares; at most 1, up to rounding."""
         return max((float(share.max()) for share in self.shares.values()), default=0.0)
 
 
 def limits_used(trajectory: Trajectory, limits: Limits) -> dict[str, FloatArray]:
-    """Return bounds of the shares of its limits that a motion uses, as ``Retimed`` has them."""
+    """Return bounds of the used share of each limit; see ``Retimed.shares``."""
     out: dict[str, FloatArray] = {}
     for block in trajectory:
         for name, share in _of_block(block, limits).items():
@@ -89,7 +89,7 @@ def _of_block(block: TrajectoryBlock, limits: Limits) -> dict[str, FloatArray]:
 
 
 def _parted(block: TrajectoryBlock) -> tuple[FloatArray, FloatArray]:
-    """Return the polynomials of a block as those of their parts, and the (n,) times of these."""
+    """Return the coefficients of the parts of a block's polynomials, and the parts' durations."""
     order = max(block.coefficients.shape[1], 4)
     pad = ((0, 0), (0, order - block.coefficients.shape[1]), (0, 0))
     c = np.repeat(np.pad(block.coefficients, pad), _PARTS, axis=0)
@@ -108,29 +108,30 @@ def _hull(poly: FloatArray) -> FloatArray:
 
 
 _MOST_WORK = 1_000_000
-_WORK_PER_ITEM = 64  # an item of its own costs as much as so many moves of a run
+_WORK_PER_ITEM = 64  # cost of a single item, in moves of a run
 
 
 def check_budget(job: Job, machine: Machine, feed: Feed | None = None) -> None:
-    """Refuse a job that takes more ticks than the machine file allows, before work starts.
+    """Refuse a job that takes more ticks than the machine file allows, before it is planned.
 
-    The times of the moves at their feeds are summed with repeated passes multiplied out, so that
-    ``M98 P1 L1000000000`` costs three passes. Rapid moves count with the velocity limits. Of a
-    long job only the beginning is looked at, for a second or so: the trajectory counts the rest.
+    The times of the moves at their feeds are summed. Repeated passes are multiplied, so that
+    ``M98 P1 L1000000000`` costs three passes of computation. Rapid moves count at the velocity
+    limits. Only the beginning of a long job is summed, for about a second of computation: the
+    trajectory counts the rest.
 
     Parameters
     ----------
     job, machine
-        What is to be done, and on what.
+        The job, and the machine that does it.
     feed
         Replaces the programmed feeds.
 
     Raises
     ------
     BudgetError
-        Naming the line of the call, or of the move, that asks for most.
+        If the budget is exceeded; names the line of the call or move that takes most ticks.
     JobError
-        Where a block does not say what it needs to.
+        If a block lacks a value that it needs.
     PlanError
         If a feed is missing or not above 0.
     """
@@ -169,7 +170,7 @@ def check_budget(job: Job, machine: Machine, feed: Feed | None = None) -> None:
 def _times_s(
     run: MoveRun, position: FloatArray, feed: Feed | None, job: Job, machine: Machine
 ) -> FloatArray:
-    """Return the (moves,) least time of each move of a run that begins at ``position``."""
+    """Return the (moves,) least times of the moves of a run that begins at ``position``."""
     way = np.diff(run.targets, axis=0, prepend=position[None])
     column = [machine.axis_names.index(axis) for axis in job.axes]
     least_s: FloatArray = (np.abs(way) / machine.velocity_limit[column]).max(axis=1)

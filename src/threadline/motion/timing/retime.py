@@ -20,9 +20,9 @@ from threadline.motion.timing.optimal.along_path import AlongPath
 from threadline.motion.timing.optimal.fastest_motion import limited_blocks
 from threadline.motion.timing.types import Trajectory
 
-_NEAR_SHARE = 0.01  # of the tolerance: points nearer to each other are one
-_LARGEST = 1e9  # of a coordinate or a limit: beyond, squares and cubes lose their digits
-_LEAST = 1e-9  # of a limit
+_NEAR_SHARE = 0.01  # share of the tolerance: closer points are merged
+_LARGEST = 1e9  # largest coordinate or limit: squares and cubes of larger ones lose digits
+_LEAST = 1e-9  # least limit
 _NOTHING, _ZEROS = np.zeros(AT_A_TIME), np.zeros(AT_A_TIME, dtype=np.int64)
 _NOTHING.flags.writeable = _ZEROS.flags.writeable = False
 
@@ -43,46 +43,48 @@ def retime(
 ) -> Retimed:
     """Return the fastest motion from the first of ``points`` to the last, at rest at both.
 
-    The path runs along the straight lines between the points and rounds the corners, with three
-    derivatives that are continuous; it is never farther than the tolerance from those lines, and
-    they from it. Dense points beside a curve are
-    not followed one by one where the tolerance lets a chord pass many of them. The limits of the
-    axes and ``centripetal`` are exceeded at no instant, but for rounding (by a thousandth at
-    most); ``path_velocity``, ``path_acceleration`` and ``path_jerk`` are held at instants that lie
-    close, and nothing is proven between those. Lengths may be in any unit, the same in all
-    arguments; times are in seconds.
+    The path follows the straight lines between the points and rounds the corners, with three
+    continuous derivatives. Its distance from the lines, in both directions, is at most the
+    tolerance. Dense points near a curve are replaced by chords within the tolerance.
+
+    The limits of the axes and ``centripetal`` hold at every instant, up to rounding (a thousandth
+    at most). ``path_velocity``, ``path_acceleration`` and ``path_jerk`` hold at closely spaced
+    instants; nothing is proven between them. Lengths may be in any unit, the same in all arguments;
+    times are in seconds.
 
     Parameters
     ----------
     points
         (n, axes), n at least 1.
     velocity, acceleration, jerk
-        (axes,) limits, or one number for all axes; above 0. Only the jerk may be infinite.
+        (axes,) limits above 0, or one number for all axes. Only the jerk may be infinite.
     tolerance
         Largest distance between path and lines, per axis; above 0.
     deceleration
-        (axes,) limits while an axis becomes slower, where they are others than ``acceleration``.
+        (axes,) limits while an axis slows down; default ``acceleration``.
     path_velocity, path_acceleration, path_jerk
-        Limits of the length of the way gone, ``path_deceleration`` of its braking, where that is
-        another than ``path_acceleration``, and ``centripetal`` of the acceleration across the
-        path; above 0 or infinite. Lengths of all axes are of one unit here. Where the path turns
-        back (by more than 148 degrees), a limit of ``path_acceleration`` or ``path_jerk`` asks for
-        a rest: the speed along the path has a kink there.
+        Limits along the path; above 0 or infinite. All axes must then have the same unit. A finite
+        ``path_acceleration`` or ``path_jerk`` makes the motion rest wherever the path reverses (by
+        more than 148 degrees), since the speed along the path has a kink there.
+    path_deceleration
+        Limit of braking along the path; default ``path_acceleration``.
+    centripetal
+        Limit of the acceleration across the path; above 0 or infinite.
 
     Returns
     -------
     Retimed
-        The trajectory; ``shares`` and ``bound`` say how much of each limit it uses at any instant.
+        The trajectory; ``shares`` and ``bound`` bound the used share of each limit.
 
     Raises
     ------
     PlanError
-        If points, a limit or the tolerance are not numbers in their range; it names the point.
+        If points, a limit or the tolerance are not numbers in their range; names a wrong point.
 
     Examples
     --------
-    The example of toppra: five random points of seven axes, with its limits. Here the corners
-    between straight lines are rounded, there a spline runs through the points.
+    The example of toppra: five random points of seven axes, with toppra's limits. Unlike toppra,
+    which runs a spline through the points, this rounds the corners between straight lines.
 
     >>> import numpy as np
     >>> random = np.random.RandomState(1)
@@ -120,7 +122,7 @@ def retime(
     )
     width = _checked_tolerance(tolerance)
     path = path_through(places, width, reversals(places) if kinks else None)
-    # It will be read many times: the motion is worked out once and kept.
+    # Computed once and kept: the motion will be read many times.
     motion = Trajectory(axes=path.axes, blocks=Stream.of(list(limited_blocks(path, limits))))
     return Retimed(
         axes=path.axes,
@@ -133,9 +135,10 @@ def retime(
 def path_through(
     places: FloatArray, tolerance: float, rests: IntArray | None = None
 ) -> PlannedPath:
-    """Return the path that ``retime`` takes through (n, axes) places, within the tolerance.
+    """Return the path of ``retime`` through (n, axes) places, within the tolerance.
 
-    It rests at its ends, and where (n,) ``rests`` is 1. The places are read when the path is.
+    It rests at its ends, and at places whose entry of (n,) ``rests`` is 1. The places are read
+    lazily, with the path.
     """
     axes = places.shape[1]
     programmed = ProgrammedPath(
@@ -161,7 +164,7 @@ def path_through(
 
 
 def vertex_blocks(places: FloatArray, rests: IntArray | None) -> Iterator[VertexBlock]:
-    """Yield the places as vertices, few at a time: what is made of them stays in a cache."""
+    """Yield the places as vertices, in blocks whose results fit into the processor's cache."""
     count = len(places)
     for first in range(0, count, AT_A_TIME):
         own = slice(first, min(first + AT_A_TIME, count))
@@ -184,12 +187,12 @@ def vertex_blocks(places: FloatArray, rests: IntArray | None) -> Iterator[Vertex
 
 
 def checked_points(points: ArrayLike) -> FloatArray:
-    """Return points as (n, axes) numbers: themselves, not a copy, where they are that already.
+    """Return points as (n, axes) floats; without a copy if they are such an array already.
 
     Raises
     ------
     PlanError
-        If they are not that, or if one is no number in the range; it names the point.
+        If they cannot be converted, or a coordinate is out of range; names the point.
     """
     try:
         own = type(points) is np.ndarray and points.dtype == np.float64
@@ -201,11 +204,11 @@ def checked_points(points: ArrayLike) -> FloatArray:
         ) from error
     if places.ndim != 2 or 0 in places.shape:
         raise PlanError(
-            f"the points have shape {places.shape}; they must be n rows of axes, 1 at least",
+            f"the points have shape {places.shape}; they must be at least 1 row of at least 1 axis",
             remedy="A single axis is a column: points[:, None].",
         )
     wrong = np.zeros(0, dtype=np.int64)
-    # One sum tells most often that each of them is in the range, and none is NaN.
+    # Usually one sum of squares already shows that all are in range, and none is NaN.
     if not np.vdot(places, places) <= _LARGEST**2:
         wrong = np.flatnonzero(~(np.abs(places) <= _LARGEST).all(axis=1))
     if len(wrong):
@@ -222,8 +225,8 @@ def _checked_limit(name: str, limit: ArrayLike, axes: int, *, infinite: bool = F
         values = np.broadcast_to(real_numbers(limit), (axes,)).copy()
     except (TypeError, ValueError) as error:
         raise PlanError(
-            f"{name} is {_told(limit)}; it must be one number, or one for each of {axes} axes, "
-            f"of at most {_LARGEST:g}",
+            f"{name} is {_shortened(limit)}; it must be one number, or one for each of {axes} "
+            f"axes, of at most {_LARGEST:g}",
             remedy="Give as many as the points have axes.",
         ) from error
     for axis, value in _each(values):
@@ -243,7 +246,7 @@ def _whose(name: str, axis: int) -> str:
 
 
 def _checked_number(name: str, limit: float) -> float:
-    """Return one limit of the path, which may be infinite."""
+    """Return a limit along the path, checked; it may be infinite."""
     value = _one_number(name, limit, "There is one path: give one.")
     return float(_checked_limit(name, value, 1, infinite=True)[0])
 
@@ -266,17 +269,17 @@ def _one_number(name: str, given: ArrayLike, remedy: str) -> float:
             raise TypeError("several")
     except (TypeError, ValueError) as error:
         raise PlanError(
-            f"{name} is {_told(given)}; it must be one number, of at most {_LARGEST:g}",
+            f"{name} is {_shortened(given)}; it must be one number, of at most {_LARGEST:g}",
             remedy=remedy,
         ) from error
     return float(value)
 
 
-def _told(given: object) -> str:
-    """Return what was given on one line, shortened."""
+def _shortened(given: object) -> str:
+    """Return a value as one line, shortened."""
     try:
         text = " ".join(repr(given).split())
-    except ValueError:  # Python writes no whole number of more than 4300 digits
+    except ValueError:  # Python refuses to print integers of more than 4300 digits
         return "a whole number of thousands of digits"
     return text if len(text) <= 60 else f"{text[:57]}..."
 

@@ -47,7 +47,7 @@ from threadline.motion.timing import (
 )
 from threadline.proof.kinds.kind import Kind
 from threadline.proof.options import Options, PathChoice, describe
-from threadline.twin import simulate, simulate_runs, simulate_told_runs
+from threadline.twin import simulate, simulate_position_runs, simulate_runs
 from threadline.verdict import Criterion, Spec
 from threadline.verdict.needle import has_stitches, planned_stitches
 
@@ -164,13 +164,13 @@ def _check_options(machine: Machine, options: Options) -> None:
             f"feed {text!r}: {machine.name} has no shaft that turns a stitch at a time",
             remedy=f'The needle speed of a seam is --needle "{text}", or needle_speed in its file.',
         )
-    if options.following is Following.LOAD and machine.told_positions:
+    if options.following is Following.LOAD and machine.takes_positions:
         raise OptionError(
             f"--feed-forward acts through the controllers of the axes, and {machine.name} has "
             f"none: drives.{machine.axes[next(iter(machine.axes))].drive} receives positions",
             remedy="Leave it out; --shaper keeps the load from ringing.",
         )
-    if math.isfinite(options.contour_m or math.inf) and machine.told_positions:
+    if math.isfinite(options.contour_m or math.inf) and machine.takes_positions:
         raise OptionError(
             f"--contour bounds the following error of loops, and {machine.name} has none: "
             f"drives.{machine.axes[next(iter(machine.axes))].drive} receives positions",
@@ -275,7 +275,7 @@ def _days(
     if machine.position_sources:
         varied = zip(days.friction.tolist(), days.supply.tolist(), strict=True)
         machines = [vary(machine, friction=f, supply=s) for f, s in varied]
-        beside = simulate_told_runs(table, machines, encoder_phase=days.phases)
+        beside = simulate_position_runs(table, machines, encoder_phase=days.phases)
         if beside is not None:
             return [beside]
         return [
@@ -345,7 +345,7 @@ TICKS = Kind(
     simulate=_simulate,
     days=_days,
     others=_others,
-    together=lambda machine: not machine.told_positions,
+    together=lambda machine: not machine.takes_positions,
     with_criteria=_with_criteria,
     release=_release,
     compared={"interpolation": ("linear", "b-spline", "b-spline-pulled")},

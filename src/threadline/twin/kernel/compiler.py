@@ -16,7 +16,7 @@ import llvmlite
 import llvmlite.binding as llvm
 from llvmlite import ir
 
-from threadline.base.compiled import where_kept
+from threadline.base.compiled import cache_folder
 from threadline.machine import controllers
 from threadline.twin import timeline
 from threadline.twin.kernel.kept_code import KeptCode
@@ -56,7 +56,7 @@ class Compiler:
         llvm.initialize_native_target()
         llvm.initialize_native_asmprinter()
         self._engines: list[Any] = []
-        self._kept = KeptCode(where_kept(_compiled)) if kept is None else kept
+        self._kept = KeptCode(cache_folder(_compiled)) if kept is None else kept
 
     def address(self, write: Callable[[], ir.Module], name: str, shape: str = "") -> int:
         """Compile the module that ``write`` returns; return the address of its function ``name``.

@@ -8,7 +8,7 @@ from typing import Any
 
 from threadline.twin.kernel.code import INTEGER, POINTER, Code, Number, Value
 from threadline.twin.kernel.layout import Layout
-from threadline.twin.kernel.names import OF_LENGTH, Field, Row, Slot
+from threadline.twin.kernel.names import PER_LENGTH_FIELDS, Field, Row, Slot
 from threadline.twin.kernel.shape import Pattern
 
 
@@ -57,7 +57,7 @@ class Lanes:
 
     def __getitem__(self, row: Row) -> Value:
         if row not in self._known:
-            base = self._of_length if row[0] in OF_LENGTH else self.base
+            base = self._of_length if row[0] in PER_LENGTH_FIELDS else self.base
             at = self.layout[row]
             if base is not self.base:
                 at -= self.layout.first_length

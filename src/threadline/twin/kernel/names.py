@@ -79,7 +79,7 @@ Row = tuple[Field, *tuple[int, ...]]
 """A row of the workspace, with a number per lane: its field, the index of its owner, and the column
 for a field that is a row, as in ``rows[Field.SENSOR, controller, column]``."""
 
-OF_LENGTH = frozenset(
+PER_LENGTH_FIELDS = frozenset(
     (Field.STEP, Field.THIRD, Field.NEAR_LOW, Field.NEAR_HIGH, Field.MIDDLE, Field.SPREAD)
 )
 """Fields with separate rows for every length of advance."""

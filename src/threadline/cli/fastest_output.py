@@ -1,6 +1,6 @@
-"""How the answer of ``threadline fastest`` is told: in text, as JSON, and as a report.
+"""Output of ``threadline fastest``: as text, as JSON content, and as a report.
 
-``Told`` tells what every search has; a search adds its own table and its own lines.
+``SearchOutput`` is the part common to all searches; each kind of search adds its table and lines.
 """
 
 from __future__ import annotations
@@ -43,19 +43,19 @@ from threadline.search.studied import studied
 from threadline.verdict import Verdict, closing, criteria_json, verdict_rows
 
 
-class Told:
-    """How an answer is told.
+class SearchOutput:
+    """Output of a search: the common part.
 
     Parameters
     ----------
     found
         The answer.
     title
-        The job and the machine.
+        Name of job and machine.
     """
 
     on_ticks = True
-    """Whether the command that proves it names an interpolation."""
+    """Whether the printed ``prove`` command names an interpolation."""
 
     def __init__(self, found: Answer, title: str) -> None:
         self.found, self.asked, self.of = found, found.asked, found.of
@@ -63,35 +63,35 @@ class Told:
         self.how = title
 
     def warnings(self) -> list[str]:
-        """Return what is to be warned of in the plan of the best."""
+        """Return warnings about the best plan."""
         return tolerance_warnings(self.found.plan()) if self._warns() else []
 
     def _warns(self) -> bool:
-        """Say whether the plan of the best may leave its path by more than the tolerance."""
+        """Whether the best plan may deviate from the programmed path by more than the tolerance."""
         return False
 
     def _table(self) -> Printed | None:
-        """Return what is in spec, as a table; None where that says nothing."""
+        """Return a table of everything in spec; None if it would be empty."""
         raise NotImplementedError
 
     def _lines(self) -> Iterator[str]:
-        """Yield what is said of the answer before its verdict."""
+        """Yield the lines before the verdict."""
         raise NotImplementedError
 
     def _more(self) -> Iterator[Printed | str]:
-        """Yield tables and lines behind the verdict."""
+        """Yield tables and lines after the verdict."""
         yield from ()
 
     def _after(self) -> Iterator[str]:
-        """Yield lines on how to set the machine, or on what binds."""
+        """Yield lines on the settings of the machine, or on the binding limits."""
         yield from ()
 
-    def _own(self) -> dict[str, Any]:
-        """Return what this search alone has, as JSON content."""
+    def _details(self) -> dict[str, Any]:
+        """Return the JSON entries of this kind of search."""
         return {}
 
     def _page(self, folder: Path) -> Path | None:
-        """Write the report of the best into a folder; return its page, None where none passed."""
+        """Write the report on the best plan; return its page, None if no plan passed."""
         return self._proved(folder) if self.found.passed else None
 
     def _proved(self, folder: Path) -> Path:
@@ -101,7 +101,7 @@ class Told:
         return write_report(studied(proof), folder)
 
     def report(self, folder: Path) -> Path | None:
-        """Write the picture of a search off the tolerances, else the report of the best."""
+        """Write the picture of a mismatch search, if there was one; else the report."""
         found = self.found
         if not found.mismatch:
             return self._page(folder)
@@ -122,7 +122,7 @@ class Told:
             "margin": self.asked.margin,
             "ended": self.ended,
             "verdict": verdict_content(found.verdict),
-            **self._own(),
+            **self._details(),
         }
         sure = found.certainty
         if sure is not None:
@@ -147,7 +147,7 @@ class Told:
         return content
 
     def show(self, again: str | None, page: Path | None) -> None:
-        """Print the answer, the command that proves it, and where its report is."""
+        """Print the answer, the command ``again`` that proves it, and the path of the report."""
         found = self.found
         for line in until_words(self.ended):
             say(line)
@@ -168,7 +168,7 @@ class Told:
 
     @property
     def ended(self) -> str:
-        """Why the search stopped before its end; empty where it did not."""
+        """Why the search stopped early; empty if it did not."""
         return "" if self.asked.until is None else self.asked.until.ended
 
 
@@ -203,11 +203,11 @@ _UNITS = {
     FeedMode.F_WORD: ("F", 60_000.0),
     FeedMode.OVERRIDE: ("%", 100.0),
 }
-"""By what a search varies: how its feeds are printed, and what one in m/s is multiplied by."""
+"""By feed mode: unit of printed feeds, and factor from m/s."""
 
 
-class FeedTold(Told):
-    """A search by feed and share of the limits."""
+class FeedOutput(SearchOutput):
+    """Output of a search over feeds and shares of the limits."""
 
     of: FastestJob
 
@@ -263,7 +263,7 @@ class FeedTold(Told):
         return f"F {number}" if self.of.by is FeedMode.F_WORD else f"{number} {unit}"
 
     def _judged(self) -> Iterator[str]:
-        """Yield lines on what the answer does not say of itself."""
+        """Yield lines on what was judged in place of the whole job, and what was left out."""
         result = self.of
         if result.parts:
             parts = "one stretch" if result.parts == 1 else f"{result.parts} stretches"
@@ -272,23 +272,23 @@ class FeedTold(Told):
                 "repeat them"
             )
         if result.cut:
-            yield "moves that last long were judged by their beginnings and their ends"
+            yield "long moves were judged by their beginnings and ends"
         if result.left_out:
             left_out = ", ".join(share_words(share) for share in result.left_out)
             yield (
-                f"left out: {left_out} of the limits, with which the job takes no less time even "
-                "at the highest feed"
+                f"left out: {left_out} of the limits: even at the highest feed the job takes no "
+                "less time with them"
             )
         if (result.parts or result.cut) and not result.whole:
             yield (
-                "the whole job was not judged: the verdict is the worst of what was, with times "
-                "from the beginning of a stretch; prove it by the command below"
+                "the whole job was not judged: the verdict is the worst of the judged stretches, "
+                "with times from the beginning of a stretch; prove the job by the command below"
             )
 
     def _after(self) -> Iterator[str]:
         yield from settings_words(self.asked.job, self.asked.machine, self.of)
 
-    def _own(self) -> dict[str, Any]:
+    def _details(self) -> dict[str, Any]:
         result = self.of
         by_word = result.by is FeedMode.F_WORD
         return {
@@ -314,8 +314,8 @@ class FeedTold(Told):
         }
 
 
-class OptimalTold(Told):
-    """A search by allowance: the fastest plan in spec, and what limits it."""
+class OptimalOutput(SearchOutput):
+    """Output of a search over allowances: the fastest plan in spec, and its limits."""
 
     of: FastestJob
 
@@ -357,9 +357,9 @@ class OptimalTold(Told):
         yield from () if self._bound is None else binding_lines(self._bound)
 
     def _page(self, folder: Path) -> Path | None:
-        return self._proved(folder)  # of the closest, too: it shows what fails
+        return self._proved(folder)  # without a passed plan, the closest one shows the failures
 
-    def _own(self) -> dict[str, Any]:
+    def _details(self) -> dict[str, Any]:
         best = self.of.best
         return {
             "duration_s": best.duration_s,
@@ -398,8 +398,8 @@ def _allowance(rung: Rung) -> str:
     return NO_CONTOUR if math.isinf(rung.contour_m) else typed(round(rung.contour_m * 1e3, 6))
 
 
-class NeedleTold(Told):
-    """A search by needle speed."""
+class NeedleOutput(SearchOutput):
+    """Output of a search over needle speeds."""
 
     of: Fastest
 
@@ -428,15 +428,15 @@ class NeedleTold(Told):
         if found.alone:
             yield alone_words(found, "stitch/s")
 
-    def _own(self) -> dict[str, Any]:
+    def _details(self) -> dict[str, Any]:
         return _steps(self.of)
 
 
 _MINUTE = 60.0
 
 
-class ShaftTold(Told):
-    """A search by speed of the shaft: a constant one, and one for each stitch."""
+class ShaftOutput(SearchOutput):
+    """Output of a search over shaft speeds: a constant speed, and a speed for each stitch."""
 
     of: FastestShaft
     on_ticks = False
@@ -474,7 +474,7 @@ class ShaftTold(Told):
                 f"planned for a swing of {found.tolerance_m * 1e3:.4g} mm"
             )
 
-    def _own(self) -> dict[str, Any]:
+    def _details(self) -> dict[str, Any]:
         found = self.of
         schedule = None
         if found.schedule is not None:
@@ -492,7 +492,7 @@ class ShaftTold(Told):
 
 
 def show_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> None:
-    """Print the fastest for masses and stiffnesses at the ends of their tolerances."""
+    """Print the fastest result for masses and stiffnesses at the ends of their tolerances."""
     names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
     ranges = any(cell.intervals for cell in cells)
     rows = [
@@ -516,7 +516,7 @@ def show_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> 
 
 
 def _in_spec(cell: Mismatch, searched: Searched) -> str:
-    """Return all that is in spec of what was tried: beneath the fastest there may be a gap."""
+    """Return all intervals in spec: there may be gaps below the fastest."""
     scale = searched.per_unit
     return ", ".join(
         f"{scale * one.low:.2f}"
