@@ -148,7 +148,7 @@ class Recorded(HalSession):
 def left_samples(machine: Machine) -> np.ndarray:
     """Return what the sampler still holds, where nobody reads it any more; as ``told_in``."""
     axes, tick_s = len(machine.axes), float(machine.tick_clock.period_s)
-    depth = int(hal_session._SAMPLED_S / tick_s) + 100
+    depth = int(hal_session.SAMPLED_S / tick_s) + 100
     fifo = HalFifo(SAMPLER_KEY, depth, "ss" + "ff" * axes)
     words, numbers = fifo.take()
     fifo.close()
