@@ -61,6 +61,7 @@ class GrblModel(threading.Thread):
         self.blocks: deque[tuple[np.ndarray, float]] = deque()
         self.target, self.feed = np.zeros(4), 0.0
         self.ahead_s = 0.0
+        self.at_stop = False
         self.client: socket.socket | None = None
         self.over = False
 
@@ -147,8 +148,22 @@ class GrblModel(threading.Thread):
         """Take lines into the planner while it has room; a line is answered then."""
         while b"\n" in self.rx and len(self.blocks) < self.room:
             line, _, rest = bytes(self.rx).partition(b"\n")
+            if line == b"M0" and not self._passed_stop():
+                return
             self.rx = bytearray(rest)
             self._do(line.decode("ascii"))
+
+    def _passed_stop(self) -> bool:
+        """Hold at an M0 once all moves before it are done; return whether it was resumed.
+
+        Grbl 1.1, gcode.c: ``protocol_buffer_synchronize``, then a feed hold, and the answer last.
+        """
+        if self.blocks or self.state == "Hold":
+            return False
+        self.at_stop = not self.at_stop
+        if self.at_stop:
+            self.state = "Hold"
+        return not self.at_stop
 
     def _do(self, line: str) -> None:
         if line == "$I":
@@ -177,6 +192,8 @@ class GrblModel(threading.Thread):
         elif line.startswith("T"):
             self._say("error:20")
             return
+        elif line == "M0":
+            pass
         else:
             self._take_move(line)
         self._say("ok")

@@ -357,3 +357,40 @@ def test_states_in_words() -> None:
         found = status_of(f"<{text}|MPos:0,0,0|FS:0,0>")
         assert found is not None and found.stands is stands, text
         assert found.words.startswith(f"the controller tells {text.partition(':')[0]}")
+
+
+# --- stops of the program ------------------------------------------------------------------
+
+STOPS = "G1 X300 F6000\nM0\nG1 X200\nM0\nG1 X100\n"
+
+
+@pytest.mark.parametrize("passed", [True, False])
+def test_stops_of_the_program_are_passed_only_when_asked(passed: bool) -> None:
+    """Otherwise it stands at the first M0 until the operator goes on."""
+    model = GrblModel(settings(), faster=4.0)
+    with meeting(model) as (plain, desk, kept):
+        one = GrblRun(plain.controller, desk, kept, pass_stops=passed)
+        ready(one, program(STOPS))
+        if passed:
+            go_on(one)
+            assert one.ended == (Ended.COMPLETED, "")
+            assert model.heard.count(b"~") == 2
+            return
+        go_on(one, lambda: one.state is State.HOLDING)
+        assert model.at[0] == pytest.approx(300.0)
+        assert b"~" not in model.heard
+
+
+def test_a_hold_by_the_button_before_a_stop_stays() -> None:
+    """The M0 is the first line without an answer, but the machine has not come to it."""
+    model = GrblModel(settings(), faster=0.5)
+    with meeting(model) as (plain, desk, kept):
+        one = GrblRun(plain.controller, desk, kept, pass_stops=True)
+        ready(one, program(STOPS))
+        go_on(one, lambda: model.at[0] > 60.0)
+        model.state = "Hold"
+        go_on(one, lambda: one.state is State.HOLDING)
+        until = time.monotonic() + 1.0
+        go_on(one, lambda: time.monotonic() > until)
+        assert one.state is State.HOLDING
+        assert b"~" not in model.heard

@@ -37,8 +37,10 @@ class GrblOperated(GrblRun):
         Queue of the operator's commands; receiver of samples, events and changes of state.
     """
 
-    def __init__(self, controller: Controller, desk: Desk, sink: Sink) -> None:
-        super().__init__(controller, desk, sink)
+    def __init__(
+        self, controller: Controller, desk: Desk, sink: Sink, *, pass_stops: bool = False
+    ) -> None:
+        super().__init__(controller, desk, sink, pass_stops=pass_stops)
         self.latest: Mapping[str, float] = {}
         self.meanwhile: Callable[[], None] = lambda: None
         self._set_out = False

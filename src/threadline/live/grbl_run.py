@@ -6,6 +6,7 @@ Only its position reports tell what moves: an answer means that a line was recei
 
 from __future__ import annotations
 
+import re
 import select
 
 import numpy as np
@@ -38,6 +39,7 @@ SILENCE_S = 1.0
 """Time in s without a report after which the link counts as lost."""
 FRESH_S = 5.0  # largest age of the latest report at a start
 _SETTLE_S = 0.5
+_STOP = re.compile(rb"M0?0(?![0-9.])")
 OBEYS_S = 1.0  # within which a controller reports that it obeys a hold or a resume
 OFF_PATH_M = 1e-3
 _STANDS_S = 1.0  # short of the end of its program, after which the run has failed
@@ -55,6 +57,8 @@ class GrblRun:
         The controller, connected by ``Controller.meet``.
     desk, sink
         Queue of the operator's commands; receiver of samples, events and changes of state.
+    pass_stops
+        Whether the controller is told to pass each M0 of the program at once.
 
     Attributes
     ----------
@@ -76,8 +80,11 @@ class GrblRun:
 
     late_ticks = 0
 
-    def __init__(self, controller: Controller, desk: Desk, sink: Sink) -> None:
+    def __init__(
+        self, controller: Controller, desk: Desk, sink: Sink, *, pass_stops: bool = False
+    ) -> None:
         self.controller, self._desk, self._sink = controller, desk, sink
+        self._pass_stops = pass_stops
         self._port, self._machine = controller.port, controller.machine
         machine = self._machine
         self.state, self.stops, self.stopped_by = State.DISABLED, 0, OPERATOR
@@ -105,6 +112,7 @@ class GrblRun:
         self._looked_s = clock_s()
         self._last_state_words = ""  # reported by the controller while it holds
         self._unready = ""  # why it cannot resume
+        self._passed = -1  # line of the M0 that was passed last
 
     @property
     def lost(self) -> bool:
@@ -360,6 +368,11 @@ class GrblRun:
         if found.state in PAUSES:
             door = found.state == "Door"
             self._unready = found.words if door and found.detail in (1, 2) else ""
+            if self._pass_stops and not door and self._stands_at_stop():
+                self._passed = self.acknowledged
+                self._port.send(RESUME)
+                self._told_s = clock_s()
+                return
             if self.state is State.RUNNING and fresh and not (door and found.detail == 3):
                 self._go(Cause.HOLD, found.words)
                 self._last_state_words = found.words
@@ -382,6 +395,22 @@ class GrblRun:
                 self._stand_at_end()
             else:
                 self._stand_unanswered()
+
+    def _stands_at_stop(self) -> bool:
+        """Return whether the controller stands at an M0 that it was not yet told to pass.
+
+        grbl answers an M0 only after it is resumed, so that the M0 is the first line without an
+        answer; and it stands at the end of the line before. A hold by its button on the way there
+        is the operator's.
+        """
+        k = self.acknowledged
+        if k >= len(self._program.lines) or k == self._passed:
+            return False
+        if _STOP.search(self._program.lines[k]) is None:
+            return False
+        there = self._program.ends[k - 1] if k else self._sent_from
+        away_m = np.linalg.norm((there - self._at) * self._machine.radius_m)
+        return float(away_m) <= 0.1 * OFF_PATH_M
 
     def _stand_unanswered(self) -> None:
         """Accept a standing controller with open lines for as long as these lines may wait."""

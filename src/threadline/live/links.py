@@ -182,7 +182,7 @@ class GrblLink:
         desk: Desk,
         sink: Sink,
         *,
-        pass_stops: bool,  # noqa: ARG002  # a stop of the program is the controller's
+        pass_stops: bool,
         hold_at_rest: bool,  # noqa: ARG002  # it holds on its path, whatever it is
         watch: Callable[[Running], None],
         again: Continued | None = None,
@@ -195,7 +195,7 @@ class GrblLink:
         if again is not None:
             rest = again.rest
             sink = ContinuedSink(sink, machine, rest.left_out, rest.operation)
-        one = GrblOperated(self._controller, desk, sink)
+        one = GrblOperated(self._controller, desk, sink, pass_stops=pass_stops)
         one.enable()
         one.home()
         if again is not None and (why := moved_to_begin(one, machine, again, confirmed)):
