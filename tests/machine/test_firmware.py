@@ -290,9 +290,7 @@ def test_settings_that_cannot_be_are_refused(tmp_path: Path, text: str, said: st
         (["rotary=A", "mass.Q=1 kg", *OWNER], "no axis Q"),
         (["rotary=A", "torque=1 kg", *OWNER[1:]], "--set torque='1 kg'"),
         (["rotary=A", "rate.A=5 mm/min", *OWNER], "--set rate.A='5 mm/min'"),
-        (
-            ["rotary=A", "rate.A=5 mm/min", *OWNER], 'Write it like "rate.A=36000 deg/min"'
-        ),
+        (["rotary=A", "rate.A=5 mm/min", *OWNER], 'Write it like "rate.A=36000 deg/min"'),
         (["rotary=A", "travel.A=600 mm", *OWNER], "axis A turns without end, it has no travel"),
         (["rotary=A", "travel.A=90 deg", *OWNER], "Leave it out, or name the letters"),
         (["rotary=A", "travel=5", *OWNER], "--set travel='5'"),
