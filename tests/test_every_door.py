@@ -78,7 +78,7 @@ def stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     for pace, search in by_pace.SEARCHES.items():
         monkeypatch.setitem(by_pace.SEARCHES, pace, replace(search, find=searched))
 
-    def designed(file: Path, machine: Any, spec: Any, options: Options, **_: Any) -> None:
+    def designed(file: Path, machine: Any, spec: Any, options: Options, *_: Any) -> None:
         planned(pipeline.open_job(file, machine, options), with_radii(machine, options.radius),
                 options)  # fmt: skip
 
