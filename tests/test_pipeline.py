@@ -84,7 +84,7 @@ def test_a_recording_carries_its_options(feed: str | None, examples: Path) -> No
 
 
 def test_missing_options_are_named() -> None:
-    with pytest.raises(OptionError, match="which feed"):
+    with pytest.raises(OptionError, match="does not name the feed"):
         options_from({"interpolation": "linear", "tolerance": "0.1 mm"})
 
 

@@ -235,7 +235,7 @@ def test_a_table_of_a_file_is_read_there_if_it_is_the_same(
     content = file.read_bytes()
     file.write_bytes(content[:-2] + bytes([content[-2] ^ 1]) + content[-1:])
     os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns - 10**9 // 2))
-    with pytest.raises(RecordingError, match=rf"t\.{ending}: the file was changed") as caught:
+    with pytest.raises(RecordingError, match=rf"t\.{ending}: the file has changed") as caught:
         elsewhere.submit(list, read).result(timeout=120)
     assert "\n" not in str(caught.value)
 
@@ -252,9 +252,9 @@ def test_a_recording_of_a_file_is_read_there_if_it_is_the_same(
     trace.write_text("time [s],X [mm]\n0.000,1.0\n0.005,2.0\n0.010,2.5\n")
     same_elsewhere(elsewhere, read_recording(trace))
     file.write_bytes(file.read_bytes() + b" ")
-    with pytest.raises(RecordingError, match=rf"r\.{ending}: the file was changed"):
+    with pytest.raises(RecordingError, match=rf"r\.{ending}: the file has changed"):
         elsewhere.submit(list, read).result(timeout=120)
-    with pytest.raises(RecordingError, match=rf"r\.{ending}: the file was changed"):
+    with pytest.raises(RecordingError, match=rf"r\.{ending}: the file has changed"):
         list(read)
 
 

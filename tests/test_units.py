@@ -62,7 +62,7 @@ def test_usual_factors_are_those_of_the_registry(monkeypatch: pytest.MonkeyPatch
     usual = units.usual_factor
     monkeypatch.setattr(units, "usual_factor", lambda *_: None)
     asked = unit_factor.__wrapped__
-    kinds = {kind: set(of_kind) for kind, of_kind in usual_units._OF_KIND.items()}
+    kinds = {kind: set(of_kind) for kind, of_kind in usual_units._FACTORS.items()}
     assert len(usual_units._USUAL) > 60
     for unit, (own, _) in usual_units._USUAL.items():
         for target in kinds:

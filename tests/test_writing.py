@@ -144,9 +144,9 @@ def test_a_file_that_was_read_is_kept_however_it_is_reached(tmp_path: Path) -> N
     for name in names:
         with noting_inputs():
             open_binary(read).close()
-            with pytest.raises(OptionError, match="would be written over"):
+            with pytest.raises(OptionError, match="would be overwritten"):
                 write(name)
-        with noting_inputs(), pytest.raises(OptionError, match="written over"), together():
+        with noting_inputs(), pytest.raises(OptionError, match="overwritten"), together():
             write(name)
             open_binary(read).close()
     assert set(tree(tmp_path).values()) == {"mine"}

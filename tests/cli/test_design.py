@@ -139,7 +139,7 @@ def test_none_within_the_bounds(capsys: pytest.CaptureFixture[str], files: Path)
     ("arguments", "words"),
     [
         (("-m", "stitcher-rigid"), "[design]"),
-        (("-m", "mine.toml", "-o", "mine.toml"), "would be written over"),
+        (("-m", "mine.toml", "-o", "mine.toml"), "would be overwritten"),
         (("-m", "mine.toml", "-o", "found.txt"), ".toml"),
         (("-m", "mine.toml", "--plot", "belt,mass"), "belt"),
         (("-m", "mine.toml", "--needle", "3 mm"), "needle"),

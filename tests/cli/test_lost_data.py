@@ -62,7 +62,7 @@ def test_what_was_read_is_kept(
     before = bytes_of(folder)
     code, out, err = run(words, capsys)
     assert (code, out, err.count("\n")) == (2, "", 1), err
-    assert "would be written over" in err
+    assert "would be overwritten" in err
     assert bytes_of(folder) == before
 
 

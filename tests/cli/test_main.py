@@ -212,7 +212,7 @@ def test_an_input_is_never_written_over(
     code, out, err = stopped(capsys, *(names.get(word, word) for word in command))
 
     assert (code, out, err.count("\n")) == (2, "", 1)
-    assert "would be written over" in err
+    assert "would be overwritten" in err
     assert [path.read_text() for path, _ in files.values()] == [t for _, t in files.values()]
     assert link.is_symlink()
 

@@ -171,7 +171,7 @@ def test_a_stepper_that_carries_too_much_to_swing_is_refused(tmp_path: Path) -> 
         if fits:
             assert max(int(a.averaged.max()) for a in advances_of(machine)) < 1_000_000
             continue
-        with pytest.raises(MachineError, match="its acceleration is averaged over 1000000 at most"):
+        with pytest.raises(MachineError, match="the acceleration is averaged over at most 1000000"):
             advances_of(machine)
 
 

@@ -255,7 +255,7 @@ def test_shared_addresses_are_refused(tmp_path: Path, capsys: pytest.CaptureFixt
         main(["prove", str(CYCLE), "-m", str(machine)])
     err = capsys.readouterr().err
     assert (ended.value.code, err.count("\n")) == (2, 1)
-    assert "contacts.z_is_down.address: %IX0.5 is that of z_is_up already" in err
+    assert "contacts.z_is_down.address: z_is_up already has %IX0.5" in err
 
 
 @pytest.mark.parametrize(

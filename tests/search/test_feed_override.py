@@ -162,7 +162,7 @@ def test_what_is_found_is_typed_back(
         ("-5 %", "must be greater than zero"),
         ("abc %", "is not a number"),
         ("nan %", "is not a number"),
-        ("5 mm %", "unit"),
+        ("5 mm %", "'mm %' does not measure the same quantity as '%'"),
         ("1e400 %", "finite"),
     ],
 )

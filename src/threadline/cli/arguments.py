@@ -130,6 +130,6 @@ def keep_inputs(output: Path | None, *inputs: Path | str | None) -> None:
         source = None if name is None else Path(name)
         if source is not None and source.exists() and output.samefile(source):
             raise OptionError(
-                f"{str(output)!r} is the input {str(source)!r} and would be written over",
+                f"{str(output)!r} is the input {str(source)!r} and would be overwritten",
                 remedy="Give another file to write.",
             )

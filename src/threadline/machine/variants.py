@@ -130,7 +130,7 @@ def check_uncertain(machine: Machine) -> tuple[Uncertain, ...]:
     found = uncertain(machine)
     if not found:
         raise OptionError(
-            f"no number of {machine.name} varies",
+            f"no number of {machine.name} has a tolerance",
             place=machine.place,
             remedy='Write tolerances in the machine file: "111 kg +- 10 %".',
         )
