@@ -189,4 +189,4 @@ def test_a_design_is_planned_and_judged_as_a_proof_is_asked_to(
         limits="80 %", feed_forward=True, robust="100 %", smoothing="50 ms"
     )
     code, _, err = run(capsys, "design", *job, "--robust", "100 %")
-    assert code == 2 and "is of feed-forward" in err
+    assert code == 2 and "needs feed-forward" in err

@@ -56,7 +56,7 @@ def test_table_and_warnings_of_the_motor(capsys: pytest.CaptureFixture[str]) -> 
     [
         (("--stitch-length", "3"), "--stitch-length"),
         (("--needle-speed", "75 kg"), "--needle-speed"),
-        ((), "nothing follows"),
+        ((), "the demands are not enough for any result"),
         (("--speed", "1 m/s", *PRODUCT), "twice"),
         (("--profile", "square", *PRODUCT), "no profile 'square'"),
         (("--needle-speed", "1e300 stitch/s", "--stitch-length", "1 m"), "no machine has one"),

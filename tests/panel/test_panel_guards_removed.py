@@ -86,7 +86,7 @@ GUARDS: dict[str, tuple[Take, Test]] = {
         lambda _: test_control.test_it_is_what_two_people_would_say(),
     ),
     "a lease that expires": (
-        attribute(ControlLease, "passes", lambda *_: None),
+        attribute(ControlLease, "pass_if_due", lambda *_: None),
         lambda _: test_control.test_who_is_gone_loses_it_after_five(),
     ),
     "a state that was seen": (

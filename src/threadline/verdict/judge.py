@@ -119,8 +119,8 @@ class Judge:
             measures of many runs together (repeatability), which compare runs of one machine.
         recorded
             Whether these are recordings, and not runs simulated for this verdict. Limits of travel
-            and velocity are then measured on them as well, whatever origin a recording names; a run
-            simulated for its verdict plays exactly the commands of the plan.
+            and velocity are then measured on them as well, whatever origin a recording names. Of a
+            simulated recording that keeps them the plan's own values are shown, as in its proof.
 
         Raises
         ------
@@ -145,8 +145,10 @@ class Judge:
         ]
         stopped_s = None if None in stops else min(filter(None, stops), default=None)
         count = sum(recording.runs for recording in (*recordings, *others))
+        simulated = all(recording.simulated for recording in (*recordings, *others))
+        shown = recorded and not simulated and not why
         told = [
-            with_recording(result, findings, plan, spec, complete=not why, recorded=recorded)
+            with_recording(result, findings, plan, spec, shown=shown)
             if MEASURES[criterion.name].of_plan(plan) is not None
             else not_beyond(
                 _with_operation_note(_with_run_number(result, found, count), runs),
@@ -158,7 +160,6 @@ class Judge:
             for kind, found in _rows(criterion, findings, runs[0], spec)
             for result in (_result(criterion, kind, plan, found.worst()),)
         ]
-        simulated = all(recording.simulated for recording in (*recordings, *others))
         results = tuple(with_passes(tuple(_with_lines(told, plan)), plan.job))
         happened = [*(one for listener in listened for one in listener.disturbances)]
         return Verdict(

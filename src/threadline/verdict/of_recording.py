@@ -150,21 +150,20 @@ def kinds_of(spec: Spec, *, recorded: bool) -> dict[Key, MeasureKind]:
 
 
 def with_recording(
-    result: Result, findings: Findings, plan: Plan, spec: Spec, *, complete: bool, recorded: bool
+    result: Result, findings: Findings, plan: Plan, spec: Spec, *, shown: bool
 ) -> Result:
     """Return the result of the plan, or the recording's result in its place.
 
     A failure of the plan stays. Otherwise a failure of the recording replaces it, and so does a
-    pass of a complete recording.
+    pass of the recording where that is ``shown``.
 
     Parameters
     ----------
     result
         Result of the plan, with its limit.
-    complete
-        Whether the runs were complete.
-    recorded
-        Whether these are recordings, and not runs simulated for this verdict.
+    shown
+        Whether a pass of the recording is shown in place of the plan's: of complete recordings of a
+        real machine.
     """
     of_plan = replace(result, of="plan")
     kind = {one.name: one for one in (TRAVEL, VELOCITY)}.get(result.name)
@@ -179,7 +178,7 @@ def with_recording(
     limit = _limit(result, plan, spec)
     worst = found[0].worst().in_unit(unit).under(limit, kind.status)
     status = kind.status(worst.value, limit)
-    if status is not Status.FAILED and not (recorded and complete and worst.value is not None):
+    if status is not Status.FAILED and not (shown and worst.value is not None):
         return of_plan
     beyond = worst.value is not None and worst.value > 0.0
     note = worst.note or ("beyond, more than placement may be off" if beyond else "room left")
