@@ -1,4 +1,4 @@
-"""Jobs and the readers that make them, one per file format."""
+"""Jobs, and the readers of job files, one for each file format."""
 
 from threadline.jobs.gcode import read_part_program
 from threadline.jobs.operations import (

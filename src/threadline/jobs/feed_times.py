@@ -14,12 +14,12 @@ from threadline.jobs.gcode.feeds import as_f_words
 from threadline.jobs.operations import Dwell, Feed, FeedMode, Job, Move, MoveRun, Pace, gathered
 from threadline.machine import Machine
 
-_MM_AS_DEGREE_M = 1e-3 * 180.0 / math.pi  # m per rad: a degree as a millimetre
+_MM_AS_DEGREE_M = 1e-3 * 180.0 / math.pi  # m per rad: a degree counts as a millimetre
 _IN_TURN = ("XYZ", "UVW", "ABC")
 
 
 def check_feed(feed: Feed, axes: tuple[str, ...], place: Place | None) -> None:
-    """Refuse a feed that is not above 0, or whose base axes the job does not have.
+    """Refuse a feed that is not above 0, or has base axes that the job lacks.
 
     Raises
     ------
@@ -48,19 +48,19 @@ def feed_time_s(
 ) -> FloatArray:
     """Return the (n,) time of moves by (n, axes) ``displacement`` (m or rad) at ``feed``.
 
-    A move of length zero takes no time and a rapid move has no nominal time: both give 0.
+    A move of length zero takes no time, and a rapid move has no nominal time; both give 0.
 
     Notes
     -----
-    * fastest axis: largest displacement / feed, rotary axes at the radius of the tool;
+    * fastest axis: largest displacement / feed, with rotary axes at the tool's radius;
     * count per tick: largest displacement in counts / feed, in ticks;
-    * path: Euclidean length of the linear axes / feed; a move of rotary axes alone takes the
-      length at the tool;
-    * base axes (CADFIL): Euclidean length of the base at the tool / feed; a move that leaves the
-      base at rest takes the length of all axes instead;
-    * all axes: Euclidean length of all axes / feed, a degree as a millimetre;
-    * in turn: Euclidean length of X Y Z / feed; where that is 0 the length of U V W, and where
-      that is 0, too, that of A B C, a degree as a millimetre;
+    * path: Euclidean length of the linear axes / feed; for a move of rotary axes alone, the length
+      at the tool / feed;
+    * base axes (CADFIL): Euclidean length of the base axes at the tool / feed; if the base axes
+      rest, the length of all axes / feed;
+    * all axes: Euclidean length of all axes / feed, with a degree as a millimetre;
+    * in turn: Euclidean length of X Y Z / feed; if X Y Z rest, the length of U V W; if U V W rest,
+      too, the length of A B C with a degree as a millimetre;
     * inverse time: 1 / feed.
     """
     column = [machine.axis_names.index(axis) for axis in axes]
@@ -103,16 +103,16 @@ def wanted_feed(
 ) -> Feed:
     """Return the feed that applies to a move.
 
-    A rapid move stays rapid; otherwise ``given`` applies if there is one, else ``programmed``, else
-    the operator's normal feed. An override is a multiple of the feed without it, so that all keep
-    their ratios.
+    A rapid move stays rapid. For any other move ``given`` applies, else ``programmed``, else the
+    operator's normal feed. An override multiplies the feed that applies without the override, so
+    that the feeds keep their ratios.
 
     Raises
     ------
     PlanError
-        If there is none of these, or it is not above 0.
+        If no feed applies, or the feed is not above 0.
     OptionError
-        If ``given`` is of F words and the job has none that are a speed.
+        If ``given`` is a value of F words, and no F word of the job is a speed.
     """
     if programmed is not None and programmed.mode is FeedMode.RAPID:
         return programmed
@@ -137,10 +137,10 @@ def wanted_feed(
 def nominal_time_s(
     displacement: FloatArray, wanted: Feed, given: Feed | None, job: Job, machine: Machine
 ) -> tuple[FloatArray, int]:
-    """Return the (n,) times in s at ``wanted``, and the number of moves that were slowed.
+    """Return the (n,) times in s at ``wanted``, and the number of slowed moves.
 
-    Moves are slowed to the operator's normal feed, which an override multiplies as well, unless a
-    feed is ``given``.
+    Unless a feed is ``given``, moves are slowed to the operator's normal feed; an override
+    multiplies the normal feed, too.
     """
     nominal = feed_time_s(displacement, wanted, job.axes, machine)
     operator = machine.operator
@@ -156,21 +156,21 @@ def nominal_time_s(
 def programmed_time_s(job: Job, machine: Machine, feed: Feed | None = None) -> float:
     """Return the nominal time of a job, in s.
 
-    Every move takes the time that its feed gives, as if the machine had no inertia, and every rapid
-    move the time at the velocity limits of the axes. Dwells take their own time, stops none. The
-    operator's normal feed is ignored. A CAM program that knows nothing but feeds reports this time.
+    Every move takes the time of its feed, as if the machine had no inertia; every rapid move takes
+    its time at the velocity limits of the axes. Dwells take their own time, and stops take no time.
+    The operator's normal feed is ignored. A CAM program that knows only feeds reports this time.
 
     Parameters
     ----------
     feed
-        Feed in place of the programmed ones; None for the programmed.
+        Feed in place of the programmed feeds; None: the programmed feeds.
 
     Raises
     ------
     JobError
         If a block lacks a feed or a mode of motion.
     PlanError
-        If a feed is missing or not above 0.
+        If a feed is missing or is not above 0.
     """
     column = [machine.axis_names.index(axis) for axis in job.axes]
     velocity = machine.velocity_limit[column]
@@ -203,4 +203,4 @@ SLOWER: Mapping[Pace, str] = {
     "shaft": "Lower the speed of the shaft",
     "switchings": "Shape its moves (--shaper), or let it rest longer",
 }
-"""By what sets the speed of a job, see ``Job.paced_by``; each begins a remedy."""
+"""Beginning of the remedy that slows a job down, by ``Job.paced_by``."""

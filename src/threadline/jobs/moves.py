@@ -1,7 +1,7 @@
-"""Move lists (``.toml``): the steps of an on/off machine, one ``[[operation]]`` after the other.
+"""Move lists (``.toml``): the steps of an on/off machine, as a sequence of ``[[operation]]``.
 
 Each operation has one of the keys ``move``, ``dwell``, ``valve``, ``vacuum``, ``output``,
-``wait`` and ``home``. The key ``step`` names the step of the cycle that begins with its operation.
+``wait`` and ``home``. The key ``step`` names a step of the cycle that begins with the operation.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ OPERATION_KEYS = {
     "wait": ("wait", "is", "timeout"),
     "home": ("home",),
 }
-"""Keys of each sort of operation, by the key that tells the sort."""
+"""Allowed keys of each kind of operation, by the key that names the kind."""
 DEFAULT_TIMEOUT_S = 2.0
-"""Time after which an input that does not come is a fault, unless the list gives another."""
+"""Time after which a missing input is a fault, unless the list gives another time."""
 MAX_BYTES = 4 * 1024 * 1024
 REST, OVERLAP, NEVER = "rest", "overlap", "never"
-"""Tags of a move: the wait in s after its last switching, and whether it may be cut short."""
+"""Tags of a move: the rest in s after its last switching, and whether it may be cut short."""
 STEP_EVENT = "step "
-"""Prefix of the name of the ``ToolEvent`` with which a step begins."""
+"""Prefix of the name of the ``ToolEvent`` at the start of a step."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,39}")
 _HEADER = re.compile(r"\s*\[\[\s*operation\s*\]\]")
 
@@ -62,14 +62,14 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
     Parameters
     ----------
     path
-        The file.
+        Move list to read.
     machine
-        Machine whose cylinders, outputs and inputs the list may name.
+        Machine with the cylinders, outputs and inputs that the list names.
 
     Raises
     ------
     JobError
-        With the line, if the file is not TOML or not a move list of this machine.
+        If the file is not TOML or not a move list for this machine; the error gives the line.
     """
     path = Path(path)
     with open_binary(path) as stream:
@@ -111,7 +111,7 @@ def read_moves(path: str | Path, *, machine: Machine) -> Job:
 
 @dataclass(slots=True)
 class _Reader:
-    """One file, with its text for the lines of errors."""
+    """The reader of one file; its text gives the lines for errors."""
 
     file: str
     text: str
@@ -148,9 +148,9 @@ class _Reader:
         return found
 
     def home(self, table: Mapping[str, Any], operations: list[Operation]) -> tuple[str, ...]:
-        """Return the order in which cylinders go home if the list gives one: every cylinder once.
+        """Return the homing order of the cylinders, with every cylinder once; empty without one.
 
-        At its top, or by an operation that brings the cylinders home.
+        The key ``home`` at the top of the list, or an operation ``home``, gives the order.
         """
         told = [operation.axes for operation in operations if isinstance(operation, Home)]
         if "home" in table:
@@ -167,7 +167,7 @@ class _Reader:
         return told[0] if told else ()
 
     def _order(self, order: Any, index: int | None) -> tuple[str, ...]:
-        """Return every cylinder once, in the order that was given."""
+        """Return the given homing order, which must name every cylinder once."""
         axes = tuple(self.machine.cylinders)
         if sorted(map(str, order if isinstance(order, list) else [])) != sorted(axes):
             shown = json.dumps(order, default=str)[:80]
@@ -235,7 +235,7 @@ class _Reader:
         return Move(tuple(position.values()), None, source, self._how(row, index))
 
     def _how(self, row: Mapping[str, Any], index: int) -> Mapping[str, float | str]:
-        """Return the tags of a move: shaper or levels, rest and overlap, where they are given."""
+        """Return the tags that a move gives: shaper or levels, rest and overlap."""
         given: dict[str, Any] = {k: row[k] for k in ("shaper", "levels") if k in row}
         if len(given) > 1:
             self.refuse("a move has a shaper or levels, not both", index, "levels")
@@ -255,7 +255,7 @@ class _Reader:
         return given or NO_TAGS
 
     def _each_levels(self, row: Mapping[str, Any], index: int) -> str:
-        """Return the levels of cylinders that move in one operation as one text."""
+        """Return one text with the levels of each cylinder of an operation."""
         for axis, text in row["levels"].items():
             if axis not in row["move"]:
                 self.refuse(
@@ -308,6 +308,6 @@ class _Reader:
         raise JobError(message, place=Place(self.file, line), remedy=remedy)
 
     def _headers(self) -> list[int]:
-        """Return the lines of all headers at once: a list may have a hundred thousand."""
+        """Return the lines of all headers in one pass, because a list may have 100 000 headers."""
         lines = enumerate(self.text.splitlines(), start=1)
         return [number for number, line in lines if _HEADER.match(line)]

@@ -1,4 +1,4 @@
-"""A job: a re-iterable source of operations, each with its place in the file that asked for it."""
+"""A job: a re-iterable source of operations, each with its place in the job file."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ NO_COLUMNS: Mapping[str, Column] = {}
 class FeedMode(StrEnum):
     """Meaning of the value of a feed, in SI."""
 
-    FASTEST_AXIS = "fastest-axis"  # m/s of the fastest axis; a rotary axis acts at the tool radius
+    FASTEST_AXIS = "fastest-axis"  # m/s of the fastest axis, rotary axes at the tool radius
     BASE_AXES = "base-axes"  # m/s of the base axes alone (CADFIL modes 1 and 2)
     PATH = "path"  # m/s along the path of the linear axes
-    ALL_AXES = "all-axes"  # m/s along the path of all axes, a degree counted as a millimetre
+    ALL_AXES = "all-axes"  # m/s along the path of all axes, with a degree as a millimetre
     IN_TURN = "in-turn"  # m/s along X Y Z; if they rest along U V W, else A B C, 1 deg as 1 mm
     COUNT_PER_TICK = "count-per-tick"  # encoder counts per tick of the fastest axis
     INVERSE_TIME = "inverse-time"  # moves per second: the move takes 1 / value
-    F_WORD = "f-word"  # m/s of what the F words of the job are the speed of
-    SHAFT = "shaft"  # stitches per second: turns of the machine's main shaft
+    F_WORD = "f-word"  # m/s; the job's feed rule says which speed F is
+    SHAFT = "shaft"  # stitches per second, one per turn of the machine's main shaft
     RAPID = "rapid"  # as fast as the machine's limits allow; value unused
-    OVERRIDE = "override"  # times the programmed feed, whatever that is the speed of
+    OVERRIDE = "override"  # factor on the programmed feed of any mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,8 @@ class Feed:
     """The wanted speed of a move: ``value`` in the SI unit of ``mode``.
 
     ``base_axes`` names the axes whose displacement counts in mode ``BASE_AXES``. ``most`` is the
-    value up to which a timing by limits may go, where that is another than ``value``. ``travel``
-    says that the move is a G0 at the feed, which some firmwares make with the tool off.
+    highest value for a timing by limits; None: ``value``. ``travel`` says that the move is a G0 at
+    the feed; some firmwares run such a move with the tool off.
     """
 
     mode: FeedMode
@@ -57,25 +57,25 @@ class Feed:
 
     @property
     def at_limits(self) -> Feed:
-        """The feed of a timing by limits."""
+        """The feed for a timing by limits."""
         return self if self.most is None else replace(self, value=self.most, most=None)
 
     @property
     def travels(self) -> bool:
-        """Whether the move is a G0, rapid or at the feed."""
+        """Whether the move is a G0, either rapid or at the feed."""
         return self.travel or self.mode is FeedMode.RAPID
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The place in a job file that an operation comes from.
+    """The place of an operation in its job file.
 
     Parameters
     ----------
     file, line
-        File and line, from 1.
+        File, and line from 1.
     passes
-        Number of the pass of each open subroutine call, outermost first, from 1: ``(3,)`` is the
+        Pass number of each open subroutine call, from 1, outermost call first: ``(3,)`` is the
         third pass of a subroutine.
     """
 
@@ -85,7 +85,7 @@ class Source:
 
     @property
     def place(self) -> Place:
-        """The place, for an error."""
+        """The place for an error message."""
         return Place(self.file, self.line)
 
 
@@ -93,8 +93,8 @@ class Source:
 class ToolEvent:
     """An action of the tool, ``name``, with its ``value`` (trim, thread, tension, power).
 
-    ``words`` are those of a part program that ask for it, empty elsewhere; ``beside`` says that
-    they stand in the block of the move that they go with.
+    ``words`` are the words of a part program that request the action, empty for other jobs.
+    ``beside`` says that these words stand in the same block as their move.
     """
 
     name: str
@@ -108,7 +108,7 @@ class ToolEvent:
 class Move:
     """Travel of all axes together to ``target``, (axes,) positions in m or rad.
 
-    ``acts`` happen as it begins, without a rest before it.
+    ``acts`` happen at the start of the move, without a rest before the move.
     """
 
     target: tuple[float, ...]
@@ -120,22 +120,22 @@ class Move:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveRun:
-    """Consecutive moves as arrays, which are faster to process than as many ``Move``s.
+    """Consecutive moves as arrays, which are faster to process than single ``Move`` objects.
 
     Parameters
     ----------
     targets
-        (n, axes) m or rad.
+        (n, axes) targets of the moves, m or rad.
     line
-        (n,) line of the file.
+        (n,) line of each move in the file.
     feeds
-        ``(i, feed)``: the feed from move ``i`` on; the first has i = 0.
+        ``(i, feed)``: the feed from move ``i`` onwards; the first entry has i = 0.
     file, passes
-        As in ``Source``; they are the same for all moves of a run.
+        File and passes as in ``Source``; all moves of a run share them.
     columns
-        (n,) values of each tag, by its name: stitch, layer, circuit, tension, thread.
+        (n,) values of each tag, by the tag's name: stitch, layer, circuit, tension, thread.
     acts
-        ``(i, events)``: what happens as move ``i`` begins (``Move.acts``), in order.
+        ``(i, events)``: the events at the start of move ``i`` (``Move.acts``), in order.
     """
 
     targets: FloatArray
@@ -164,7 +164,7 @@ class MoveRun:
 
 
 def tagged(columns: Mapping[str, Column], begin: int, end: int) -> Iterator[Tags]:
-    """Yield the tags of each move from ``begin`` up to, not including, ``end``."""
+    """Yield the tags of each move from ``begin`` up to ``end``, without ``end``."""
     names = tuple(columns)
     parts = [column[begin:end] for column in columns.values()]
     rows = zip(*(part.tolist() for part in parts), strict=True)
@@ -181,7 +181,7 @@ def tagged(columns: Mapping[str, Column], begin: int, end: int) -> Iterator[Tags
 
 
 def columns_of(tags: Sequence[Tags]) -> Mapping[str, Column]:
-    """Return the columns of the tags of consecutive moves; none where there are no tags."""
+    """Return the columns of the tags of consecutive moves; empty if no move has tags."""
     if not any(tags):
         return NO_COLUMNS
     names = dict.fromkeys(name for own in tags for name in own)
@@ -202,7 +202,7 @@ def _column(values: list[float | str | None]) -> Column:
 
 
 def lacking(column: Column) -> NDArray[np.bool_]:
-    """Return (n,) whether a move lacks the tag of a column."""
+    """Return (n,) whether each move lacks the tag of a column."""
     if column.dtype.kind == "f":
         return np.isnan(column)
     if column.dtype.kind == "U":
@@ -214,7 +214,7 @@ def lacking(column: Column) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, slots=True)
 class Dwell:
-    """Standing still for ``duration_s``."""
+    """A rest of ``duration_s``."""
 
     duration_s: float
     source: Source
@@ -222,7 +222,7 @@ class Dwell:
 
 @dataclass(frozen=True, slots=True)
 class SetOutput:
-    """Setting the output ``name`` to ``value`` once the motion before it has ended."""
+    """A switch of the output ``name`` to ``value`` after the motion before it has ended."""
 
     name: str
     value: float
@@ -231,7 +231,7 @@ class SetOutput:
 
 @dataclass(frozen=True, slots=True)
 class WaitInput:
-    """Waiting until the input ``name`` is ``value``; a fault after ``timeout_s``."""
+    """A wait until the input ``name`` is ``value``; after ``timeout_s`` the wait is a fault."""
 
     name: str
     value: float
@@ -241,7 +241,7 @@ class WaitInput:
 
 @dataclass(frozen=True, slots=True)
 class Home:
-    """Bringing the cylinders ``axes`` to their starts, one after the other, by their contacts."""
+    """Homing of the cylinders ``axes`` to their starts, one by one, with their contacts."""
 
     axes: tuple[str, ...]
     source: Source
@@ -249,9 +249,9 @@ class Home:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Standing still until the operator goes on; ``final`` ends the job.
+    """A rest until the operator resumes; ``final`` ends the job.
 
-    ``words`` are as those of a ``ToolEvent``: a change of the tool is a stop, too.
+    ``words`` has the meaning of ``ToolEvent.words``: a tool change is a stop, too.
     """
 
     final: bool
@@ -260,7 +260,7 @@ class Stop:
 
 
 Pace: TypeAlias = Literal["feed", "needle", "switchings", "shaft"]
-"""What sets the speed of a job; see ``Job.paced_by``."""
+"""The quantity that sets the speed of a job; see ``Job.paced_by``."""
 Operation: TypeAlias = Move | Dwell | SetOutput | WaitInput | Home | Stop | ToolEvent
 
 
@@ -272,8 +272,8 @@ class OperationStream(Stream[Operation]):
     runs
         Operations and runs of moves.
     folded
-        Operations and runs with repeated passes given once. Each comes with the number of times it
-        happens and the line of the call that repeats it (0 for none). None where nothing repeats.
+        Operations and runs with each repeated pass given once. Each item has its number of times
+        and the line of the call that repeats the item (0 without a call). None: nothing repeats.
     """
 
     __slots__ = ("_folded", "_runs")
@@ -288,13 +288,13 @@ class OperationStream(Stream[Operation]):
         self._folded = folded
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return a fresh reading with repeated passes given once."""
+        """Return a new reading with each repeated pass given once."""
         if self._folded is not None:
             return iter(self._folded)
         return ((item, 1, 0) for item in self._runs)
 
     def runs(self) -> Iterator[Operation | MoveRun]:
-        """Return a fresh reading with moves in runs."""
+        """Return a new reading with moves in runs."""
         return iter(self._runs)
 
 
@@ -313,9 +313,9 @@ class Job:
     Parameters
     ----------
     name
-        Name for people, usually that of the file.
+        Name to show to the user, usually the name of the file.
     file
-        Path of the file that it was read from.
+        Path of the job file.
     sha256
         Hash of the file's bytes.
     axes
@@ -325,28 +325,27 @@ class Job:
     operations
         Re-iterable operations; later stages refer to an operation by its index here.
     warnings
-        Suspicious things found by the reader, each with its place.
+        Warnings of the reader, each with its place.
     capped
-        Feeds of its own that the machine's normal feed caps, each with its place: they matter where
-        no other feed is asked for.
+        Warnings about programmed feeds that the machine's normal feed caps, each with its place;
+        they apply only if no other feed is given.
     feed_rule
         Name of the rule for the meaning of F; empty for a job without F.
     dialect
         Name of the dialect of a part program; empty for other jobs.
     drawn
-        Drawn lines that a seam follows. The tag ``contour`` of a stitch is the index of its line,
-        and its tags ``from_m`` and ``to_m`` are the stretch of the line that it covers.
+        Drawn lines of a seam. The tag ``contour`` of a stitch is the index of its line; the tags
+        ``from_m`` and ``to_m`` give the stretch of the line that the stitch covers.
     paced_by
-        What sets its speed: ``feed``, ``needle`` (stitches a second), ``switchings``, or ``shaft``
-        (a stitch in each turn of the machine's main shaft).
+        The quantity that sets the speed of the job: ``feed``, ``needle`` (stitches per second),
+        ``switchings``, or ``shaft`` (one stitch per turn of the machine's main shaft).
     needle_follows
-        Whether a needle turns with the way of the head, and is geared with its motion as that is
-        in the end, smoothing included.
+        Whether the needle turns with the path length of the head: the needle is geared to the final
+        motion of the head, with smoothing.
     along_m_s2
-        Most that the speed along the path may change by, m/s^2: of a needle that follows.
+        Largest acceleration along the path, m/s^2, from the limit of a needle that follows.
     home
-        Cylinders in the order in which they return home; empty where the moves of the list decide
-        it.
+        Homing order of the cylinders; empty if the moves of the list decide the order.
     """
 
     name: str
@@ -369,17 +368,17 @@ class Job:
         return iter(self.operations)
 
     def suspicions(self, *, own_feed: bool) -> tuple[str, ...]:
-        """Return its warnings: with those of its own feeds, where no other feed is asked for."""
+        """Return the warnings; ``own_feed`` (no other feed is given) adds those on capped feeds."""
         return (*self.capped, *self.warnings) if own_feed else self.warnings
 
     def runs(self) -> Iterator[Operation | MoveRun]:
-        """Return the operations, with moves in runs of arrays where the reader makes them."""
+        """Return the operations, with moves in runs if the reader makes runs."""
         if isinstance(self.operations, OperationStream):
             return self.operations.runs()
         return iter(self.operations)
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return the operations with repeated passes given once; see ``OperationStream``."""
+        """Return the operations with each repeated pass given once; see ``OperationStream``."""
         if isinstance(self.operations, OperationStream):
             return self.operations.folded()
         return ((item, 1, 0) for item in move_runs(self))
@@ -388,8 +387,8 @@ class Job:
 def move_runs(job: Job, longest: int = 4096) -> Iterator[Operation | MoveRun]:
     """Return the operations of ``job`` with every move in a run.
 
-    Single moves of a reader are gathered into runs of at most ``longest``; runs of a reader are
-    passed on as they are.
+    Single moves of a reader are gathered into runs of at most ``longest`` moves; runs of a reader
+    stay unchanged.
     """
     moves: list[Move] = []
     for item in job.runs():
@@ -412,7 +411,7 @@ def _together(one: Source, other: Source) -> bool:
 
 
 def gathered(moves: list[Move]) -> MoveRun:
-    """Return ``moves``, of which there is at least one, as a run."""
+    """Return ``moves`` (at least one) as a run."""
     feeds = [(0, moves[0].feed)]
     for index, move in enumerate(moves):
         if move.feed is not feeds[-1][1]:
@@ -429,18 +428,18 @@ def gathered(moves: list[Move]) -> MoveRun:
 
 
 def begins_circuit(before: Source | None, now: Source) -> bool:
-    """Say whether a circuit begins between two operations that follow each other.
+    """Say whether a circuit begins between two consecutive operations.
 
     Parameters
     ----------
     before
-        Where the operation before comes from; None at the beginning of the job.
+        Source of the earlier operation; None at the start of the job.
     now
-        Where the operation comes from.
+        Source of the later operation.
     """
     if not now.passes:
         return False
     if before is None or not before.passes or before.passes[0] != now.passes[0]:
         return True
-    # Two calls of one pass each, one after the other: the lines begin again.
+    # In two consecutive calls of one pass each, the lines start again.
     return len(before.passes) == len(now.passes) == 1 and now.line < before.line

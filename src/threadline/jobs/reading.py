@@ -1,4 +1,4 @@
-"""The reader of programs: part programs, and those of X-Winder, told apart by their first line."""
+"""The readers of all job formats; the first line tells X-Winder programs from part programs."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def read_program(
     feed_mode: str | None = None,
     base_axes: tuple[str, ...] = (),
 ) -> Job:
-    """Return the job of a program; an X-Winder program is recognised by its first line.
+    """Return the job of a program; the first line identifies an X-Winder program.
 
     Raises
     ------
     JobError
-        With file and line, if it cannot be read.
+        If the program cannot be read; the error gives file and line.
     BudgetError
-        If it has more moves than the machine's tick budget.
+        If the program has more operations than the machine's tick budget.
     OptionError
-        If the options do not fit together, or the file.
+        If the options do not fit together, or do not fit the file.
     """
     path = Path(path)
     theirs = begins_as_x_winder(path)
@@ -65,12 +65,12 @@ class Format:
     Parameters
     ----------
     name
-        Name of the format, for people.
+        Name of the format to show to the user.
     extensions
         Endings of file names, with the dot, in lower case. The first format with a matching ending
-        is used, so ``.seam.toml`` is listed before ``.toml``.
+        applies, so ``.seam.toml`` stands before ``.toml``.
     read
-        Reader, which is called with the path, ``machine=`` and the options.
+        Reader of the format; its arguments are the path, ``machine=`` and the options.
     options
         Names of the options that ``read`` takes.
     """
@@ -82,7 +82,7 @@ class Format:
 
     @property
     def article(self) -> str:
-        """The article that goes with the name."""
+        """Indefinite article for the name."""
         return "an" if self.name[0] in "aeiou" else "a"
 
 
@@ -90,7 +90,7 @@ _TYPED = {
     "dialect": "--dialect", "feed_mode": "--feed-mode", "base_axes": "--feed-mode",
     "needle_speed": "--needle",
 }  # fmt: skip
-"""Options of readers as they are typed, where they are."""
+"""Command-line option for each reader option that has one."""
 
 FORMATS: tuple[Format, ...] = (
     Format(
@@ -119,21 +119,21 @@ FORMATS: tuple[Format, ...] = (
 
 
 def read_job(path: str | Path, machine: Machine, **options: Any) -> Job:
-    """Return the job in a file, read by the reader of its format.
+    """Return the job of a file, from the reader for its format.
 
     Parameters
     ----------
     path
-        The file; the ending of its name tells the format.
+        Job file; the ending of its name gives the format.
     machine
-        The machine that the job is for.
+        Machine for the job.
     options
         Options of the format's reader.
 
     Raises
     ------
     JobError
-        If the format is unknown or the file is not of it.
+        If the format is unknown, or the file does not have this format.
     OptionError
         If the format has no such option.
     """
@@ -154,7 +154,7 @@ def read_job(path: str | Path, machine: Machine, **options: Any) -> Job:
 
 
 def _refused(path: Path, known: Format, name: str) -> OptionError:
-    """Return what is wrong with an option that is not one of the file's format."""
+    """Return the error for an option that the file's format does not have."""
     of = [f"{one.name}s" for one in FORMATS if name in one.options]
     if not of:
         return OptionError(

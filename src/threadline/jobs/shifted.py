@@ -1,4 +1,4 @@
-"""A job that is done elsewhere on the machine: all of its positions are shifted alike."""
+"""A job at another place on the machine: the same shift applies to all its positions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Offset = tuple[float, ...]
 
 
 def parse_offset(text: str, machine: Machine) -> Offset:
-    """Return the (axes,) shift written in ``text``, ``"X=12.5 mm, A=-30 deg"``, in m and rad.
+    """Return the (axes,) shift in m and rad from a text like ``"X=12.5 mm, A=-30 deg"``.
 
     Raises
     ------
     OptionError
-        If it cannot be read, or names an axis that there is not.
+        If the text cannot be read, or names an unknown axis.
     """
     by = dict.fromkeys(machine.axes, 0.0)
     for part in text.split(","):
@@ -45,13 +45,13 @@ def parse_offset(text: str, machine: Machine) -> Offset:
 
 
 def shifted(job: Job, machine: Machine, text: str | None) -> Job:
-    """Return ``job`` with its start and all its positions shifted; as it is without a text.
+    """Return ``job`` with its start and all positions shifted, or unchanged without a text.
 
     Raises
     ------
     OptionError
-        If the text cannot be read, the job has a place of its own (a seam's ``origin``), or the
-        machine a mandrel whose radii hang on the place.
+        If the text cannot be read, the job has its own place (a seam's ``origin``), or the machine
+        has a mandrel whose radius depends on the place.
     """
     if text is None:
         return job

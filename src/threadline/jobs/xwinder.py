@@ -1,24 +1,24 @@
-"""Programs of X-Winder Designer (.X4G), in which a mandrel turns on while other axes move.
+"""Programs of X-Winder Designer (.X4G), in which a mandrel keeps turning while other axes move.
 
-No description of the format is published, but comments in brackets in the files explain their
-lines. These meanings were checked against the numbers of the files (the winding angle follows from
-F, S and the diameter, and the dwells add up to whole circuits):
+No description of the format is published, but comments in brackets in the files explain the lines.
+These meanings were checked against the numbers in the files (the winding angle follows from F, S
+and the diameter, and the dwells add up to whole circuits):
 
 =============== ==================================================================================
-``M4 S``         the mandrel turns at S rpm from here on, through all that follows, to ``M5``
-``G1 F Z B``     the carriage goes to Z at F inches (mm in G21) a second; the head turns to B
-                 meanwhile; F stays
-``G1 .. S C``    the same while the mandrel turns by C degrees at S rpm
+``M4 S``         the mandrel turns at S rpm until ``M5``, through all blocks between
+``G1 F Z B``     the carriage moves to Z at F inches (mm in G21) per second; the head turns to B
+                 at the same time; F is modal
+``G1 .. S C``    a ``G1`` move while the mandrel turns by C degrees at S rpm
 ``G4 C``         the mandrel turns by C degrees
-``G4 L601 C``    it turns on to the angle that ``M601`` saved, plus C degrees
-``G4 P``         a pause of P tenths of a millisecond
-``M601 ``        the mandrel's angle is kept under that number, as far as ``M699``
-``M0``           a stop until a button is pressed
+``G4 L601 C``    the mandrel turns on to the angle saved by ``M601``, plus C degrees
+``G4 P``         a dwell of P tenths of a millisecond
+``M601``         the mandrel's angle is saved under this number (``M601`` to ``M699``)
+``M0``           a stop until the operator presses a button
 =============== ==================================================================================
 
-The mandrel is the axis C of the machine, the carriage Z, the head B, the cross feed Y. ``R``, how
-fast the head turns, is not published: the head turns evenly through its block. Acceleration words
-(``G1 I J K N O T``) and ``G28`` belong to a controller whose limits the machine file states.
+The machine's axis C is the mandrel, Z the carriage, B the head, Y the cross feed. The meaning of
+``R``, the speed of the head, is not published: here the head turns evenly through its block.
+Acceleration words (``G1 I J K N O T``) and ``G28`` have no effect: the machine file has the limits.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _P_S = 1e-4
 
 
 def begins_as_x_winder(path: Path) -> bool:
-    """Return whether a file begins like the programs of X-Winder Designer."""
+    """Return whether a file begins like a program of X-Winder Designer."""
     if path.is_dir():
         return False
     with open_binary(path) as stream:
@@ -62,9 +62,10 @@ def read_x_winder(path: Path, *, machine: Machine) -> Job:
     Raises
     ------
     JobError
-        With file and line, if a line is not of the dialect, or the machine lacks axis C or Z.
+        If a line is not part of the dialect, or the machine lacks axis C or Z; the error gives file
+        and line.
     BudgetError
-        If it has more operations than the machine's tick budget.
+        If the program has more operations than the machine's tick budget.
     """
     for name in "CZ":
         axis = machine.axes.get(name)
@@ -109,7 +110,7 @@ def _kinds(machine: Machine) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class XWinderProgram:
-    """A program that has been checked, and can be read any number of times."""
+    """A checked program; it can be read any number of times."""
 
     file: SourceFile
     machine: str
@@ -117,20 +118,20 @@ class XWinderProgram:
     kinds: tuple[str, ...]
 
     def operations(self) -> Iterator[Operation]:
-        """Return the operations from the start position on."""
+        """Return the operations from the start position."""
         return _Reading(self).run()
 
 
 @dataclass(slots=True)
 class _Reading:
-    """The state of one reading; lengths in m, angles in degrees."""
+    """The state of one reading, with lengths in m and angles in degrees."""
 
     program: XWinderProgram
     unit_m: float = 1e-3
     rpm: float = 0.0
-    feed: float = 0.0  # units a second
+    feed: float = 0.0  # units per second
     saved: dict[int, float] = field(default_factory=dict)
-    at: dict[str, float] = field(default_factory=dict)  # by letter, m or degrees
+    at: dict[str, float] = field(default_factory=dict)  # position by axis letter, m or degrees
     idle: dict[str, int] = field(default_factory=dict)
     head_line: int = 0
     endless: int = 0
@@ -145,7 +146,7 @@ class _Reading:
             self.line, _, text = lines.take()
             self.place = self.program.file.place(self.line)
             code = _without_brackets(text, self.place).strip()
-            if code and code[0] != "D":  # D: what the display shows
+            if code and code[0] != "D":  # D: text for the display
                 yield from self._step(code)
         yield Stop(True, self._source())
 
@@ -177,7 +178,7 @@ class _Reading:
         if letter in "CX" or number is None:
             if letter not in "CX":
                 raise self._error(f"{code[:40]!r} is no line of an X-Winder program")
-            self._note(letter)  # the decimal comma, the version
+            self._note(letter)  # decimal comma and version
             return
         if letter == "G" and number == 51:
             self.endless, self.ended = self.line, True
@@ -303,7 +304,7 @@ class _Reading:
             yield from self._go({}, duration_s)
 
     def _go(self, target: dict[str, float], duration_s: float) -> Iterator[Operation]:
-        """Yield the move to ``target`` in a given time, in which the mandrel turns on."""
+        """Yield the move to ``target`` in ``duration_s``, while the mandrel keeps turning."""
         moved = any(self.at[name] != value for name, value in target.items())
         turned = 6.0 * self.rpm * duration_s
         self.at.update(target)
@@ -328,7 +329,7 @@ class _Reading:
         return value
 
     def _number(self, rest: dict[str, float | None], letter: str) -> float:
-        """Return the number of a word that must be there and above 0, or 0 for C and P."""
+        """Return the number of a required word: not negative, and above 0 for S and L."""
         value = rest.get(letter)
         if value is None or value < 0.0 or (value == 0.0 and letter in "SL"):
             said = "no number" if value is None else f"{value:g}"
@@ -344,7 +345,7 @@ class _Reading:
 
 
 def _without_brackets(text: str, place: Place) -> str:
-    """Return a line without what stands in brackets."""
+    """Return a line without its comments in brackets."""
     code = re.sub(r"\[[^\[\]]*\]", " ", text)
     if "[" in code or "]" in code:
         raise JobError(

@@ -1,4 +1,4 @@
-"""Embroidery designs: the readers of their formats, and the moves of the frame that they need."""
+"""Embroidery designs: readers of their formats, and the moves of the frame for each design."""
 
 from threadline.jobs.embroidery.job import read_design
 from threadline.jobs.embroidery.records import SUFFIXES

@@ -1,17 +1,17 @@
-"""HUS designs: three columns (command, X, Y), a byte for each record, packed one after the other.
+"""HUS designs: three packed columns (command, X, Y), each with one byte per record.
 
-The packing is that of LHA's dynamic Huffman methods: blocks of at most 65 535 symbols, each block
-with its own code lengths. A symbol below 256 is a byte, 510 ends the column, and any other repeats
-bytes that were unpacked before. The layout is known from pystitch, whose reader can allocate
-gigabytes for a damaged file; the results of this reader are tested against that one.
+The columns are packed as in LHA's dynamic Huffman methods: blocks of at most 65 535 symbols, each
+block with its own code lengths. A symbol below 256 is a byte, 510 ends the column, and any other
+symbol copies bytes that are already unpacked. The layout comes from pystitch, whose reader can
+allocate gigabytes for a damaged file; tests compare this reader with the reader of pystitch.
 
 ======  =====================================================
-offset  what
+offset  content
 ======  =====================================================
-0       u32 LE, 0x00C8 in its upper half
-4       u32 records
-8       u32 colours
-20      u32 offsets of the columns what, X and Y
+0       u32 LE with the upper half 0x00C8
+4       u32 number of records
+8       u32 number of colours
+20      three u32 offsets: columns command, X and Y
 ======  =====================================================
 """
 
@@ -29,14 +29,14 @@ MOST_RECORDS = 10_000_000
 _MAGIC = 0xC8
 _HEADER = struct.Struct("<3I8x3I")
 _STITCH, _JUMP, _COLOUR, _TRIM, _END = 0x80, 0x81, 0x84, 0x88, 0x90
-_ACTS = {_STITCH: 0, _JUMP: 1, _COLOUR: 5, _TRIM: 2, _END: 4}  # by the numbers of pystitch
+_ACTS = {_STITCH: 0, _JUMP: 1, _COLOUR: 5, _TRIM: 2, _END: 4}  # numbers of the acts in pystitch
 _LONGEST_CODE = 16
 _END_OF_COLUMN = 510
-_SHORTEST_COPY = 253  # a symbol less this is the length of a copy
+_SHORTEST_COPY = 253  # copy length = symbol - this number
 
 
 def read_hus(content: bytes, place: Place) -> FloatArray:
-    """Return the (n, 3) records: x and y in units of the format (Y down), and act.
+    """Return the (n, 3) records: x, y (down) in units of the format, and act.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def read_hus(content: bytes, place: Place) -> FloatArray:
     numbers = np.array([_ACTS.get(code, 0) for code in range(256)])
     table = np.empty((last, 3))
     table[:, :2] = np.cumsum(ways, axis=0)
-    table[:, 1] *= -1.0  # Y up in the file
+    table[:, 1] *= -1.0  # the file has Y up
     table[:, 2] = numbers[acts[:last]]
     return table
 
@@ -87,7 +87,7 @@ def _damaged(why: str, place: Place) -> JobError:
 
 
 class _Code:
-    """A Huffman code by its lengths; without lengths, ``always`` is its only symbol, of 0 bits."""
+    """A Huffman code from its lengths; without lengths, ``always`` is the only symbol (0 bits)."""
 
     def __init__(self, lengths: list[int], always: int = 0) -> None:
         self.lengths, self.always = lengths, always
@@ -105,7 +105,7 @@ class _Code:
 
 
 class _Unpacker:
-    """A packed column with the position of the next bit; zeros follow its end."""
+    """A packed column with the position of the next bit; zeros follow the end of the column."""
 
     def __init__(self, packed: bytes) -> None:
         self.data, self.bits, self.at = packed + bytes(4), 8 * len(packed), 0
@@ -138,7 +138,7 @@ class _Unpacker:
         return found
 
     def length(self) -> int:
-        """Return the next length of a code: 3 bits; after 7 a 1 for each bit more, then a 0."""
+        """Return the next code length: 3 bits; after 7, a 1 for each further bit, then a 0."""
         found = self.take(3)
         while found >= 7 and self.take(1):
             found += 1
@@ -147,7 +147,7 @@ class _Unpacker:
         return found
 
     def lengths_code(self) -> _Code:
-        """Return the code of the lengths of the symbols."""
+        """Return the code for the lengths of the symbols."""
         count = self.take(5)
         if count == 0:
             return _Code([], self.take(5))
@@ -161,7 +161,7 @@ class _Unpacker:
         return _Code(lengths[:count])
 
     def symbols_code(self, of_lengths: _Code) -> _Code:
-        """Return the code of bytes and copies."""
+        """Return the code for bytes and copies."""
         count = self.take(9)
         if count == 0:
             return _Code([], self.take(9))
@@ -179,14 +179,14 @@ class _Unpacker:
         return _Code(lengths[:count])
 
     def distances_code(self) -> _Code:
-        """Return the code of the distances back to the beginnings of copies."""
+        """Return the code for the distances back to the source of a copy."""
         count = self.take(5)
         if count == 0:
             return _Code([], self.take(5))
         return _Code([self.length() for _ in range(count)])
 
     def unpack(self, most: int) -> bytearray:
-        """Return the bytes of the column, at least ``most`` of them if it has so many.
+        """Return the bytes of the column; stop after ``most`` bytes or at the end of the column.
 
         Raises
         ------
@@ -221,6 +221,6 @@ class _Unpacker:
         return out
 
     def wide(self, count: int) -> int:
-        """Return the next ``count`` bits, which may be more than 16."""
+        """Return the next ``count`` bits; ``count`` may exceed 16."""
         high = max(0, count - 16)
         return self.take(high) << min(count, 16) | self.take(min(count, 16)) if count else 0

@@ -1,8 +1,8 @@
-"""The job of a design: its records, merged into the moves of the frame.
+"""The job of a design: its records, merged into moves of the frame.
 
-A format that holds at most 12.1 mm in a record splits a longer stitch into jumps and a stitch,
-which are merged into one move here. Jumps that together are longer than the longest move of the
-machine, that lead to the first stitch, or that no stitch follows, are travel with the needle up.
+A format with at most 12.1 mm per record splits a longer stitch into jumps and a stitch; this reader
+merges them into one move. Jumps become travel with the needle up if their sum is longer than the
+machine's longest move, if they lead to the first stitch, or if no stitch follows.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ EVENTS = {
     Act.SLOW: "slow",
     Act.FAST: "fast",
 }
-"""Name of the ``ToolEvent`` for each act of a record that is no motion."""
+"""Name of the ``ToolEvent`` for each act without motion."""
 _ROUNDING = 1e-9
 _LONGEST_RUN = 4096
 
@@ -46,16 +46,16 @@ _LONGEST_RUN = 4096
 def read_design(path: str | Path, *, machine: Machine) -> Job:
     """Return the job of an embroidery design.
 
-    Its operations are moves with the tags ``stitch`` (from 1, 0 while the needle is up) and
-    ``block`` (from 1: a block ends where the thread changes), and events; lines are numbers of
-    records.
+    The operations are events and moves. A move has the tags ``stitch`` (from 1; 0 while the needle
+    is up) and ``block`` (from 1; a thread change begins a new block). The line of an operation is
+    the number of its record.
 
     Parameters
     ----------
     path
-        The file; its ending names the format.
+        Design file; the ending of its name gives the format.
     machine
-        The machine, whose tables have a longest move.
+        Embroidery machine with step tables, which give the longest move.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
             place=Place(str(path)),
             remedy="Take an embroidery machine, such as schiffli-frame.",
         )
-    axes = machine.axis_names  # columns are in the order of the machine file
+    axes = machine.axis_names  # the columns follow the order of the machine file
     records = read_records(path)
     found = _Merged(str(path), machine.tables.longest.si * (1.0 + _ROUNDING))
     first, second = (records.position_m[:, AXES.index(axis)].tolist() for axis in axes)
@@ -103,9 +103,9 @@ def read_design(path: str | Path, *, machine: Machine) -> Job:
 
 @dataclass(slots=True)
 class _Merged:
-    """Moves and events made from the records so far.
+    """The moves and events from the records so far.
 
-    ``targets`` holds both axes of each move, and ``rows`` its line, stitch and block.
+    ``targets`` holds both axes of each move; ``rows`` holds line, stitch and block of each move.
     """
 
     file: str
@@ -121,7 +121,7 @@ class _Merged:
     events: list[tuple[int, str, int]] = field(default_factory=list)  # moves before, name, line
 
     def take(self, line: int, to: tuple[float, float], act: Act) -> None:
-        """Take the next record."""
+        """Take the next record of the design."""
         if act is Act.JUMP:
             self.jumped = True
             return
@@ -170,7 +170,7 @@ class _Merged:
         return len(self.targets) // 2
 
     def operations(self) -> Iterator[Operation | MoveRun]:
-        """Return moves in runs, events between them, and the end."""
+        """Return the moves in runs, the events between the runs, and the final stop."""
         first = 0
         for before, name, line in self.events:
             yield from self._runs(first, before)

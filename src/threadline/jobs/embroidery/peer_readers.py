@@ -1,4 +1,4 @@
-"""Readers of pystitch, with a check that a design that is cut off is not read as a shorter one."""
+"""Readers of pystitch, with a check that refuses a design that is cut off."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ READERS = {
 }
 """Module of pystitch that reads each format, by the ending of the file."""
 _ENDS: dict[str, Callable[[bytes], bool]] = {
-    # Its reader takes two bytes more, where there are any.
+    # The JEF reader takes two more bytes if the file has them.
     ".jef": lambda read: b"\x80\x10" in (read[-4:-2], read[-3:-1], read[-2:]),
     ".xxx": lambda read: read[-4:-2] in (b"\x7f\x7f", b"\x7f\x18"),
     ".u01": lambda read: len(read) > 2 and read[-3] & 0x1F == 0x18,
 }
-"""Tests of whether the records of a format are complete.
+"""Tests that the records of a format are complete, by the ending of the file.
 
-The argument is the last bytes that the reader has read. Three formats have a mark of the end; EXP
-has none, and DST is tested by ``records``.
+The argument is the last bytes that the reader has read. These three formats have an end mark; EXP
+has no end mark, and ``records`` tests DST.
 """
 
 
 class CutOffError(Exception):
-    """The records end without the mark of their end."""
+    """The records end without the end mark."""
 
 
 class SenselessError(Exception):
-    """The reader failed at a byte, which is not valid there."""
+    """The reader failed at a byte that is not valid at its place."""
 
 
 class _Stream(io.BytesIO):
-    """A stream that remembers whether more bytes were asked for than there are."""
+    """A stream that notes whether a reader asked for more bytes than the file has."""
 
     short = False
 
@@ -50,14 +50,14 @@ class _Stream(io.BytesIO):
 
 
 class _Watched(EmbPattern):  # type: ignore[misc]
-    """A pattern of pystitch that tests, at the end of the records, whether they are complete."""
+    """A pattern of pystitch that tests at the end whether the records are complete."""
 
     def __init__(self, stream: _Stream, suffix: str) -> None:
         super().__init__()
         self._stream, self._suffix = stream, suffix
 
     def end(self, dx: float = 0, dy: float = 0) -> None:
-        """Add the end of the design, unless the file was cut off there."""
+        """Add the end of the design; raise ``CutOffError`` if the file is cut off there."""
         at = self._stream.tell()
         whole = _ENDS.get(self._suffix)
         last = self._stream.getvalue()[max(0, at - 4) : at]
@@ -67,12 +67,12 @@ class _Watched(EmbPattern):  # type: ignore[misc]
 
 
 def read_with_peer(content: bytes, suffix: str) -> tuple[list[list[float]], int]:
-    """Return x, y and code of every record, and the number of bytes that were read.
+    """Return x, y and code of every record, and the number of bytes read.
 
     Raises
     ------
     CutOffError
-        If the records end without the mark of their end.
+        If the records end without the end mark.
     SenselessError
         If pystitch fails in any other way.
     """
@@ -83,7 +83,7 @@ def read_with_peer(content: bytes, suffix: str) -> tuple[list[list[float]], int]
     except CutOffError:
         raise
     except Exception as error:
-        # It raises whatever it meets: TypeError where bytes are lacking, IndexError in a palette.
+        # pystitch raises TypeError for missing bytes, IndexError for a bad palette, and others.
         at, size = stream.tell(), len(content)
         why = f"it ends at byte {size}, in the middle of what is read there"
         if at < size or not stream.short:

@@ -1,20 +1,20 @@
-"""Brother's PES and PEC: the PEC block of a design, which every version of the format holds.
+"""Brother's PES and PEC: the PEC block of a design, which every version of the format has.
 
-A PES has a signature (``#PES0001`` to ``#PES0100``), the offset of its PEC block, and the drawing
-from which the stitches were made, which is not read. A PEC is the signature ``#PEC0001`` and the
-block. The block, by the offsets of its bytes:
+A PES file has a signature (``#PES0001`` to ``#PES0100``), the offset of its PEC block, and the
+source drawing of the stitches, which this reader ignores. A PEC file has the signature ``#PEC0001``
+and the block. The block has these parts, by byte offset:
 
-* 0 ``LA:`` and a name; 48 the number of colour changes (255: no colour), then a palette index for
+* 0: ``LA:`` and a name; 48: the number of colour changes (255: no colour), then a palette index for
   each colour;
-* 514 the length of the stitches from byte 512 on, in 3 bytes; 520 width, height and two constants;
-* 528 the records. Each has X (to the right) and Y (down), in 0.1 mm: one byte of 7 bits, or two
-  bytes of which the first has the bit 0x80, the flags 0x20 (trim) and 0x10 (jump), and the upper 4
-  of 12 bits. ``FE B0`` and a byte change the thread, ``FF`` ends the design.
+* 514: the length of the stitches from byte 512, in 3 bytes; 520: width, height and two constants;
+* 528: the records. Each record has X (to the right) and Y (down), in 0.1 mm. A value has one byte
+  with 7 bits, or two bytes with 12 bits; the first of two bytes has the bit 0x80, the flags 0x20
+  (trim) and 0x10 (jump), and the upper 4 bits. ``FE B0`` and a byte change the thread, ``FF`` ends
+  the design.
 
-Brother's software, and writers that follow it, begin with a jump from the corner of the design, to
-the left and at the top, to its first place. pyembroidery 1.5 and later begins with the first
-stitch. A jump from the corner says nothing about the design and is left out: the design begins at
-its first place.
+Brother's software, and writers that follow it, begin with a jump from the upper left corner of the
+design to its first place. pyembroidery 1.5 and later begins with the first stitch. A jump from the
+corner does not belong to the design and is left out: the design begins at its first place.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ _LONG, _BEYOND, _TRIM_FLAG, _JUMP_FLAG = 0x80, 0x40, 0x20, 0x10
 _CHANGE, _END = b"\xfe\xb0", 0xFF
 _STITCH, _JUMP, _TRIM, _STOP, _LAST, _COLOUR = 0, 1, 2, 3, 4, 5
 _ROUNDED = 1
-"""Units by which writers round the corner of a design apart."""
+"""Rounding differences of writers at the corner of a design, in units of 0.1 mm."""
 
 
 def read_pes(content: bytes, place: Place) -> list[list[float]]:
     """Return x and y (down) in 0.1 mm and act of every record, like the readers of pystitch.
 
-    A change to the colour that is in use is a stop.
+    A change to the same colour is a stop.
 
     Raises
     ------
     JobError
-        With the byte, if the file is no PES, is cut off, or holds something that is no record.
+        If the file is no PES, is cut off, or has invalid records; the error gives the byte.
     """
     block = _block(content, place)
     found = _records(content, block + _RECORDS, place)
@@ -55,7 +55,7 @@ def read_pes(content: bytes, place: Place) -> list[list[float]]:
 
 
 def _block(content: bytes, place: Place) -> int:
-    """Return the byte at which the PEC block begins."""
+    """Return the offset of the PEC block."""
     if content[:8] == _PEC:
         block = 8
     elif content[:4] != b"#PES":
@@ -75,7 +75,7 @@ def _block(content: bytes, place: Place) -> int:
 
 
 def _records(content: bytes, at: int, place: Place) -> list[list[float]]:
-    """Return the records from a byte on, the end of the design included."""
+    """Return the records from byte ``at``, with the end of the design."""
     found: list[list[float]] = []
     x = y = 0
     while True:
@@ -99,7 +99,7 @@ def _records(content: bytes, at: int, place: Place) -> list[list[float]]:
 
 
 def _number(content: bytes, at: int, place: Place) -> tuple[int, int, int]:
-    """Return the displacement at a byte, its flags, and the byte behind it."""
+    """Return the displacement at byte ``at``, its flags, and the offset of the next byte."""
     long = at < len(content) and content[at] & _LONG
     if at + (2 if long else 1) > len(content):
         raise _refused(place, f"its records are cut off at byte {len(content)}")
@@ -113,7 +113,7 @@ def _number(content: bytes, at: int, place: Place) -> tuple[int, int, int]:
 
 
 def _from_first_place(found: list[list[float]]) -> list[list[float]]:
-    """Leave a first jump out that leads from the corner of the design to its first place."""
+    """Return the records without a first jump from the corner of the design to its first place."""
     if found[0][2] != _JUMP:
         return found
     x, y, _ = found[0]

@@ -1,4 +1,4 @@
-"""The records of a design file of any format: positions, and the act at each."""
+"""The records of a design file in any format: positions, and the act at each position."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _OWN: dict[str, Callable[[bytes, Place], FloatArray | list[list[float]]]] = {
     **dict.fromkeys(pes.SUFFIXES, pes.read_pes),
     vp3.SUFFIX: vp3.read_vp3,
 }
-"""Readers of our own, by the ending; all others are those of pystitch."""
+"""Threadline's own readers, by the ending of the file; pystitch reads all other formats."""
 _PEERS = (".dst", ".exp", ".jef", ".xxx", ".u01")
 SUFFIXES = (*_PEERS, *_OWN)
 UNIT_M = 1e-4
@@ -30,7 +30,7 @@ _DST_HEADER, _DST_RECORD = 512, 3
 
 
 class Act(IntEnum):
-    """What is done at the position of a record; the numbers are pystitch's."""
+    """The act at the position of a record, with the numbers of pystitch."""
 
     STITCH = 0
     JUMP = 1
@@ -57,7 +57,7 @@ class Records:
     act
         (n,) acts, as numbers of ``Act``.
     content
-        Bytes of the file.
+        All bytes of the file.
     """
 
     position_m: FloatArray
@@ -71,7 +71,7 @@ def read_records(path: Path) -> Records:
     Raises
     ------
     JobError
-        If the file cannot be read, is cut off, or is not of the format that its name ends in.
+        If the file cannot be read, is cut off, or does not have the format of its ending.
     """
     place = Place(str(path))
     with open_binary(path) as stream:
@@ -98,13 +98,13 @@ def read_records(path: Path) -> Records:
             place=Place(str(path), first + 1),
             remedy="Export the design without sequins and other attachments.",
         )
-    # Their Y points down.
+    # The readers return Y down.
     position = table[:, :2] * np.array([UNIT_M, -UNIT_M]) + 0.0
     return Records(position_m=position, act=act, content=content)
 
 
 def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
-    """Return x, y and code of every record, as pystitch reads them."""
+    """Return x, y and code of every record, from the reader of pystitch."""
     from threadline.jobs.embroidery.peer_readers import CutOffError, SenselessError, read_with_peer
 
     try:
@@ -114,7 +114,7 @@ def _decoded(content: bytes, suffix: str, place: Place) -> list[list[float]]:
     except SenselessError as error:
         raise _not_of_its_format(suffix, str(error), place) from error
     if suffix == ".exp" and (read < len(content) or len(content) % 2):
-        # It has no mark of its end: what its reader left is lost.
+        # EXP has no end mark: the bytes that the reader left would be lost.
         why = f"byte {read - 2} of {len(content)} is no record"
         raise _not_of_its_format(suffix, why, place)
     return stitches
@@ -129,7 +129,7 @@ def _not_of_its_format(suffix: str, why: str, place: Place) -> JobError:
 
 
 def _check_dst(content: bytes, place: Place) -> None:
-    """Refuse a DST that is cut off: it has no mark of its end."""
+    """Refuse a DST file that is cut off, which has no end mark."""
     records = content[_DST_HEADER:]
     marks = np.frombuffer(records[: len(records) // _DST_RECORD * _DST_RECORD], dtype=np.uint8)
     if not (marks[2::_DST_RECORD] & 0xF3 == 0xF3).any():

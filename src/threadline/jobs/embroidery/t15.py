@@ -1,13 +1,14 @@
 """Saurer T15 cards: the punched card of a shuttle embroidery machine as a file.
 
-No description of the format is published; it is known from two files and the same designs in DST.
-A header of 12 bytes (size over 12, 15, 0), a leader of 384 (64 columns of punched letters), then
-records of 4 bytes: a function F and three bytes of holes. A displacement has three digits of three
-holes for each axis, in base 7, a negative digit being the complement of the positive one. The end
-is D0, then zeros. The makers' names of the functions are not known:
+No description of the format is published; this reader follows two files and the same designs in
+DST. A file has a header of 12 bytes (size / 12, 15, 0), a leader of 384 bytes (64 columns of
+punched letters), and records of 4 bytes: a function byte and three bytes of holes. A displacement
+has three base-7 digits of three holes for each axis; a negative digit is the complement of the
+positive digit. The record D0 and zeros end the file. The maker's names of the functions are not
+known:
 
-* C0 moves; C8 then CA stands before each stretch that is sewn, CA then C8 behind it;
-* C6 stands where the thread changes, is cut or ends, and may move too.
+* C0 moves; C8 and CA come before each sewn stretch, CA and C8 come after the stretch;
+* C6 marks a thread change, a thread cut or the end, and may move, too.
 """
 
 from __future__ import annotations
@@ -23,26 +24,26 @@ SUFFIX = ".t15"
 HEADER, LEADER, RECORD = 12, 384, 4
 FIRST = HEADER + LEADER
 MOST = 171
-"""Units of the longest displacement of a record."""
+"""Longest displacement of a record, in units of 0.1 mm."""
 MOVE, CHANGE, OUTER, INNER, END = 0xC0, 0xC6, 0xC8, 0xCA, 0xD0
 _DIGITS = {0: 0, 1: 1, 2: 2, 4: 3, 6: -1, 5: -2, 3: -3}
 _HOLES = {digit: holes for holes, digit in _DIGITS.items()}
 _KIND = 15
 _BLANKS = (100, 200)
-"""Numbers of empty moves before and after the design, as in the known cards."""
+"""Numbers of empty moves before and after the design, from the known cards."""
 _STITCH, _JUMP, _TRIM, _COLOUR, _LAST = 0, 1, 2, 5, 4
 
 
 def read_t15(content: bytes, place: Place) -> list[list[float]]:
     """Return x and y (down) in 0.1 mm and act of every record, like the readers of pystitch.
 
-    Each sewn stretch begins with a stitch in place. Within it a record without motion is a stitch;
-    elsewhere such a record is left out.
+    Each sewn stretch begins with a stitch in place. A record without motion is a stitch inside a
+    stretch, and is left out elsewhere.
 
     Raises
     ------
     JobError
-        With the offset and the byte, if anything differs from the format.
+        If the content differs from the format; the error gives the offset and the byte.
     """
     if len(content) < FIRST + RECORD or len(content) % HEADER:
         raise _refused(place, f"it has {len(content)} bytes, no whole number of 12 from 408 on")
@@ -88,7 +89,7 @@ def read_t15(content: bytes, place: Place) -> list[list[float]]:
     if any(rest):
         wrong = at + 1 + next(k for k, byte in enumerate(rest) if byte)
         raise _refused(place, f"the byte {content[wrong]:#04x} at {wrong:#x} stands behind its end")
-    # A change behind the last stitch changes nothing: the thread is cut.
+    # A change after the last stitch only cuts the thread.
     sewn = [k for k, row in enumerate(found) if row[2] == _STITCH]
     for row in found[sewn[-1] :] if sewn else ():
         if row[2] == _COLOUR:
@@ -104,14 +105,14 @@ def t15_bytes(units: IntArray, sewn: IntArray, changes: set[int]) -> bytes:
     units
         (n, 2) displacements in units of 0.1 mm, Y up.
     sewn
-        (n,) 1 where the displacement ends in a stitch, 0 where the needle is up.
+        (n,) 1 if the displacement ends in a stitch, 0 if the needle is up.
     changes
-        Indices of displacements before which the thread changes or is cut; n stands for the end.
+        Indices of the displacements after a thread change or cut; n stands for the end.
 
     Raises
     ------
     ValueError
-        If a stitch is longer than a record holds.
+        If a stitch is too long for a record.
     """
     records = [_record(MOVE, 0, 0)] * _BLANKS[0]
     down = False
@@ -127,7 +128,7 @@ def t15_bytes(units: IntArray, sewn: IntArray, changes: set[int]) -> bytes:
         if k in changes:
             needle(False)
             records.append(_record(CHANGE, 0, 0))
-        # The first of a stretch is reached with the needle up, and enters in place.
+        # The needle is up on the way to the first stitch of a stretch, which is in place.
         begins = bool(stitch) and not down
         if not stitch:
             needle(False)
@@ -155,7 +156,7 @@ def _record(function: int, dx: int, dy: int) -> bytes:
 
 
 def _holes(way: int) -> tuple[int, int, int]:
-    """Return the holes of the base-7 digits (-3 to 3) of a displacement, the lowest first."""
+    """Return the holes for the base-7 digits (-3 to 3) of a displacement, lowest digit first."""
     if abs(way) > MOST:
         raise ValueError(f"a way of {way} units: a record holds {MOST}")
     found = []

@@ -1,11 +1,10 @@
-"""Husqvarna's VP3: nested blocks, each with its length; a block for each colour of the design.
+"""Husqvarna's VP3: nested blocks, each with its length; one block for each colour of the design.
 
-The parts that lead to the stitches are stepped over by their own lengths, and the centre of the
-design is kept. A colour block has the place where it begins, from the centre, and records of two
-signed bytes, X to the right and Y down in 0.1 mm. ``80 01`` and two numbers of 16 bits, with two
-bytes that have no known effect behind them, are a long stitch; ``80 02`` alone has no effect, and
-``80 03`` is a trim. VP3 has no jumps: the needle travels from the end of a block to the beginning
-of the next one.
+The reader skips the parts before the stitches by their lengths, and keeps the centre of the design.
+A colour block has its start position relative to the centre, and records of two signed bytes: X to
+the right and Y down, in 0.1 mm. ``80 01``, two numbers of 16 bits and two bytes without known
+effect make a long stitch; ``80 02`` alone has no effect, and ``80 03`` is a trim. VP3 has no jumps:
+the frame travels from the end of a block to the start of the next block.
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ from threadline.errors import JobError, Place
 SUFFIX = ".vp3"
 _MAGIC = b"%vsm%\x00"
 _PER_UNIT = 100
-"""Parts of 0.1 mm in which centre and beginnings are given."""
+"""Steps per 0.1 mm in the centre and the start positions of blocks."""
 _STITCH, _JUMP, _TRIM, _LAST, _COLOUR = 0, 1, 2, 4, 5
 _ESCAPE, _LONG, _BEHIND_LONG, _CUT = 0x80, 1, 2, 3
 
 
 class _Bytes:
-    """The bytes of a file with a position."""
+    """The bytes of a file with a reading position."""
 
     def __init__(self, content: bytes, place: Place) -> None:
         self._content = content
@@ -29,12 +28,12 @@ class _Bytes:
         self.at = 0
 
     def take(self, size: int) -> bytes:
-        """Return the next bytes.
+        """Return the next ``size`` bytes.
 
         Raises
         ------
         JobError
-            If there are not so many.
+            If the file has fewer bytes left.
         """
         found = self._content[self.at : self.at + size]
         if len(found) < size:
@@ -43,11 +42,11 @@ class _Bytes:
         return found
 
     def number(self, size: int) -> int:
-        """Return the next signed number."""
+        """Return the next signed number of ``size`` bytes."""
         return int.from_bytes(self.take(size), "big", signed=True)
 
     def text(self) -> None:
-        """Step over a text, which begins with the number of its bytes."""
+        """Skip a text, which begins with its number of bytes."""
         self.take(int.from_bytes(self.take(2), "big"))
 
     def refused(self, why: str) -> JobError:
@@ -65,7 +64,7 @@ def read_vp3(content: bytes, place: Place) -> list[list[float]]:
     Raises
     ------
     JobError
-        With the byte, if the file is no VP3, is cut off, or holds something that is no record.
+        If the file is no VP3, is cut off, or has invalid records; the error gives the byte.
     """
     source = _Bytes(content, place)
     if source.take(len(_MAGIC)) != _MAGIC:
@@ -88,7 +87,7 @@ def read_vp3(content: bytes, place: Place) -> list[list[float]]:
 
 
 def _colour_block(source: _Bytes, centre: tuple[float, float], found: list[list[float]]) -> None:
-    """Add the records of a colour block to those that were found."""
+    """Append the records of a colour block to ``found``."""
     source.take(3)
     size = source.number(4)
     end = source.at + size

@@ -29,7 +29,7 @@ _LIMIT = MAX_MAGNITUDE * ONE
 
 _MOTIONS = {0: 0, 10: 1, 20: 2, 30: 3, 50: 5, 800: CANCEL}
 _MODES = frozenset({"units", "distance", "feed", "blending", "plane", "system", "machine"})
-_FIRST_SYSTEM = 540  # without effect where it is the only one
+_FIRST_SYSTEM = 540  # no effect when it is the only system used
 _LENGTH, _NO_LENGTH = 430, 490
 _OUTPUTS = (62, 63, 64, 65)
 _SPINDLE: dict[str, float] = {"on": 1.0, "off": 0.0}
@@ -41,52 +41,54 @@ DWELL, RESET = 40, 921
 CHANGE = 6
 """Number of the M word that changes the tool."""
 TAKES_AXES = (280, 920)
-"""Actions that take the axis words of their block; beside others these belong to the motion."""
+"""Actions that take the axis words of their block; otherwise the motion takes them."""
 
 
 class Block(NamedTuple):
-    """One block; exact numbers are in units of 10**-18 of those written.
+    """One block; an exact number is the written number as an integer multiple of 10**-18.
 
     Parameters
     ----------
     line
-        From 1.
+        Line number, from 1.
     motion
-        0 1 2 3 5 for that G word, ``CANCEL`` for G80, else -1.
+        Number of the motion's G word (0, 1, 2, 3, 5), ``CANCEL`` for G80, else -1.
     action
-        Ten times 4, 28, 28.1 or 92 to 92.3, else -1.
+        Ten times the number of G4, G28, G28.1 or G92 to G92.3, else -1.
     settings
-        Ten times the G words of units, distance, feed, blending, plane and coordinate system.
+        Ten times the numbers of the G words for units, distance, feed, blending, plane and
+        coordinate system.
     axes
-        Index of the axis and exact number, in the order written.
+        Index of each axis and its exact number, in the order written.
     feed
         Exact F, or None.
     p, passes
-        Exact P, or None; L, 1 unless written.
+        Exact P, or None; number of passes (L), 1 without L.
     curve
-        Exact I J K R Q by letter.
+        Letter and exact number of each I, J, K, R and Q.
     dwell_s
-        Time of G4 in s.
+        Dwell of G4, in s.
     program
-        0, 1, 2, 6, 30, 98 or 99 for that M word, else -1.
+        Number of M0, M1, M2, M6, M30, M98 or M99, else -1.
     ends
-        Effect of that M word on the program (``MMode``); empty without one.
+        Effect of the ``program`` M word (``MMode``); empty without such a word.
     spindle
-        1 for M3 and M4, 0 for M5, else None.
+        1 for M3 and M4, 0 for M5, None without a spindle word.
     waits
-        Whether the motion rests after the block, for a temperature or for its own end.
+        Whether the motion rests after the block, to wait for a temperature or to finish.
     idle
-        Words without effect on motion.
+        Words that have no effect on motion.
     label
-        O number, else -1.
+        O number, -1 without one.
     tags
-        Names and numbers of a comment like ``tension=6.5``.
+        Names and numbers from a comment like ``tension=6.5``.
     acts
-        Words that work the machine beside its axes, as written: ``M3``, ``S300``, ``M280 P0 S90``.
+        Words that switch or set something other than the axes, as written: ``M3``, ``S300``,
+        ``M280 P0 S90``.
     power
-        Number of the S among them, 0 without one.
+        Number of the S word in ``acts``, 0 without one.
     length
-        G43 with its H, as written, empty without one; it is among ``acts``, too.
+        G43 with its H as written, empty without G43; ``acts`` contains it, too.
     """
 
     line: int
@@ -112,12 +114,12 @@ class Block(NamedTuple):
 
     @property
     def goes(self) -> bool:
-        """Whether its axis words are a move."""
+        """Whether the block moves the axes."""
         return bool(self.axes) and self.action != 920
 
 
 def parse_block(text: str, line: int, reading: Reading) -> Block | None:
-    """Return the block on a line, None when it has no words.
+    """Return the block on a line, None when the line has no words.
 
     Raises
     ------
@@ -136,12 +138,12 @@ def parse_block(text: str, line: int, reading: Reading) -> Block | None:
 def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the reader
     raw: RawBlock, line: int, reading: Reading
 ) -> Block:
-    """Return the block of words that were split.
+    """Return the block made of words that are already split.
 
     Raises
     ------
     JobError
-        As ``parse_block`` does.
+        If ``parse_block`` would refuse the line.
     """
     dialect = reading.dialect
     words, tags = raw
@@ -236,8 +238,8 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
                     remedy="Keep one of them.",
                 )
             if dialect.one_command and letter == "P":
-                value -= value % ONE  # parts of a millisecond are not read
-            if dwell_s is None or letter != "P":  # S goes over P
+                value -= value % ONE  # the firmware drops parts of a millisecond
+            if dwell_s is None or letter != "P":  # S wins over P
                 dwell_s = value / ONE * dialect.dwell_s[letter]["." in number]
             continue
         index = reading.axes.get(letter)
@@ -275,9 +277,9 @@ def block_of(  # noqa: PLR0915 - one loop over the words, the hot path of the re
     length += tool
     acts = (length, *acts) if length else acts
     if curve and 640 in settings and not axes and motion not in _CURVED:
-        # G64 P Q: how far LinuxCNC's planner may leave the path, of which the reader makes nothing.
+        # G64 P Q sets how far LinuxCNC's planner may leave the path; the reader ignores it.
         curve = tuple(one for one in curve if one[0] != "Q")
-    if action == 40 and dwell_s is None and p is not None:  # written before the G4
+    if action == 40 and dwell_s is None and p is not None:  # P stands before G4
         dwell_s = p / ONE * dialect.dwell_s["P"]["." in p_number]
     if (
         p is not None or action != -1 or feed is not None or program == 98 or passes is not None
@@ -319,7 +321,7 @@ def _check_use(
     line: int,
     reading: Reading,
 ) -> None:
-    """Refuse words that have no use in their block, or could belong to two others."""
+    """Refuse words that have no use in their block, or that two other words could take."""
     place = Place(reading.file, line)
     if feed is not None and feed <= 0:
         raise JobError(

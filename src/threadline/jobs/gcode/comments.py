@@ -1,9 +1,9 @@
-"""A compiled reader of what stands behind a semicolon: numbers with names, or words for people.
+"""A compiled reader of the text behind a semicolon: tags (names with numbers), or plain comments.
 
-Behind the words of a block ``; tension_N=25 layer=3`` names numbers, the tags of its move. It does
-so only where the whole comment is such pairs. A pair without a number is an error, and a comment
-with anything else in it is for people. This reader follows the rule of ``words``. It leaves to that
-file every line that is wrong, has letters outside ASCII, or has more than it can hold.
+Behind the words of a block, ``; tension_N=25 layer=3`` gives tags to the move of the block. A
+comment gives tags only if it consists of such pairs alone; any other comment is ignored. A pair
+without a number is an error. This reader follows the same rule as ``words``. ``words`` reads every
+line that is wrong, has letters outside ASCII, or has more than this reader can hold.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ MAX_DIGITS = 15
 NOT_PLAIN = -1
 
 NAMES = 16
-"""How many names of tags a program may have; ``words`` reads the blocks with further ones."""
+"""Most tag names that this reader holds; ``words`` reads the blocks with further names."""
 _LETTERS = 32
 POWERS = np.array([float(10**k) for k in range(MAX_DIGITS + 1)])
 
-# Entries of a book of tags: how many names are known, and how many tags the block has; the length
-# of each name, and its letters; then for each tag of the block the index of its name, its digits,
-# and its decimals, which are inverted (``~``) where it is negative.
+# Layout of a book of tags: the number of known names, the number of tags in the block, the length
+# of each name, the letters of each name; then, for each tag of the block, the index of its name,
+# its digits, and its number of decimals (inverted with ``~`` for a negative number).
 KNOWN, IN_BLOCK, _SIZE = 0, 1, 2
 _NAME = _SIZE + NAMES
 WHICH = _NAME + NAMES * _LETTERS
@@ -55,20 +55,20 @@ def name_of(book: IntArray, which: int) -> str:
 def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cost half the speed
     data: NDArray[np.uint8], at: int, behind_words: bool, book: IntArray
 ) -> int:
-    """Read a comment from the byte behind its semicolon on; note the tags of its block in ``book``.
+    """Read a comment from the byte behind its semicolon; note the tags of the block in ``book``.
 
     Returns
     -------
     int
-        Index of the line feed, or of the carriage return before it, that ends the line; NOT_PLAIN
-        where ``words`` has to read the line.
+        Index of the line feed that ends the line, or of the carriage return before it; NOT_PLAIN
+        if ``words`` has to read the line.
     """
     # ruff: noqa: PLR1714, SIM109 - the compiler makes two comparisons of these, not a search
     end = data.shape[0]
     while at < end and (data[at] == BLANK or data[at] == TAB):
         at += 1
     if behind_words and at + 1 < end:
-        # "X 5; Y 6" is refused by the reader: two words in a row are not for here.
+        # The reader refuses "X 5; Y 6": leave a comment that looks like words to ``words``.
         c, d = data[at], data[at + 1]
         if ((UPPER_A <= c <= UPPER_Z) or (LOWER_A <= c <= LOWER_Z)) and not (
             (UPPER_A <= d <= UPPER_Z) or (LOWER_A <= d <= LOWER_Z) or d == EQUALS or d == UNDERSCORE
@@ -84,7 +84,7 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
             at += 1
         if at >= end or data[at] == LF or (at + 1 < end and data[at] == CR and data[at + 1] == LF):
             break
-        # Tags mostly stand in the order of the block before: the next name is tried first.
+        # Most blocks repeat the order of the tags, so the next known name is tried first.
         size = -1
         for _ in range(known):
             which += 1
@@ -99,7 +99,7 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
                     size = length
                     break
         if size == -1:
-            # A new name: a letter or an underscore, then digits and hyphens, too.
+            # A new name starts with a letter or underscore; digits and hyphens may follow.
             size = 0
             while at + size < end:
                 c = data[at + size]
@@ -174,7 +174,7 @@ def _follow_comment(  # noqa: PLR0915 - one loop over the bytes; calls would cos
         if c > LAST_ASCII or (c < BLANK and c != TAB):
             return NOT_PLAIN
         if behind_words and (c == SEMICOLON or c == OPEN):
-            return NOT_PLAIN  # a further part, which may read as a block too
+            return NOT_PLAIN  # the further part may read as a block
         at += 1
     return at
 

@@ -1,6 +1,6 @@
-"""Arcs and splines of part programs (G2, G3, G5): their axes, and their chords in exact positions.
+"""Arcs and splines of part programs (G2, G3, G5), divided into chords with exact positions.
 
-A chord is at most 2 um away from its curve, the default of grbl's own arcs (setting $12, 0.002 mm).
+A chord leaves its curve by at most 2 um, grbl's default for arcs (setting $12, 0.002 mm).
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ _CLOSE_MM, _OFF_MM, _OFF_SHARE = 0.005, 0.5, 0.001
 
 _NO_SWEEP = 1e-12
 _SHORT_SWEEP = 2e-6
-"""Sweep in rad from which controls may take an arc for a full circle: grbl below 5e-7."""
+"""Sweep in rad below which a control may take an arc for a full circle; grbl does below 5e-7."""
 _SINGLE = 6e-8
-"""Share of a number to which single precision rounds it."""
+"""Relative rounding error of a number in single precision."""
 
 Point = tuple[float, float]
 
 
 class Circle(NamedTuple):
-    """Start, end and centre of an arc in mm, and the control that goes along it."""
+    """Start, end and centre of an arc in mm, and the grammar of its control."""
 
     start: Point
     end: Point
@@ -37,7 +37,7 @@ class Circle(NamedTuple):
     grammar: Grammar
 
     def noise(self) -> float:
-        """Return by how much in rad the control may round the sweep."""
+        """Return the rounding error of the control's sweep, in rad."""
         radius = math.dist(self.start, self.centre)
         if not self.grammar.single or not radius:
             return 0.0
@@ -52,14 +52,14 @@ def centre_by_radius(start: Point, end: Point, radius: float, clockwise: bool, a
     start, end
         Points in the plane of the arc, in mm.
     radius
-        Radius in mm, as the word R gives it.
+        Radius in mm, with the sign of the word R.
     at
         Place of the block, for errors.
 
     Raises
     ------
     JobError
-        If no such circle goes through both points, or they are the same.
+        If no circle of this radius goes through both points, or the points are equal.
     """
     u, v = end[0] - start[0], end[1] - start[1]
     apart = math.hypot(u, v)
@@ -84,12 +84,13 @@ def centre_by_radius(start: Point, end: Point, radius: float, clockwise: bool, a
 
 
 def check_centre(start: Point, end: Point, centre: Point, at: Place) -> None:
-    """Refuse a centre with unequal distances from start and end, with the tolerances of grbl.
+    """Refuse a centre whose distances from start and end differ by more than grbl tolerates.
 
     Raises
     ------
     JobError
-        If the radii differ by more than 0.5 mm, or by more than 0.005 mm and 0.1 %, or are 0.
+        If the radii differ by more than 0.5 mm, or by more than both 0.005 mm and 0.1 %, or
+        the first radius is 0.
     """
     first, last = math.dist(start, centre), math.dist(end, centre)
     off = abs(first - last)
@@ -104,16 +105,17 @@ def check_centre(start: Point, end: Point, centre: Point, at: Place) -> None:
 def arc(
     circle: Circle, clockwise: bool, turns: int, at: Place
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield the end of every chord of an arc but the last: share of the arc, x and y in mm.
+    """Yield the end of each chord of an arc except the last: share of the arc, x and y in mm.
 
-    An arc that ends where it begins is a full circle. The radius changes evenly from that of the
-    start to that of the end, or stays up to the last chord where the control keeps it. ``turns`` is
-    the number of turns, the last of which may be a part.
+    An arc that ends where it begins is a full circle. The radius changes evenly from the start
+    radius to the end radius; with ``round_arcs`` the start radius holds up to the last chord.
+    ``turns`` is the number of turns; the last turn may be a partial turn.
 
     Raises
     ------
     JobError
-        If it takes more than ``MOST_CHORDS``, or is so short that the control may go a full circle.
+        If the arc takes more than ``MOST_CHORDS`` chords, or is so short that the control may run
+        a full circle.
     """
     start, end, centre, grammar = circle
     first, last = math.dist(start, centre), math.dist(end, centre)
@@ -149,15 +151,15 @@ def arc(
 def spline(
     start: Point, first: Point, second: Point, end: Point, at: Place
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield the end of every chord of a cubic Bezier curve but the last: parameter, x and y in mm.
+    """Yield the end of each chord of a cubic Bezier curve except the last: parameter, x, y in mm.
 
-    A chord over a step h is at most h^2 max|f''| / 8 away from the curve, and f'' lies between its
-    values at the ends.
+    A chord over a step h leaves the curve by at most h^2 max|f''| / 8. f'' is linear, so its
+    maximum lies at an end.
 
     Raises
     ------
     JobError
-        If it takes more than ``MOST_CHORDS``.
+        If the spline takes more than ``MOST_CHORDS`` chords.
     """
     bend = max(
         math.hypot(*(6.0 * (a - 2.0 * b + c) for a, b, c in zip(*three, strict=True)))
@@ -190,19 +192,19 @@ _MOST_TURNS = 10_000
 
 
 class Curves:
-    """The plane of arcs and the last control point of splines, while a program is read.
+    """The arc plane and the last spline control point while a program is read.
 
     Parameters
     ----------
     reading
         Axes and file of the program.
     linear
-        (axes,) whether an axis is linear.
+        (axes,) whether each axis is linear.
 
     Attributes
     ----------
     plane
-        Ten times 17, 18 or 19, for that G word.
+        Ten times the number of G17, G18 or G19.
     """
 
     def __init__(self, reading: Reading, linear: tuple[bool, ...]) -> None:
@@ -220,14 +222,14 @@ class Curves:
         after: tuple[int, ...],
         tenth_mm: int,
     ) -> Iterator[tuple[int, ...]]:
-        """Return the exact (axes,) ends of all chords but the last.
+        """Return the exact (axes,) ends of all chords except the last.
 
         Parameters
         ----------
         motion
-            2, 3 or 5, for that G word.
+            Number of the G word: 2, 3 or 5.
         block
-            The block.
+            Block with the words of the curve.
         before, after
             Exact positions at the beginning and at the end of the curve.
         tenth_mm
@@ -236,7 +238,7 @@ class Curves:
         Raises
         ------
         JobError
-            If the words give no curve, or an axis of it is rotary or not on the machine.
+            If the words define no curve, or the machine has no such axis, or the axis is rotary.
         """
         at = Place(self._reading.file, block.line)
         if motion == 5 and self.plane != 170:
@@ -323,7 +325,7 @@ class Curves:
         ends: tuple[tuple[float, float], tuple[float, float]],
         at: Place,
     ) -> Iterator[tuple[float, float, float]]:
-        """Return the chords of G5; without I and J it continues the spline of the last G5."""
+        """Return the chords of G5; without I and J they continue the last G5's spline."""
         wrong = [letter for letter in words if letter not in "IJQ"]
         if wrong or p is None or "Q" not in words or ("I" in words) != ("J" in words):
             raise JobError(
@@ -352,5 +354,5 @@ class Curves:
         )
 
 
-_FINE = 10**9  # parts of a millimetre to which the ends of chords are rounded
+_FINE = 10**9  # chord ends are rounded to this fraction of a millimetre
 _STEP = ONE // _FINE

@@ -1,17 +1,18 @@
-"""What two controls that have parameters do not do alike: LinuxCNC and FluidNC.
+"""Dialects of part programs: the words of each control, and its parameters where it has any.
 
-Sources: LinuxCNC 2.9, Overview of G code programming (parameters, expressions, functions) and O
-codes, with its interpreter as an oracle (2.9; in its source of August 2026 EQ is of 1e-6); FluidNC
-4, Expression.cpp, Parameters.cpp and Flowcontrol.cpp.
+Two controls read parameters and expressions, LinuxCNC and FluidNC; ``Flavour`` holds their
+differences. Sources: LinuxCNC 2.9, Overview of G code programming (parameters, expressions,
+functions) and O codes, with its interpreter as an oracle (2.9; in its source of August 2026 the
+tolerance of EQ is 1e-6); FluidNC 4, Expression.cpp, Parameters.cpp and Flowcontrol.cpp.
 
-A word moves, sets a mode, or has no effect on motion; a warning names each of the last once. Words
-that would change motion in a way that is not modelled (tool lengths, cutter radii, canned cycles,
-limits set by the program) are in no table and refused; ``WHY`` says of some what they do.
+A word moves axes, sets a mode, or has no effect on motion; a warning names each word without
+effect once. Words that change motion in a way that is not modelled (tool lengths, cutter radii,
+canned cycles, limits set by the program) are in no table and are refused; ``WHY`` explains some.
 
-Sources: ``linuxcnc``: LinuxCNC 2.9, G Codes and M Codes; ``grbl``: grbl 1.1 wiki and gcode.c;
-``fluidnc``: the same with FluidNC's wiki; ``marlin``: Marlin 2.1, marlinfw.org/meta/gcode;
-``fanuc``: B-63174EN; ``winder``: the printed winder's program with the words that
-``docs/part-programs.md`` lists.
+Sources of the words: ``linuxcnc``: LinuxCNC 2.9, G Codes and M Codes; ``grbl``: grbl 1.1 wiki and
+gcode.c; ``fluidnc``: the grbl sources and FluidNC's wiki; ``marlin``: Marlin 2.1,
+marlinfw.org/meta/gcode; ``fanuc``: B-63174EN; ``winder``: the printed winder's program with the
+words that ``docs/part-programs.md`` lists.
 """
 
 from __future__ import annotations
@@ -35,12 +36,12 @@ _HALF_TURN = np.longdouble("3.14159265358979323846264338327950288") / np.longdou
 
 
 def double(value: float) -> float:
-    """Return a number as LinuxCNC keeps it."""
+    """Return a number as LinuxCNC stores it, in double precision."""
     return value
 
 
 def single(value: float) -> float:
-    """Return a number as FluidNC keeps it, in single precision.
+    """Return a number as FluidNC stores it, in single precision.
 
     >>> single(0.1), single(0.5), single(1e300)
     (0.10000000149011612, 0.5, inf)
@@ -52,46 +53,46 @@ def single(value: float) -> float:
 
 
 def radians(degrees: float) -> np.longdouble:
-    """Return an angle in rad, in extended precision: so that LinuxCNC's sine of 30 is 0.5."""
+    """Return an angle in rad, in extended precision, in which LinuxCNC's sine of 30 is 0.5."""
     return np.longdouble(degrees) * _HALF_TURN
 
 
 def in_degrees(angle: float) -> float:
-    """Return an angle, given in rad, in degrees."""
+    """Return an angle in degrees; ``angle`` is in rad."""
     return float(np.longdouble(angle) / _HALF_TURN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flavour:
-    """How a control takes parameters, expressions and O words.
+    """How a control reads parameters, expressions and O words.
 
     Parameters
     ----------
     rounded
-        Rounds each number to the precision of the control.
+        Function that rounds a number to the precision of the control.
     alike
-        Numbers that differ by less than this are equal (EQ, NE).
+        Tolerance of EQ and NE: numbers that differ by less are equal.
     alike_later
-        The same in later versions, where LE and GE take such numbers as equal, too; None where
-        versions do not differ.
+        Tolerance in later versions, which apply it to LE and GE, too; None if versions do not
+        differ.
     unset
-        What a numbered parameter is that was never set; None where that is an error.
+        Value of a numbered parameter that was never set; None if reading it is an error.
     readable
-        The first numbered parameter of a program that can be read.
+        Lowest numbered parameter that a program can read.
     subroutines
         Whether O words define and call subroutines, and may be names.
     labels_once
-        Whether a label names one block only (in each subroutine).
+        Whether a label names only one block (in each subroutine).
     breaks_repeats
-        Whether break and continue leave repeat, too.
+        Whether break and continue work in repeat, too.
     loose_comments
-        Whether a semicolon inside parentheses ends the line, a ) without ( is nothing, and a
-        comment ends with its line.
+        Whether a semicolon inside parentheses ends the line, a ) without ( is ignored, and an
+        open comment ends with its line.
     at_motors
-        Whether the position that a program reads is where the motors are as the line is read, and
-        not where the program will have led them.
+        Whether a program reads the position of the motors at the time when its line is parsed,
+        instead of the programmed position.
     paths_configure
-        Whether a name that begins with a slash is an item of the control's configuration.
+        Whether a name that begins with a slash names an item of the control's configuration.
     """
 
     rounded: Callable[[float], float]
@@ -121,7 +122,7 @@ FLUIDNC = Flavour(
 
 Group = str
 CANCEL = 80
-"""Number of the motion mode that G80 sets: none."""
+"""Number of the motion mode after G80: no motion."""
 MMode = Literal["stop", "end", "call", "return", "on", "off", "rest", "wait", "idle"]
 
 _MOTION = {0: "motion", 10: "motion"}
@@ -150,13 +151,13 @@ _MARLIN_IDLE = (
 _MARLIN_M: dict[int, MMode] = {
     **dict.fromkeys(_MARLIN_IDLE, "idle"), 0: "stop", 1: "stop", 3: "on", 4: "on", 5: "off",
     7: "idle", 8: "idle", 9: "idle", 400: "rest", 109: "wait", 190: "wait",
-    30: "idle",  # it deletes a file on the card, and ends nothing
+    30: "idle",  # it deletes a file on the card and does not end the program
 }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Dialect:
-    """The words of a program as one sort of controller reads them.
+    """The words of a part program as one kind of control reads them.
 
     Parameters
     ----------
@@ -165,17 +166,17 @@ class Dialect:
     feed_rule
         Rule for the meaning of F, unless the machine file or an option gives another.
     g
-        Group of each G word, by ten times its number: ``{281: "action"}`` is G28.1. A block has at
-        most one word of each group.
+        Modal group of each G word, by ten times its number: ``{281: "action"}`` is G28.1. A block
+        has at most one word of each group.
     m
         Effect of each M word.
     idle_letters
-        Letters of words for spindle and tool magazine, which have no effect on motion. With one
-        command a line T is that command, and T0 the one tool.
+        Letters of the words for spindle and tool magazine, which have no effect on motion. With
+        ``one_command`` T is a command, and T0 is the only tool.
     streams
-        Whether the lines behind M2 or M30 are run, too: grbl ends no file, whose sender does.
+        Whether the lines behind M2 or M30 run, too: in grbl only the sender ends the file.
     idle_groups
-        Groups of G words that only cancel or select a default, and so have no effect on motion.
+        Groups whose G words only cancel or select a default, and have no effect on motion.
     needs_end
         Whether a program must end with M2, M30 or M99.
     rapid_is_feed
@@ -183,21 +184,22 @@ class Dialect:
     each_g
         Whether every block with axis words needs a G word.
     homes
-        Whether G28 homes the axes that it names; otherwise it moves them by way of a point.
+        Whether G28 homes the axes that it names; otherwise G28 moves them through a point.
     dwell_s
-        Unit in s of each letter of G4, for a whole number and for a number with a point.
+        Unit in s of each dwell letter of G4, for a whole number and for a number with a point.
     points
-        Whether axis words need a decimal point, because without one they would be in least
-        increments.
+        Whether axis words need a decimal point, because the control reads a number without a
+        point in least increments.
     one_command
-        Whether a line has one command: words after an M word belong to it, and a checksum may
-        follow.
+        Whether a line has one command: the words after an M word belong to the M word, and a
+        checksum may follow.
     off_behind
-        Whether M5 and M9 beside a move act behind it. RS274/NGC and its like switch before.
+        Whether M5 and M9 beside a move act after the move. RS274/NGC and similar controls switch
+        before the move.
     flavour
-        How parameters, expressions and O words are taken; None where they are not read.
+        How the control reads parameters, expressions and O words; None if it does not read them.
     grammar
-        What the control's own parser takes of a block.
+        Blocks that the control's own parser takes.
     """
 
     name: DialectName
@@ -251,8 +253,8 @@ SILENT = frozenset(
         503,
     )
 )
-"""M words that show, tell or keep something, and work nothing: a program loses nothing with them.
-M30 deletes a file in Marlin, and ends a program elsewhere, which is no word of the tool either."""
+"""M words that only show, report or store something: a program works the same without them.
+M30 deletes a file in Marlin, and ends a program elsewhere; in neither case does it drive a tool."""
 _CYCLE = "a canned cycle, whose moves are not modelled"
 _RADIUS = "compensation of the cutter's radius, by which the tool would leave the programmed path"
 _BUILT = "what marlin knows only where it is built with"
@@ -262,7 +264,7 @@ WHY: Mapping[int, str] = {
     **dict.fromkeys((382, 383, 384, 385), "probing, whose end nobody knows before"),
     **dict.fromkeys((730, *range(810, 900, 10)), _CYCLE),
 }  # fmt: skip
-"""What G words are that no dialect here has, by ten times their number."""
+"""Meaning of the G words that no dialect here has, by ten times their number."""
 WHY_IN: Mapping[str, Mapping[str, str]] = {
     "grbl": {
         "G64": "no word of grbl, which blends by its own settings",
@@ -284,7 +286,7 @@ WHY_IN: Mapping[str, Mapping[str, str]] = {
         "T": "no word of a machine with one tool, which is T0 on a line of its own",
     },
 }
-"""What words are that the control alone makes something else of, by dialect and word."""
+"""Meaning of the words that one control reads differently, by dialect and word."""
 DIALECTS: Mapping[str, Dialect] = {
     "winder": Dialect(
         name="winder",
@@ -347,12 +349,12 @@ DIALECTS: Mapping[str, Dialect] = {
         off_behind=True,
     ),
 }  # fmt: skip
-"""Dialects by name; X-Winder programs have other words and a reader of their own."""
+"""Dialects by name; X-Winder programs have other words, and ``xwinder`` reads them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What the reading of a block depends on.
+    """The context in which a block is read.
 
     Parameters
     ----------
@@ -373,12 +375,12 @@ class Reading:
 
 
 def dialect_of(machine: Machine, name: str | None) -> str:
-    """Return the name of the dialect: that of the option, or of the machine file without one."""
+    """Return the dialect name from the option, or without one from the machine file."""
     return name if name is not None else machine.programs.dialect
 
 
 def knowing(letter: str, code: int) -> list[str]:
-    """Return the dialects that have a G word (times ten) or an M word."""
+    """Return the dialects that have a G word (ten times its number) or an M word."""
     return [d.name for d in DIALECTS.values() if code in (d.g if letter == "G" else d.m)]
 
 
@@ -391,7 +393,7 @@ def whole(letter: str, number: str, value: int, limit: int, line: int, reading: 
     Raises
     ------
     JobError
-        If it is none.
+        If the number is not whole, or is out of this range.
     """
     if value % ONE or not 0 <= value // ONE <= limit:
         raise JobError(
@@ -416,7 +418,7 @@ def refuse_number(
 
 
 def refuse_without_point(letter: str, number: str, line: int, reading: Reading) -> NoReturn:
-    """Refuse a number without decimal point, whose unit depends on a parameter of the control."""
+    """Refuse a number without a decimal point: a parameter of the control sets its unit."""
     raise JobError(
         f"{letter}{_short(number)} has no decimal point: by its parameter DPI a Fanuc control "
         "reads it in millimetres (degrees) or in thousandths of them",
@@ -426,7 +428,7 @@ def refuse_without_point(letter: str, number: str, line: int, reading: Reading) 
 
 
 def refuse_word(letter: str, number: str, code: int, line: int, reading: Reading) -> NoReturn:
-    """Refuse an unknown word; the error lists the known ones and dialects that have this one."""
+    """Refuse an unknown word; the error lists the known words and the dialects that have it."""
     place = Place(reading.file, line)
     dialect = reading.dialect
     if letter in AXIS_LETTERS:

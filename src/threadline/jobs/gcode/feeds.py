@@ -1,44 +1,44 @@
-"""F words: their meaning, the feeds that they stand for, and the unit of length in force.
+"""F words: their meaning, their feeds, and the unit of length in force.
 
-In G94, F is a speed in mm/min (G20: inch/min). Which speed that is when axes of different kinds
-move together differs from controller to controller. ``RULES`` has their rules by name:
+In G94, F is a speed in mm/min (G20: inch/min). When axes of different kinds move together, each
+kind of control applies F to a different speed. ``RULES`` has the rules by name:
 
-``fastest-axis`` (the default: the printed winder's)
-    of the fastest axis, where a rotary axis counts with the length of its arc at its radius. A
+``fastest-axis`` (the default: the printed winder's rule)
+    F is the speed of the fastest axis; a rotary axis counts with its arc length at its radius. A
     move by the differences d_i takes max_i(r_i |d_i|) / F, r_i = 1 for a linear axis. No axis moves
-    faster than F, and F of a move of one linear axis is its speed.
+    faster than F, and a single linear axis moves at F.
 ``base-axes``
-    of the base axes alone, as CADFIL has it: mode 1 has the base A, mode 2 A and X. The move
-    takes |(r_i d_i), i in the base| / F, and the other axes follow. A move that leaves the base
-    at rest takes the length of all axes instead.
+    F is the speed of the base axes alone, as in CADFIL: mode 1 has the base A, mode 2 the base A
+    and X. The move takes |(r_i d_i), i in the base| / F, and the other axes follow. If the base
+    axes rest, the length over all axes counts instead.
 ``path``
-    along the path of the linear axes; a move of rotary axes alone takes their length at their
-    radii.
+    F is the speed along the path of the linear axes. If only rotary axes move, their arc length at
+    their radii counts.
 ``cadfil``, ``grbl``, ``fluidnc``, ``fanuc``
-    along the path of all axes together, a degree counted as a millimetre: the times in the
-    reports of CADFIL; grbl's and FluidNC's planner, which takes the length of a block over every
-    axis that it has; Fanuc's G01 of linear and rotary axes (B-63174EN, section 4.2: the tangential
-    speed in the Cartesian system of the axes).
+    F is the speed along the path of all axes together, and a degree counts as a millimetre. This
+    rule gives the times in CADFIL's reports; grbl's and FluidNC's planners take the length of a
+    block over every axis; Fanuc's G01 of linear and rotary axes uses the tangential speed in the
+    Cartesian system of the axes (B-63174EN, section 4.2).
 ``linuxcnc``, ``rs274``, ``marlin``
-    along the path of X Y Z; where these rest of U V W; where they rest, too, of A B C in
-    degrees a minute: RS274/NGC version 3 section 2.1.2.5 (which has no U V W), LinuxCNC's canon
-    and Marlin 2.1's ``get_move_distance`` with rotational axes.
+    F is the speed along the path of X Y Z. If X Y Z rest, F is the speed of U V W; if U V W rest,
+    too, F is the speed of A B C in degrees a minute: RS274/NGC version 3 section 2.1.2.5 (which
+    has no U V W), LinuxCNC's canon and Marlin 2.1's ``get_move_distance`` with rotational axes.
 
-The last three rules depend on the letters of the axes alone, as in the firmwares: a mandrel that is
-axis Y of a Marlin counts with the linear axes, a degree as a millimetre. For a move of A B C alone
-F is in degrees, so that G20 does not scale it.
+The rules ``linuxcnc``, ``rs274`` and ``marlin`` depend only on the letters of the axes, as in the
+firmwares: a mandrel on axis Y of a Marlin counts as a linear axis, a degree as a millimetre. For a
+move of A B C alone F is in degrees, so G20 does not scale it.
 
-In G93, F is the inverse of the time of the move in minutes, and every G1 block has its own. G0
+In G93, F is the inverse of the move's time in minutes, and every G1 block needs its own F. G0
 moves as fast as the limits of the machine allow.
 
-The reader reports F as it is written. The operator's normal feed (counts per tick of the fastest
-axis), where a machine file has one, caps it when the path is planned, unless another feed is given:
-the 1994 controller ran the printed program, whose F 12000 would be 200 mm/s, at 10 counts per tick.
-The reader warns where that will happen.
+The reader reports F as written. If the machine file has an operator's normal feed (counts per tick
+of the fastest axis), the planner caps F at it unless another feed is given: the 1994 controller ran
+the printed program at 10 counts per tick, although its F 12000 would be 200 mm/s. The reader warns
+about each capped F.
 
-A subroutine without G20 or G21 has the unit of its caller; one with them leaves its own unit in
-force when it returns. Modes, feeds and calls are therefore noted in order while the file is
-scanned. When all programs are known, the calls are followed from the main program on.
+A subroutine without G20 or G21 uses the unit of its caller; a subroutine with G20 or G21 leaves its
+own unit in force when it returns. The scan therefore notes modes, feeds and calls in order. When
+all programs are known, the calls are followed from the main program.
 """
 
 from __future__ import annotations
@@ -69,14 +69,14 @@ RULES: Mapping[str, tuple[FeedMode, str]] = {
     "rs274": _IN_TURN,
     "marlin": _IN_TURN,
 }
-"""The mode of each rule, and the text of which speed F is."""
+"""Feed mode of each rule, and a text that names the speed set by F."""
 F_MODES = tuple(dict.fromkeys(mode for mode, _ in RULES.values()))
 _WITHOUT_UVW = "rs274"
 
 
 @dataclass(frozen=True, slots=True)
 class FRule:
-    """What F means in G94: ``mode``, by the rule called ``name``."""
+    """The meaning of F in G94: the feed mode ``mode``, from the rule ``name``."""
 
     name: str
     mode: FeedMode
@@ -90,9 +90,10 @@ class FRule:
 
 
 def parse_feed_mode(text: str) -> dict[str, Any]:
-    """Return the reader's options ``feed_mode`` and ``base_axes`` of a text.
+    """Return the reader's options ``feed_mode`` and ``base_axes`` from a text.
 
-    The text is like ``"path"`` or ``"base-axes:A,X"``. The reader refuses unknown rules and axes.
+    Examples of the text are ``"path"`` and ``"base-axes:A,X"``. ``f_rule`` refuses unknown rules
+    and axes.
     """
     mode, _, axes = text.partition(":")
     base = tuple(name.strip().upper() for name in axes.split(",")) if axes.strip() else ()
@@ -105,12 +106,12 @@ def f_rule(
     base_axes: tuple[str, ...] = (),
     of_dialect: str = "fastest-axis",
 ) -> FRule:
-    """Return the rule for F on ``machine``; with None that of its file, else that of the dialect.
+    """Return the rule for F on ``machine``; None: the machine file's rule, else the dialect's.
 
     Raises
     ------
     OptionError
-        If there is no such rule, a base axis is missing or not of the machine, or the machine has
+        If the rule is unknown, a base axis is missing or not on the machine, or the machine has
         axes that the rule does not know.
     """
     if feed_mode is None:
@@ -142,7 +143,7 @@ def f_rule(
 
 
 def normal_feed_m_s(machine: Machine) -> tuple[float, ...] | None:
-    """Return the (axes,) speed of each axis at the tool at the operator's normal feed."""
+    """Return the (axes,) speeds at the tool in m/s at the operator's normal feed."""
     if machine.operator is None:
         return None
     tick_s = float(machine.tick_clock.period_s)
@@ -151,12 +152,12 @@ def normal_feed_m_s(machine: Machine) -> tuple[float, ...] | None:
 
 
 def as_f_words(value_m_s: float, rule: str) -> Feed:
-    """Return the feed of F words of that value, by ``Job.feed_rule``.
+    """Return the feed of an F word of ``value_m_s``, by the rule text of ``Job.feed_rule``.
 
     Raises
     ------
     OptionError
-        If the job has no F words that are a speed.
+        If no F word of the job is a speed.
     """
     name, _, base = rule.partition(":")
     if name not in RULES:
@@ -168,7 +169,7 @@ def as_f_words(value_m_s: float, rule: str) -> Feed:
 
 
 def of_which(rule: str) -> str:
-    """Return of which speed F is, in words, by ``Job.feed_rule``.
+    """Return a text that names the speed set by F, by the rule text of ``Job.feed_rule``.
 
     >>> of_which("base-axes:A,X"), of_which("x-winder")
     ('of the base axes, a rotary axis at its radius', 'of the carriage, a second')
@@ -182,7 +183,7 @@ _MM_PER_M = 1000 * ONE
 
 
 class KeptFeeds:
-    """Feeds by their mode and value, so that equal feeds are one object.
+    """A store of feeds by mode and value, so that equal feeds are one object.
 
     Parameters
     ----------
@@ -195,7 +196,7 @@ class KeptFeeds:
         self._kept: dict[tuple[FeedMode, float], Feed] = {}
 
     def feed(self, value: float, *, inverse_time: bool) -> Feed:
-        """Return the feed with ``value`` in m/s, in G93 (``inverse_time``) in 1/s."""
+        """Return the feed of ``value`` in m/s, or in 1/s in G93 (``inverse_time``)."""
         rule = self._rule
         mode = FeedMode.INVERSE_TIME if inverse_time else rule.mode
         feed = self._kept.get((mode, value))
@@ -209,17 +210,17 @@ class KeptFeeds:
 
 @lru_cache(maxsize=_MOST)
 def travelling(feed: Feed) -> Feed:
-    """Return the feed of a G0 that goes at ``feed``."""
+    """Return the travel feed of a G0 that moves at ``feed``."""
     return feed if feed.travels else replace(feed, travel=True)
 
 
 def value_of(word: int, tenth_mm: int, *, inverse_time: bool) -> float:
-    """Return what the word F stands for: m/s, in G93 (``inverse_time``) 1/s.
+    """Return the value of an F word in m/s, or in 1/s in G93 (``inverse_time``).
 
     Parameters
     ----------
     word
-        The word, exactly.
+        Exact number of the F word.
     tenth_mm
         Tenths of a millimetre in the unit of length.
     """
@@ -235,7 +236,7 @@ _MAX_NOTES = 100_000
 
 
 class _Modes(NamedTuple):
-    """Tenths of a millimetre, and whether F is an inverse of a time; None: as at the call."""
+    """Unit in tenths of a millimetre, and whether F is an inverse time; None: as at the call."""
 
     unit: int | None = None
     inverse: bool | None = None
@@ -263,27 +264,27 @@ _Note = _Modes | _Feed | _Call
 @dataclass(slots=True)
 class _Program:
     notes: list[_Note] = field(default_factory=list)
-    feeds: set[int] = field(default_factory=set)  # noted since a mode may have changed
+    feeds: set[int] = field(default_factory=set)  # noted since the last change of modes
 
 
 @dataclass(slots=True)
 class FeedNotes:
     """The modes, feeds and calls of every program of a file, in order.
 
-    At most a hundred thousand are kept, so that memory is bounded; repetitions are left out.
+    At most 100 000 notes are kept, so memory is bounded; repeated notes are left out.
     """
 
     _programs: dict[int | None, _Program] = field(default_factory=dict)
     _count: int = 0
 
     def set_mode(self, program: int | None, code: int) -> None:
-        """Note ten times G20, G21, G93 or G94; any other code changes nothing here."""
+        """Note G20, G21, G93 or G94 (ten times its number); any other code has no effect."""
         modes = _Modes(_UNITS.get(code), _INVERSE.get(code))
         if modes != _Modes():
             self._change(program, modes)
 
     def feed(self, program: int | None, exact: int, line: int) -> None:
-        """Note an exact F."""
+        """Note an exact F and its line."""
         kept = self._programs.setdefault(program, _Program())
         if exact not in kept.feeds and self._count < _MAX_NOTES:
             self._count += 1
@@ -291,7 +292,7 @@ class FeedNotes:
             kept.notes.append(_Feed(exact, line))
 
     def call(self, program: int | None, label: int, passes: int) -> None:
-        """Note a call."""
+        """Note a call of a subroutine and its passes."""
         self._change(program, _Call(label, passes > 1))
 
     def _change(self, program: int | None, note: _Modes | _Call) -> None:
@@ -302,9 +303,9 @@ class FeedNotes:
             kept.notes.append(note)
 
     def speeds(self, main: int | None) -> dict[tuple[int, int], int]:
-        """Return the first line of each speed F (in G94) of the programs that are run.
+        """Return the first line of each F in G94, over the programs that run.
 
-        The keys are exact F and its unit in tenths of a millimetre.
+        The keys are the exact F and its unit in tenths of a millimetre.
 
         Parameters
         ----------
@@ -332,7 +333,7 @@ class FeedNotes:
     def _followed(
         self, program: int | None, modes: _Modes, left: dict[int | None, _Modes]
     ) -> Iterator[tuple[_Note, _Modes]]:
-        """Yield the notes of a program that begins in ``modes``, each with the modes before it."""
+        """Yield each note of a program that begins in ``modes``, with the modes before the note."""
         for note in self._programs.get(program, _Program()).notes:
             yield note, modes
             if isinstance(note, _Modes):
@@ -341,7 +342,7 @@ class FeedNotes:
                 modes = modes.then(self._left(note.label, left))
 
     def _left(self, program: int | None, left: dict[int | None, _Modes]) -> _Modes:
-        """Return the modes that a program leaves behind, None for those that it leaves alone."""
+        """Return the modes that a program sets; None for a mode that it does not set."""
         if program not in left:
             modes = _Modes()
             for note in self._programs.get(program, _Program()).notes:

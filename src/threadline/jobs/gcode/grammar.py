@@ -1,8 +1,8 @@
-"""What each control's own parser takes: of a line, of the words of a block, of arcs.
+"""The lines, blocks and arcs that each control's own parser takes.
 
-``dialects`` has the words of a control and their meaning. A word that is known may still stand
-where the control refuses it, drops it, or gives it to another word; such a block is refused here,
-so that no other motion is planned than the control makes.
+``dialects`` has the words of a control and their meaning. A control may refuse or drop a known
+word, or give it to another word; this file refuses such a block, so that the planned motion is
+the motion that the control makes.
 
 Sources: grbl 1.1 (``gcode.c``, ``protocol.c``, ``motion_control.c``), FluidNC 4 (``GCode.cpp``,
 ``MotionControl.cpp``), Marlin 2.1 as its files configure it (``parser.cpp``, ``queue.cpp``, the
@@ -37,57 +37,57 @@ class Grammar:
     Parameters
     ----------
     longest
-        The most characters of a line; 0 for no limit but the reader's.
+        Most characters of a line; 0: only the reader's limit applies.
     packed
-        Whether blanks and comments do not count as characters of a line.
+        Whether the control does not count blanks and comments as characters of a line.
     letters
-        Letters that have no use, although the dialect has them.
+        Letters that the control refuses, although the dialect has them.
     most
-        Greatest number of a letter, by the letter.
+        Greatest number after each letter.
     unsigned
-        Letters whose number is not negative.
+        Letters whose number must not be negative.
     alone
-        G words of which a block has one at most, as ten times their numbers.
+        Ten times the numbers of the G words that exclude each other in a block.
     m_kinds
-        Kind of each M word of which a block has one at most.
+        Kind of each M word; a block has at most one word of each kind.
     takes_axes
-        G words that take the axis words of their block, of which it has one at most.
+        G words that take the axis words of their block; a block has at most one of them.
     loses_axes
-        G words that take the axis words of their block and do nothing with them.
+        G words that take the axis words of their block and ignore them.
     needs_p
         M words that need a P.
     of_sender
-        M words that the control refuses with their whole line: what sends the program takes them
-        out, and stops there. No other words than N S T stand beside them.
+        M words that the control refuses with their whole line: the sender takes them out and stops
+        there. Only N, S and T may stand beside them.
     split_comments
         Whether a semicolon inside parentheses ends the line.
     feed_first
-        Whether G1 G2 G3 need a feed even in a block without axis words.
+        Whether G1, G2 and G3 need a feed even in a block without axis words.
     forgets_feed
-        Whether G93 and G94 take F back where they are in force already.
+        Whether G93 and G94 reset F even if they are in force already.
     numbers_first
-        Whether N stands in front of its line alone.
+        Whether N may stand only at the front of its line.
     cancelled
-        Whether no word takes axis words while G80 is in force.
+        Whether axis words are an error while G80 is in force.
     reset_last
-        Whether the axis words beside G92.1 still count from the zero that it takes back.
+        Whether axis words beside G92.1 still count from the zero that G92.1 cancels.
     turns
-        Whether P of an arc is the number of its turns.
+        Whether P in an arc block is the number of turns.
     arc_ends
         Whether an arc needs an axis word of its plane.
     round_arcs
-        Whether an arc keeps the radius of its start up to its last chord, which leads to its end.
+        Whether an arc keeps its start radius up to the last chord, which leads to the end.
     single
         Whether positions have single precision.
     exact_circles
-        Whether an arc is a full circle only where it ends at its start, and none at all where it
-        ends elsewhere in that direction.
+        Whether an arc is a full circle only if it ends at its start; an end elsewhere in the same
+        direction then gives no turn at all.
     tape
-        What a line with % is: the ends of a program; its beginning on the first line alone; or an
-        error of the control.
+        Meaning of a line with %: empty: it opens and closes a program; ``first``: it opens a
+        program only on the first line; ``refused``: the control reports an error.
     realtime
-        Bytes, as a pattern, that act as a sender sends them, in comments, too; none where nothing
-        does.
+        Pattern of the bytes that act at once when they are sent, even in a comment; empty if no
+        byte does.
     """
 
     longest: int = 0
@@ -144,12 +144,12 @@ MARLIN = Grammar(longest=95, letters="LO", round_arcs=True, single=True, exact_c
 
 
 def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
-    """Refuse a line that a control would cut off or read otherwise.
+    """Refuse a line that the control would cut off or read differently.
 
     Raises
     ------
     JobError
-        If it is too long, or has a semicolon in a comment that ends the line.
+        If the line is too long, or a semicolon in a comment ends it for the control.
     """
     if grammar.split_comments and _SPLIT_COMMENT.search(text):
         raise JobError(
@@ -162,12 +162,12 @@ def check_line(text: str, grammar: Grammar, name: str, place: Place) -> None:
 
 
 def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
-    """Refuse a line that is longer than the control takes.
+    """Refuse a line that is too long for the control.
 
     Raises
     ------
     JobError
-        With its length.
+        If the line is too long; the message has its length.
     """
     if grammar.longest and len(text) > grammar.longest:
         size = len(text)
@@ -183,10 +183,10 @@ def check_length(text: str, grammar: Grammar, name: str, place: Place) -> None:
 
 
 def one_command(text: str, place: Place) -> str:
-    """Return a line of a firmware with one command a line, as words with numbers.
+    """Return a line of a one-command firmware as words with numbers.
 
-    The text of M117 and the like is removed, and so are the number of the line and its checksum,
-    which is compared. Letters without number, which name the axes of G28, get the number 0.
+    The text of M117 and similar words, the line number and the checksum are removed; the checksum
+    is compared first. Letters without a number, which name the axes of G28, get the number 0.
 
     >>> here = Place("a.gcode", 1)
     >>> one_command("N3 G28 X Y*17", here), one_command("M117 hello X1", here)
@@ -195,7 +195,7 @@ def one_command(text: str, place: Place) -> str:
     Raises
     ------
     JobError
-        If a checksum is wrong or lacking, or the firmware would run something else than is written.
+        If a checksum is wrong or missing, or the firmware would run other words than written.
     """
     code, mark, comment = text.partition(";")
     code = _without_checksum(code, place)
@@ -240,13 +240,13 @@ def one_command(text: str, place: Place) -> str:
 
 
 def number_of_line(text: str) -> int | None:
-    """Return the number with which a line of a firmware begins, None without one."""
+    """Return the line number (N) at the front of a line, None without one."""
     found = _NUMBER_OF_LINE.match(text)
     return None if found is None else int(found[1])
 
 
 def _without_checksum(code: str, place: Place) -> str:
-    """Return a line without its checksum, and without its number where it has one."""
+    """Return a line without its checksum and without its line number."""
     number, checksum = _NUMBER_OF_LINE.match(code), _CHECKSUM.search(code)
     if number is None and checksum is None:
         return code
@@ -273,12 +273,12 @@ def _without_checksum(code: str, place: Place) -> str:
 
 
 def check_first_alone(words: Sequence[tuple[str, str]], name: str, place: Place) -> None:
-    """Refuse what a firmware does not run that takes one command from each line.
+    """Refuse words that a one-command firmware would not run.
 
     Raises
     ------
     JobError
-        If there is one.
+        If the line has a second command, or an F that the firmware does not read.
     """
     commands = [f"{letter}{number}" for letter, number in words if letter in "GMT"]
     if not commands:
@@ -306,12 +306,12 @@ def check_words(
     name: str,
     at: Place,
 ) -> None:
-    """Refuse the words of a block that a control does not take together.
+    """Refuse words that a control does not take together in a block.
 
     Raises
     ------
     JobError
-        With the words, if there are such.
+        If the block has such words; the message names them.
     """
     alone: list[str] = []
     takers: list[str] = []
@@ -320,7 +320,7 @@ def check_words(
     for place, (letter, number) in enumerate(words):
         value = exact(number)
         if value is None:
-            continue  # refused by who reads it
+            continue  # ``block_of`` refuses it
         if letter == "N" and (place or "." in number) and grammar.numbers_first:
             raise JobError(
                 f"{name} takes N{number} in front of the line alone, and without a point",

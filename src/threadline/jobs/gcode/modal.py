@@ -1,4 +1,4 @@
-"""The modes and the exact position of a part program, and what each of its blocks does to them."""
+"""The modes and the exact position of a part program, and the effect of each block on them."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ _LENGTHS = "XYZUVW"
 
 @dataclass(frozen=True, slots=True)
 class ProgramText:
-    """A part program that has been checked, and how its blocks are read.
+    """A checked part program and the settings for reading its blocks.
 
     Parameters
     ----------
     linear
-        (axes,) whether an axis is linear.
+        (axes,) whether each axis is linear.
     rule
         Meaning of F in G94.
     systems
@@ -59,12 +59,12 @@ class ProgramText:
 
 
 class Modal:
-    """The state of one reading. Positions are exact: 10**-18 mm or degrees.
+    """The state of one reading; positions are exact, in units of 10**-18 mm or degrees.
 
     Parameters
     ----------
     program
-        What is read.
+        Program to read.
     """
 
     def __init__(self, program: ProgramText) -> None:
@@ -80,8 +80,8 @@ class Modal:
         self._motion = -1
         self._cancelled = False  # by G80
         self._relative = False
-        self._tenth_mm = MILLIMETRE  # in the unit of length
-        self._feed_tenth_mm = MILLIMETRE  # and in that in which the feed was given
+        self._tenth_mm = MILLIMETRE  # the unit of length in force
+        self._feed_tenth_mm = MILLIMETRE  # the unit of length in which F was given
         axes = enumerate(program.reading.axes)
         self._lengths = [index for index, name in axes if name in _LENGTHS]
         self._inverse_time = False
@@ -97,7 +97,7 @@ class Modal:
         self._first_system = next(zeros, FIRST)
 
     def _ends(self, block: Block) -> bool:
-        """Say whether nothing is run behind a block that ends a program."""
+        """Say whether the reading ends at a block, because its M word ends the program."""
         return block.ends == "end"
 
     def _put(self, index: int, exact: int) -> None:
@@ -132,7 +132,7 @@ class Modal:
             if block.action != -1 and not later:
                 given = {index: self._scaled(index, value) for index, value in block.axes}
                 if block.action == _SHIFT and not self._moved:
-                    # The plan begins at 0, wherever the control thinks that it is.
+                    # The plan begins at 0, whatever position the control shows.
                     named = " ".join(f"{self._letters[index]}0" for index in given)
                     shift = ToolEvent("G92", 0.0, self._source(block), f"G92 {named}")
                     self._waiting.append(shift)
@@ -149,13 +149,13 @@ class Modal:
         if self._ends(block):
             yield from self._rest(Stop(True, self._source(block)))
         elif block.ends == "end" and self._acted:
-            # What begins anew behind an end begins with spindle and coolant off.
+            # A program that goes on after an end starts with spindle and coolant off.
             yield from self._rest(ToolEvent(_ALL_OFF, 0.0, self._source(block), _ALL_OFF))
         elif block.ends == "end":
             yield from self._rest(Dwell(0.0, self._source(block)))
 
     def _split(self, block: Block) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """Return the acting words of a block before its motion, and those behind it."""
+        """Return the acting words before the motion of a block, and the words after the motion."""
         behind: tuple[str, ...] = ()
         if block.ends == "stop" and block.program != _CHANGE:
             behind = block.acts if self._dialect.one_command else (f"M{block.program}",)
@@ -165,7 +165,7 @@ class Modal:
         return first, tuple(word for word in block.acts if word in behind)
 
     def _worked(self, block: Block, words: tuple[str, ...]) -> Iterator[Operation]:
-        """Return what acting words of a block are; what needs no rest goes with the next move."""
+        """Return the operations of acting words; words that need no rest go with the next move."""
         if not words:
             return
         self._acted = True
@@ -179,13 +179,13 @@ class Modal:
             self._waiting.append(ToolEvent(text, block.power, source, text, beside))
 
     def _rest(self, item: Operation) -> Iterator[Operation]:
-        """Yield what waits for the next move before an operation that the motion rests for."""
+        """Yield the waiting tool events, then an operation for which the motion rests."""
         yield from self._waiting
         self._waiting = []
         yield item
 
     def _acting(self, source: Source) -> tuple[ToolEvent, ...]:
-        """Return what happens as the next move begins, which comes from ``source``."""
+        """Return the tool events at the start of the next move, which comes from ``source``."""
         if not self._moved and self._first_system != FIRST:
             word = f"G{self._first_system // 10}"
             self._waiting.append(ToolEvent(word, 0.0, source, word))
@@ -199,7 +199,7 @@ class Modal:
         return Move(tuple(self._position), feed, source, tags, acts)
 
     def _check_modes(self, block: Block) -> None:
-        """Refuse words that the modes in force leave without use, or forbid."""
+        """Refuse words that the modes in force forbid or leave without use."""
         grammar = self._dialect.grammar
         if block.curve and not (
             self._motion in CURVED and block.action not in (*TAKES_AXES, DWELL)
@@ -233,7 +233,7 @@ class Modal:
             )
 
     def _check_feed(self, block: Block) -> None:
-        """Refuse a word of motion at a feed, whether it moves or not, before there is one."""
+        """Refuse G1, G2 or G3 without a feed, even in a block without axis words."""
         if self._inverse_time and block.feed is None:
             raise self._error(
                 block.line,
@@ -262,7 +262,7 @@ class Modal:
             elif code in (930, 940) and (
                 self._inverse_time != (code == 930) or self._dialect.grammar.forgets_feed
             ):
-                # A number that was a speed is no inverse of a time.
+                # A speed must not become an inverse time, or the reverse.
                 self._inverse_time = code == 930
                 self._feed = None
             elif code in (170, 180, 190):
@@ -281,7 +281,7 @@ class Modal:
         return value * self._tenth_mm // 10 if self._linear[index] else value
 
     def _go(self, block: Block) -> None:
-        """Set the position to that of the axis words of ``block``."""
+        """Set the position to the axis words of ``block``."""
         base: Sequence[int] = self._exact if self._relative else self._zeros.offset
         if MACHINE in block.settings:
             base = self._zeros.machine
@@ -292,7 +292,7 @@ class Modal:
         rapid = self._motion == 0 and not self._dialect.rapid_is_feed
         feed = RAPID if rapid else self._feed
         if feed is None and self._motion == 0 and self._stays(block):
-            feed = RAPID  # it takes no time at any feed: planners begin so
+            feed = RAPID  # no feed matters for no motion; CAM programs begin like this
         if self._motion == -1 or (self._dialect.each_g and block.motion == -1):
             raise self._error(
                 block.line,
@@ -329,14 +329,14 @@ class Modal:
         yield self._to(feed, source, tags)
 
     def _stays(self, block: Block) -> bool:
-        """Return whether the axis words of a block are the present position."""
+        """Return whether the axis words of a block name the present position."""
         base = self._exact if self._relative else self._zeros.offset
         return all(base[i] + self._scaled(i, v) == self._exact[i] for i, v in block.axes)
 
     def _along(
         self, block: Block, before: tuple[int, ...], feed: Feed, source: Source, tags: Tags
     ) -> Iterator[Operation]:
-        """Return the chords of an arc or spline, of which the last ends where the block does."""
+        """Return the chords of an arc or spline; the last chord ends at the end of the block."""
         after = tuple(self._exact)
         points = list(self._curves.points(self._motion, block, before, after, self._tenth_mm))
         chords = len(points) + 1
@@ -351,9 +351,9 @@ class Modal:
         yield self._to(feed, source, tags)
 
     def _return_to_start(self, block: Block) -> Iterator[Operation]:
-        """Return the moves of G28: by way of the words of the block, then home.
+        """Return the moves of G28: to the axis words of the block, then to the home position.
 
-        A controller that homes goes there at once, and its zero is there afterwards.
+        A control that homes moves to the home position directly, and has its zero there afterwards.
         """
         source = self._source(block)
         if block.axes and not self._dialect.homes:

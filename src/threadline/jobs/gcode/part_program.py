@@ -40,23 +40,23 @@ from threadline.machine import Machine
 
 _STEADY_PASS = 3
 _FINE = ONE // kernel.STEPS
-_ANEW = (170, FIRST, 900, 940)  # with G1: what M2 and M30 set (grbl 1.1, gcode.c)
+_ANEW = (170, FIRST, 900, 940)  # M2 and M30 set these modes and G1 (grbl 1.1, gcode.c)
 
 
 @dataclass(frozen=True, slots=True)
 class PartProgram(ProgramText):
-    """A scanned part program, which can be read any number of times.
+    """A scanned part program; it can be read any number of times.
 
     Parameters
     ----------
     structure
-        The programs of the file.
+        Programs of the file, and their calls.
     """
 
     structure: Structure
 
     def runs(self) -> Iterator[Operation | MoveRun]:
-        """Return the operations from the start position on, moves in runs.
+        """Return the operations from the start position, with moves in runs.
 
         Raises
         ------
@@ -66,36 +66,36 @@ class PartProgram(ProgramText):
         return (item for item, _, _ in Interpreter(self).run())
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return the operations with passes that repeat each other given once.
+        """Return the operations, with one pass in place of passes that repeat.
 
-        From its third pass on a subroutine makes the same moves in every pass: the first has set
-        its modes, and the second, in these, has placed every axis that it places absolutely. The
-        third pass therefore stands for all that follow.
+        From its third pass, a subroutine makes the same moves in every pass: the first pass sets
+        the modes, and the second pass, in these modes, moves every absolutely programmed axis to
+        its place. The third pass therefore stands for all later passes.
 
         Returns
         -------
         iterator
-            Of operations and runs, each with the number of times it happens and the line of the
-            call in the main program that it comes from (0 for operations of the main program). A
-            move that happens 0 times gives the position after the passes that were left out.
+            Operations and runs, each with its number of times and the line of its call in the main
+            program (0 for operations of the main program). A move with 0 times gives the position
+            after the passes that were left out.
 
         Raises
         ------
         JobError
-            As ``runs`` does.
+            If a block lacks a feed or a mode of motion.
         """
         return Interpreter(self, fold=True).run()
 
 
 class Interpreter(Modal):
-    """The state of one reading, with the calls that are open.
+    """The state of one reading, with its open calls.
 
     Parameters
     ----------
     program
-        What is read.
+        Program to read.
     fold
-        Whether the third pass of a subroutine stands for all that follow.
+        Whether the third pass of a subroutine stands for all later passes.
     """
 
     def __init__(self, program: PartProgram, fold: bool = False) -> None:
@@ -106,7 +106,7 @@ class Interpreter(Modal):
         self._text = KeptText(program.file, program.reading)
 
     def run(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return operations and runs, with their times and the line of the main program's call."""
+        """Return operations and runs, each with its times and the line of the main call."""
         structure = self._structure
         frames = [Frame(structure.main, self._text.lines_of(structure.main), 1, 1)]
         while frames:
@@ -159,11 +159,11 @@ class Interpreter(Modal):
                 self._set(_ANEW)
 
     def _ends(self, block: Block) -> bool:
-        """Say whether nothing is run behind a block that ends a program."""
+        """Say whether the reading ends at a block, because no later line runs."""
         return block.ends == "end" and block.line >= self._structure.main.closes
 
     def _advance(self, frame: Frame) -> None:
-        """Set the position to the one after all passes that were folded into one."""
+        """Set the position to the end of all passes that one pass stands for."""
         axes = len(self._exact)
         for index, start in enumerate(frame.start[:axes]):
             self._put(index, start + frame.folded * (self._exact[index] - start))
@@ -172,12 +172,12 @@ class Interpreter(Modal):
                 values[index] = start + frame.folded * (values[index] - start)
 
     def _read_plain(self, lines: Lines) -> MoveRun | None:
-        """Read plain blocks with the compiled reader; return their moves, None without any."""
+        """Read plain blocks with the compiled reader; return their moves, None without moves."""
         plain = self._plain
         for to, numbers in ((plain.exact, self._exact), (plain.offset, self._zeros.offset)):
             for index, exact in enumerate(numbers):
                 if exact % _FINE or not -kernel.EXACT_LIMIT < exact // _FINE < kernel.EXACT_LIMIT:
-                    return None  # more digits than the kernel has
+                    return None  # the kernel cannot hold these digits
                 to[index] = exact // _FINE
         plain.position[:] = self._position
         plain.feed[0] = math.nan if self._feed is None else self._feed.value
@@ -215,7 +215,7 @@ class Interpreter(Modal):
         return travelling(self._feed_of(value)) if self._dialect.rapid_is_feed else RAPID
 
     def _in_degrees(self, plain: PlainReader, count: int, before: tuple[float, ...]) -> FloatArray:
-        """Return the (count,) feeds of the moves just read, with inches undone for A B C alone."""
+        """Return the (count,) feeds of the last moves, without inches for moves of A B C alone."""
         values = plain.out_feed[:count]
         if self._feed_tenth_mm == self._tenth_mm == MILLIMETRE:
             return values
@@ -246,29 +246,29 @@ def read_part_program(
 ) -> Job:
     """Return the job of a part program.
 
-    The file is read once here: every block is checked, and the moves are counted, with the passes
-    of calls multiplied. The job reads the file again in every iteration.
+    This function reads the file once: it checks every block and counts the moves, multiplied by
+    the passes of the calls. The job reads the file again in every iteration.
 
     Parameters
     ----------
     path
-        A program in the dialect of ``docs/part-programs.md``.
+        Part program in a dialect of ``docs/part-programs.md``.
     machine
         Machine whose axes the program may move.
     dialect
-        Name of the dialect; that of the machine file when None.
+        Name of the dialect; None: the machine file's dialect.
     feed_mode, base_axes
-        Rule for the meaning of F (``threadline.jobs.gcode.feeds``); that of the machine file, or
-        else of the dialect, when None.
+        Rule for the meaning of F (``threadline.jobs.gcode.feeds``); None: the machine file's rule,
+        else the dialect's.
 
     Raises
     ------
     JobError
-        With file and line, if the program cannot be read, or the machine has no axes.
+        If the program cannot be read, or the machine has no axes; the error names file and line.
     BudgetError
-        If it has more moves than the machine's tick budget.
+        If the program has more operations than the machine's tick budget.
     OptionError
-        If the options do not fit together.
+        If there is no such dialect, or the options for F do not fit the machine.
     """
     path = Path(path)
     if not machine.axis_names:
@@ -343,7 +343,7 @@ def _dialect(machine: Machine, option: str | None) -> Dialect:
 
 
 def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> None:
-    """Refuse more operations than the tick budget: each takes at least one tick."""
+    """Refuse more operations than the tick budget: each operation takes at least one tick."""
     budget = int(machine.tick_budget.si)
     main = structure.main
     totals = structure.totals[main.label]
@@ -368,7 +368,7 @@ def _check_budget(structure: Structure, file: SourceFile, machine: Machine) -> N
 def _capped(
     findings: Findings, moved: list[int], label: int | None, machine: Machine, file: SourceFile
 ) -> tuple[str, ...]:
-    used = moved or range(len(machine.axis_names))  # G28 alone names none
+    used = moved or range(len(machine.axis_names))  # G28 without axis words names no axis
     caps_m_s = normal_feed_m_s(machine)
     if machine.operator is None or caps_m_s is None:
         return ()
@@ -455,7 +455,7 @@ _ACT_NOW = {"!": "holds the feed", "~": "goes on behind a hold", "?": "asks for 
 
 
 def _realtime(file: SourceFile, dialect: Dialect) -> list[str]:
-    """Return a warning of characters that act where a plain sender sends comments, too."""
+    """Return a warning of characters that act at once if a sender sends comments, too."""
     if not dialect.grammar.realtime:
         return []
     line, letter = first_found(file, dialect.grammar.realtime)

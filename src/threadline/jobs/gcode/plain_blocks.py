@@ -1,12 +1,12 @@
 """A compiled reader of the plain blocks of a part program.
 
-Nearly all lines of a long program are plain: N, G0 G1 G90 G91, axis words, F, a comment, tags. This
-reader handles them. It stops before the first line that is anything else, is wrong, or has too many
-digits; ``block`` and ``interpreter`` read that line. They can read plain blocks, too, and tests
-compare the two.
+Almost all lines of a long program are plain: N, G0 G1 G90 G91, axis words, F, a comment, tags. This
+reader takes plain lines. It stops before the first line that has other words, is wrong, or has too
+many digits; ``block`` and ``part_program`` read that line. They can read plain blocks, too, and
+tests compare both readers.
 
 Positions are integers of 1e-7 mm or degrees below 2**53. Their conversion to SI is therefore
-correctly rounded, like that of the interpreter's exact integers.
+correctly rounded, as is the conversion of the interpreter's exact integers.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ STEPS = 10**7
 PLACES = 7
 EXACT_LIMIT = 2**53
 
-# Entries of the state vector.
+# Indices of the state vector.
 MOTION, RELATIVE, TENTH_MM, INVERSE, LINE, AT, FOLLOW, RAPID_FEED, EACH_G, RAPID_F = range(10)
 LONGEST, FEED_FIRST, SPLIT_COMMENTS, ONE_COMMAND = range(10, 14)
 STATE_SIZE = 14
@@ -84,43 +84,43 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
     out_tag: FloatArray,
     tagged: IntArray,
 ) -> int:
-    """Read plain blocks from ``state[AT]`` on; return the number of moves written.
+    """Read plain blocks from ``state[AT]``; return the number of moves written.
 
     Parameters
     ----------
     data
-        (bytes,) whole lines.
+        (bytes,) whole lines of the program.
     axis_of
-        (128,) index of the axis by letter, -1 for none.
+        (128,) index of the axis by letter, -1 for a letter without an axis.
     linear
-        (axes,) whether an axis is linear.
+        (axes,) whether each axis is linear.
     state
-        (STATE_SIZE,) modes, line and place in ``data``; updated. With FOLLOW 0 the words are
-        checked and noted and no position is computed; with RAPID_FEED not 0 a G0 goes at the feed;
-        with EACH_G not 0 axis words need a G word in their block. RAPID_F becomes the line of the
-        first G0 with an F. Lines of more bytes than LONGEST are left out, with FEED_FIRST not 0
-        those with G1 and no axis words, with SPLIT_COMMENTS not 0 those with a semicolon in
-        parentheses, and with ONE_COMMAND not 0 all but those that begin with their one G word in
-        capital letters, without a comment in parentheses.
+        (STATE_SIZE,) modes, line and place in ``data``; updated. If FOLLOW is 0, words are checked
+        and noted and no position is computed. If RAPID_FEED is not 0, G0 moves at the feed. If
+        EACH_G is not 0, axis words need a G word in their block. RAPID_F becomes the line of the
+        first G0 with an F. The reader stops before a line of more than LONGEST bytes; if FEED_FIRST
+        is not 0, before a line with G1 and no axis words; if SPLIT_COMMENTS is not 0, before a line
+        with a semicolon in parentheses; if ONE_COMMAND is not 0, before a line that does not begin
+        with its only G word, or has small letters or a comment in parentheses.
     offset
         (axes,) position of the programmed zero, in 1e-7 mm or degrees.
     exact, position
-        (axes,) in 1e-7 mm or degrees, and in m or rad; updated.
+        (axes,) present position in 1e-7 mm or degrees, and in m or rad; updated.
     feed
-        (1,) F in m/s, or 1/s in G93; nan before the first F; updated.
+        (1,) F in m/s, or in 1/s in G93; NaN before the first F; updated.
     out_position, out_feed, out_line
-        (room, axes), (room,), (room,): the moves; the feed of a G0 is -1, or with its sign turned
-        where it goes at the feed.
+        (room, axes), (room,), (room,) targets, feeds and lines of the moves. The feed of a G0 is
+        -1, or the negative feed if G0 moves at the feed.
     out_word
-        (room,) F of the block times 1e7, -1 where it has none.
+        (room,) F of the block times 1e7, -1 without F.
     used
-        (axes,) axes that have words; updated.
+        (axes,) whether each axis has a word in the program; updated.
     book
-        (BOOK_SIZE,) names and values of tags, see ``comments``; updated.
+        (BOOK_SIZE,) names and values of tags (see ``comments``); updated.
     out_tag, tagged
-        (names, room), (names,): tags of the moves, NaN where a move has none, and the number of
-        moves up to the last that has each, 0 where none has; updated with FOLLOW not 0. Nothing is
-        written behind that move.
+        (names, room), (names,) tag values of the moves, NaN for a move without the tag; and for
+        each tag the number of moves up to the last move with the tag, 0 without one. Both are
+        updated if FOLLOW is not 0. ``out_tag`` holds no values after the last move with the tag.
     """
     # ruff: noqa: PLR1714 - the compiler makes two comparisons of these, not a search
     n_axes = exact.shape[0]
@@ -178,7 +178,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                 if plain and at < end and data[at] == CR:
                     at += 1
                 break
-            # A word: letter, blanks, number.
+            # A word is a letter, blanks and a number.
             if LOWER_A <= c <= LOWER_Z and state[ONE_COMMAND] == 0:
                 c -= 32
             if c < UPPER_A or c > UPPER_Z:
@@ -249,7 +249,7 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
                     plain = False
                     break
                 continue
-            # In units of 1e-7; 15 digits and 7 more stay below 2**63 only up to 10**11.
+            # The unit is 1e-7: 15 digits stay below 2**63 only for numbers up to 10**11.
             if digits - decimals > 11:
                 plain = False
                 break
@@ -273,11 +273,11 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
         if state[FEED_FIRST] != 0 and seen_g_motion and motion == 1 and not has_axes:
             break
         if f_word != -1 and not has_axes:
-            break  # no move to hang it on: the interpreter takes it
+            break  # F without a move: the interpreter reads the block
         if motion > 1 or (has_axes and state[EACH_G] != 0 and not seen_g_motion):
-            break  # a curve, or a word that is missing
+            break  # a curve, or a missing G word
         if has_axes and follow:
-            # Everything is checked before anything is changed.
+            # Check the whole block before any state changes.
             value_f = feed[0]
             if f_word != -1:
                 if state[INVERSE] != 0:
@@ -330,8 +330,8 @@ def _follow_plain(  # noqa: PLR0915 - one loop over the bytes; calls would cost 
             for k in range(book[IN_BLOCK]):
                 which, decimals = book[WHICH + k], book[DECIMALS + k]
                 number = float(book[DIGITS + k])
-                if decimals != 0:  # a division takes as long as reading a digit or two
-                    # Up to 15 digits and powers of ten to 1e15 are exact: this rounds once.
+                if decimals != 0:  # a division costs as much as one or two digits
+                    # Both are exact (15 digits, powers of ten up to 1e15): this rounds once.
                     number /= POWERS[decimals if decimals > 0 else ~decimals]
                     if decimals < 0:
                         number = -number
@@ -358,8 +358,8 @@ follow_plain = njit(nogil=True)(_follow_plain)
 
 
 FIRST_LINES = 200
-"""Lines of a program that ``block`` and ``interpreter`` read before this reader is tried: they take
-some 10 ms for them, and to compile this reader takes seconds on a new computer."""
+"""Lines of a program that ``block`` and ``part_program`` read before this reader is tried: they
+read these lines in about 10 ms, and compiling this reader takes seconds on a new computer."""
 _ROOM = 4096
 _LONGEST_PAUSE = 63
 
@@ -370,11 +370,11 @@ class PlainReader:
     Parameters
     ----------
     axis_of
-        Index of the axis by letter.
+        Index of each axis by its letter.
     linear
-        (axes,) whether an axis is linear.
+        (axes,) whether each axis is linear.
     follow
-        Whether to compute positions, or only to check and note words.
+        Whether to compute positions; False: only check and note the words.
     """
 
     def __init__(self, axis_of: Mapping[str, int], linear: tuple[bool, ...], follow: bool) -> None:
@@ -403,7 +403,7 @@ class PlainReader:
         self._pause, self._patience = FIRST_LINES, 0
 
     def worth_trying(self) -> bool:
-        """Return whether to try the next line, which is rarely after lines that were not plain."""
+        """Return whether to try the next line; after lines that were not plain, tries are rare."""
         self._pause -= 1
         return self._pause < 0 and self.usable
 
@@ -423,7 +423,7 @@ class PlainReader:
         return int(moves)
 
     def columns(self, count: int) -> Mapping[str, Column]:
-        """Return the tags of the ``count`` moves just read, (count,) values each by name."""
+        """Return the tags of the ``count`` moves just read, as (count,) values by name."""
         found: dict[str, Column] = {}
         for which, end in enumerate(self._tagged.tolist()):
             if end == 0:
@@ -450,5 +450,5 @@ def plain_reader(reading: Reading, linear: tuple[bool, ...], follow: bool) -> Pl
     plain.state[FEED_FIRST] = grammar.feed_first
     plain.state[SPLIT_COMMENTS] = grammar.split_comments
     plain.state[ONE_COMMAND] = dialect.one_command
-    plain.usable = not dialect.points  # it does not look for them
+    plain.usable = not dialect.points  # this reader does not require decimal points
     return plain

@@ -1,4 +1,4 @@
-"""What a first pass over a part program notes for warnings and budgets."""
+"""The first pass over a part program, which collects data for warnings and budgets."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ _LONG_DWELL_S = 1000
 
 @dataclass(slots=True)
 class Findings:
-    """What the scan notes for warnings and budgets.
+    """The data that the scan collects for warnings and budgets.
 
     Parameters
     ----------
     feeds
-        Every F, with the modes and calls on which its unit depends.
+        Every F, with the modes and calls that set its unit.
     long_dwells, blends
-        Lines of dwells that look like milliseconds, and of G64.
+        Lines of dwells whose time looks like milliseconds, and lines of G64.
     idle
-        The first line of each word without effect on motion.
+        First line of each word without effect on motion.
     waits
-        The first line where a program waits for a temperature.
+        First line that waits for a temperature; 0 without one.
     changes
-        The first line of M6.
+        First line with M6; 0 without one.
     anew
-        Lines of M2 and M30 behind which other lines are run.
+        Lines of M2 and M30 after which later lines run.
     rapid_f
-        The first line of a G0 with an F of its own.
+        First line with both G0 and F; 0 without one.
     unset
-        The first line that reads each parameter that the program has not set before.
+        First line that reads each parameter before the program sets it.
     doubtful
-        The first line that compares numbers so near to each other that versions of the control
-        answer differently.
+        First line that compares numbers so close that versions of the control give different
+        results; 0 without one.
     tape
-        The first line with a % that the control refuses.
+        First line with a % that the control refuses; 0 without one.
     length
-        The first line with G43.
+        First line with G43; 0 without one.
     """
 
     feeds: FeedNotes = field(default_factory=FeedNotes)
@@ -66,7 +66,7 @@ class Findings:
     length: int = 0
 
     def note(self, program: int | None, block: Block) -> None:
-        """Note what may deserve a warning in a block of a program."""
+        """Note the parts of a block that may need a warning."""
         for code in block.settings:
             self.feeds.set_mode(program, code)
             if code == 640 and len(self.blends) < MAX_REMEMBERED:
@@ -96,12 +96,12 @@ class Scanner:
         self._plain = plain_reader(reading, (True,) * len(reading.axes), follow=False)
         self.systems = SystemsUsed()
         self._lengths = ToolLengths(file)
-        self._ended: tuple[Block, int] | None = None  # and the byte behind it
+        self._ended: tuple[Block, int] | None = None  # ending block, next byte
         first_alone = reading.dialect.grammar.tape == "first"
         self._tapes = Tapes(file, reading.dialect.name if first_alone else "")
         self._begun = False
-        self._later = False  # in a program that is not the first of its file
-        self._numbered: int | None = 0  # of the last numbered line
+        self._later = False  # the current program is not the first of its file
+        self._numbered: int | None = 0  # N of the last numbered line
 
     def run(self) -> Structure:
         """Read the file once and return its programs.
@@ -109,7 +109,7 @@ class Scanner:
         Raises
         ------
         JobError
-            At the first line that is no block of the dialect, or where the programs do not fit
+            If a line is no block of the dialect (the first such line), or the programs do not fit
             together.
         """
         lines = Lines(self._file, self._file.begin, 1)
@@ -150,11 +150,11 @@ class Scanner:
         return self._programs.finish(number)
 
     def _check_number(self, text: str, line: int) -> None:
-        """Refuse a numbered line that a firmware would ask for again, because one is missing."""
+        """Refuse a line number that is out of order: the firmware would ask for the line again."""
         if not self._reading.dialect.one_command:
             return
         number = number_of_line(text)
-        if "M110" in text:  # it sets the number
+        if "M110" in text:  # M110 sets the line number
             self._numbered = None
             return
         if number is None:
@@ -175,13 +175,14 @@ class Scanner:
         if block.label >= 0:
             self._later = self._begun
             programs.begin(block.label, offset, block.line)
-            # What its caller chose is not known here: a move before a word of its own counts as of
-            # the first system, so that a file with another one is asked where both are.
+            # The system that the caller chose is not known here. A move before the program's own
+            # G54 to G59 counts for the first system; if the file uses another system, too, the
+            # machine file must give both zeros.
             self.systems.now = FIRST
         elif programs.current is None:
             if self._begun:
                 if not self._reading.dialect.needs_end and _only_ends(block):
-                    return  # laser posts end twice
+                    return  # post-processors for lasers write the end twice
                 raise JobError(
                     "a block after the end of a program is never run",
                     place=self._file.place(block.line),
@@ -217,7 +218,7 @@ class Scanner:
             programs.end(block.program, behind)
 
     def _go_on(self, program: Program) -> None:
-        """Go on behind the end of a program, where that resets modes and ends nothing."""
+        """Go on after M2 or M30 in a dialect in which they only reset the modes."""
         if self._ended is None:
             return
         self.findings.anew.append(self._ended[0].line)
@@ -229,11 +230,11 @@ class Scanner:
 
     @property
     def moved_axes(self) -> list[int]:
-        """Indices of the axes that have words in the file."""
+        """Indices of the axes that the file names."""
         return [int(index) for index in np.flatnonzero(self._plain.used)]
 
     def _note_plain(self, program: int | None, count: int) -> None:
-        """Note what the plain reader has found in ``count`` blocks of a program."""
+        """Note the results of the plain reader for ``count`` blocks of a program."""
         plain = self._plain
         if count:
             line = int(plain.out_line[0])
@@ -246,7 +247,7 @@ class Scanner:
             self.findings.feeds.feed(program, word * (ONE // STEPS), line)
 
     def _note(self, program: int | None, block: Block) -> None:
-        """Note what may deserve a warning."""
+        """Note the parts of a block that may need a warning, and the state of the plain reader."""
         self.findings.note(program, block)
         for index, _ in block.axes:
             self._plain.used[index] = True
@@ -258,6 +259,6 @@ class Scanner:
 
 
 def _only_ends(block: Block) -> bool:
-    """Say whether all that a block does is to end a program."""
+    """Say whether a block ends a program and does nothing else."""
     moves = block.axes or block.action != -1 or block.motion != -1
     return block.ends == "end" and not (moves or block.settings or block.feed is not None)

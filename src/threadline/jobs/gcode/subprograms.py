@@ -1,7 +1,7 @@
-"""The programs of a file: where each begins and ends, its calls, and its number of operations.
+"""The programs of a file: their first and last lines, their calls, their numbers of operations.
 
-One pass over the file finds every mistake that can be found without following the calls. Moves are
-counted by multiplication with passes, so that ``L 1000000000`` is refused at once.
+One pass over the file finds every mistake that shows without following the calls. The number of
+moves is multiplied by the passes, so ``L 1000000000`` is refused at once.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _MAX_PROGRAMS = 100_000
 
 @dataclass(slots=True)
 class Call:
-    """All calls of one subroutine from one program: the first line, the sum of passes."""
+    """All calls of one subroutine from one program: the first line, and the sum of passes."""
 
     line: int
     passes: int
@@ -28,26 +28,26 @@ class Call:
 
 @dataclass(slots=True)
 class Program:
-    """One program of the file, filled in while the file is scanned.
+    """One program of the file; the scan fills it in.
 
     Parameters
     ----------
     label
         O number, None for a main program without one.
     offset, line
-        Where it begins: byte, and line from 1.
+        First byte, and first line, from 1.
     end
-        The byte behind its last line.
+        Byte after the last line of the program.
     ends_with
-        Number of the M word that ends it: 99, 2 or 30; None while it is open.
+        Number of the M word that ends the program: 99, 2 or 30; None while the program is open.
     moves
-        Number of its own moves, without those of subroutines.
+        Number of the program's own moves, without the moves of subroutines.
     closes
-        The line behind whose end nothing of it is run, where lines behind others are.
+        Line of the last end of the program; lines after earlier ends run (grbl).
     stops
-        Number of its own stops, dwells and tool events.
+        Number of the program's own stops, dwells and tool events.
     calls
-        Calls by the O number of the subroutine.
+        Calls of each subroutine, by its O number.
     """
 
     label: int | None
@@ -62,13 +62,13 @@ class Program:
 
     @property
     def name(self) -> str:
-        """The program's name in messages."""
+        """Name of the program in messages."""
         return "the program" if self.label is None else f"O {self.label}"
 
 
 @dataclass(frozen=True, slots=True)
 class Totals:
-    """Numbers of moves and other operations of a program, those of all its calls included."""
+    """Numbers of moves and other operations of a program, with all its calls."""
 
     moves: int
     others: int
@@ -81,7 +81,7 @@ class Totals:
 
 @dataclass(frozen=True, slots=True)
 class Structure:
-    """The programs of a file and the one that the operator starts."""
+    """The programs of a file, and the main program that the operator starts."""
 
     programs: dict[int, Program]
     main: Program
@@ -99,12 +99,12 @@ class Collector:
         self.current: Program | None = None
 
     def begin(self, label: int | None, offset: int, line: int) -> Program:
-        """Begin a program.
+        """Begin a program with its label, first byte and first line.
 
         Raises
         ------
         JobError
-            If the one before has no end, or the number is taken.
+            If the previous program has no end, or the label is taken.
         """
         self._refuse_open_program(line)
         if label is not None and label in self._programs:
@@ -149,7 +149,7 @@ class Collector:
         ------
         JobError
             If the last program is open, there is no single main program, a subroutine is
-            missing or has the wrong end, or one calls itself.
+            missing or has the wrong end, or a program calls itself.
         """
         file = self._file
         if self.current is not None:
@@ -180,7 +180,7 @@ class Collector:
         return Structure(self._programs, self._mains[0], totals)
 
     def _count(self) -> dict[int | None, Totals]:
-        """Return the totals of every program, calls multiplied out."""
+        """Return the totals of every program, with its calls multiplied by their passes."""
         totals: dict[int | None, Totals] = {}
         programs = list(self._programs.values())
         if self._unnamed is not None:
@@ -241,16 +241,16 @@ _KEPT_BLOCKS = 10_000
 
 @dataclass(slots=True)
 class Frame:
-    """A program that is open: its pass, the number of its passes, and its next line."""
+    """An open program: its present pass, its number of passes, and its next line."""
 
     program: Program
     lines: Lines
     pass_: int
     passes: int
-    calls: int = 1  # number of times that its call happens
+    calls: int = 1  # number of times that the call happens
     line: int = 0  # line of the call in the main program
-    folded: int = 1  # number of passes for which the present one stands
-    start: tuple[int, ...] = ()  # exact position and offset at the beginning of the folded pass
+    folded: int = 1  # number of passes that the present pass stands for
+    start: tuple[int, ...] = ()  # exact position and zeros at the start of the folded pass
 
     @property
     def times(self) -> int:
@@ -258,19 +258,19 @@ class Frame:
         return self.calls * self.folded
 
     def fold_rest(self, start: tuple[int, ...]) -> None:
-        """Let the pass that begins at ``start`` stand for itself and all passes after it."""
+        """Let the pass that begins at ``start`` stand for itself and all later passes."""
         self.folded = self.passes - self.pass_ + 1
         self.pass_ = self.passes
         self.start = start
 
 
 class KeptText:
-    """The lines of programs; short ones, and the blocks of loops, are kept in memory.
+    """The lines of programs; short programs, and the blocks of loops, stay in memory.
 
     Parameters
     ----------
     file, reading
-        The file, and the axes and dialect by which its blocks are read.
+        The file, and the axes and dialect for reading its blocks.
     """
 
     def __init__(self, file: SourceFile, reading: Reading) -> None:
@@ -292,12 +292,12 @@ class KeptText:
         return Lines(self._file, program.offset, program.line, kept)
 
     def next_block(self, lines: Lines, looping: bool) -> Block | None:
-        """Return the block on the next line, None if it has none.
+        """Return the block on the next line, None for a line without words.
 
         Raises
         ------
         JobError
-            If it is no block of the dialect.
+            If the line is no block of the dialect.
         """
         offset = lines.offset
         if looping and offset in self._parsed:

@@ -1,4 +1,4 @@
-"""Text files read in bounded memory, line by line; files that are not text are refused."""
+"""Text files, read line by line in bounded memory; files that are not text are refused."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from threadline.errors import JobError, Place
 
 MAX_LINE_BYTES = 4096
 CHUNK_BYTES = 1 << 18
-_DOS_END = b"\x1a"  # editors of the 1990s closed a text file with it
+_DOS_END = b"\x1a"  # editors of the 1990s ended a text file with this byte
 _UTF8_MARK = b"\xef\xbb\xbf"
-_SEPARATOR = re.compile("[\x85\u2028\u2029]")  # editors show a new line there
+_SEPARATOR = re.compile("[\x85\u2028\u2029]")  # editors show these as a new line
 _CONTROL = re.compile(rb"[\x00-\x08\x0a-\x1f\x7f]")
 
 
 class Chunk(NamedTuple):
-    """Whole lines of a file: the byte at which they begin, and their bytes."""
+    """Whole lines of a file: the offset of their first byte, and their bytes."""
 
     offset: int
     data: bytes
@@ -32,16 +32,16 @@ class Chunk(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class SourceFile:
-    """A file as it was when its hash was taken.
+    """A file at the time of its hash.
 
     Parameters
     ----------
     path
-        The file, as it is named in places.
+        Path of the file, as shown in places.
     known
-        Its hash, and whether it has been changed since.
+        Hash of the file, and the check for later changes.
     begin, end
-        The bytes that are text: without a byte order mark and a DOS end-of-file mark.
+        Range of the text in bytes, without a byte order mark and a DOS end-of-file mark.
     """
 
     path: str
@@ -61,12 +61,12 @@ class SourceFile:
     def chunks(
         self, offset: int, size: int = CHUNK_BYTES, end: int | None = None
     ) -> Iterator[Chunk]:
-        """Return the whole lines from byte ``offset`` to ``end``, a chunk of them at a time.
+        """Return the whole lines from byte ``offset`` to ``end``, in chunks.
 
         Raises
         ------
         JobError
-            If the file was changed since it was hashed.
+            If the file was changed after it was hashed.
         """
         with open_binary(self.known.path) as stream:
             if not self.known.is_unchanged():
@@ -84,7 +84,7 @@ class SourceFile:
                 last = at + len(data) >= end
                 cut = len(data) if last else data.rfind(b"\n") + 1
                 if cut == 0:
-                    # One line fills the chunk: whoever takes it refuses it, with its number.
+                    # One line fills the chunk: ``Lines.take`` refuses it, with its number.
                     yield Chunk(at, data)
                     return
                 yield Chunk(at, data[:cut])
@@ -93,12 +93,12 @@ class SourceFile:
 
 
 def first_found(file: SourceFile, pattern: str) -> tuple[int, str]:
-    """Return the first line with a byte of a pattern, and the letter there; line 0 without one.
+    """Return the first line that matches a pattern, and the letter there; line 0 without a match.
 
     Raises
     ------
     JobError
-        If the file was changed since it was hashed.
+        If the file was changed after it was hashed.
     """
     sought = re.compile(pattern.encode("latin-1"))
     before = 1
@@ -114,12 +114,12 @@ def first_found(file: SourceFile, pattern: str) -> tuple[int, str]:
 
 
 def identify(path: Path) -> SourceFile:
-    """Return the file at ``path`` with its hash, read in chunks.
+    """Return the file at ``path`` with its hash, which is computed in chunks.
 
     Raises
     ------
     JobError
-        If it cannot be read, is a device and not a file, is empty, or is UTF-16.
+        If the path cannot be read or is no file, or the file is empty or UTF-16.
     """
     place = Place(str(path))
     digest = hashlib.sha256()
@@ -145,7 +145,7 @@ def identify(path: Path) -> SourceFile:
 
 
 class TextLine(NamedTuple):
-    """A line: its number from 1, the byte at which it begins, its text without the end."""
+    """A line: its number from 1, the offset of its first byte, its text without the line end."""
 
     number: int
     offset: int
@@ -153,16 +153,16 @@ class TextLine(NamedTuple):
 
 
 class Lines:
-    """A reader of a text file with a position, which moves forward line by line or in chunks.
+    """A reader of a text file whose position moves forward line by line or in chunks.
 
     Parameters
     ----------
     file
         The file.
     offset, number
-        The byte and the line, from 1, to begin with.
+        First byte and first line (from 1) to read.
     kept
-        The lines from there on, where they are in memory already.
+        Lines from ``offset``, if they are in memory already.
     """
 
     def __init__(
@@ -177,11 +177,11 @@ class Lines:
 
     @property
     def offset(self) -> int:
-        """The byte of the file that comes next."""
+        """Offset of the next byte of the file."""
         return self._chunk.offset + self.at
 
     def more(self) -> bool:
-        """Return whether there is another line; it is in ``data`` from ``at`` on."""
+        """Return whether there is another line; the line starts at ``data[at]``."""
         if self.at < len(self._chunk.data):
             return True
         chunk = next(self._chunks, None)
@@ -204,7 +204,7 @@ class Lines:
         Raises
         ------
         JobError
-            If it is too long or is not text.
+            If the line is too long or is not text.
         """
         data = self._chunk.data
         end = data.find(b"\n", self.at)
@@ -222,9 +222,9 @@ def decode_line(raw: bytes, file: str, number: int) -> str:
     Raises
     ------
     JobError
-        If it is too long, holds a control character or a line separator, or is not UTF-8.
+        If the line is too long, holds a control character or a line separator, or is not UTF-8.
     """
-    raw = raw.rstrip(b"\r")  # two of them where a program was converted for Windows twice
+    raw = raw.rstrip(b"\r")  # two of them if a program was converted for Windows twice
     if len(raw) > MAX_LINE_BYTES:
         raise JobError(
             f"the line has more than {MAX_LINE_BYTES} bytes",
@@ -253,7 +253,7 @@ def decode_line(raw: bytes, file: str, number: int) -> str:
         ) from error
     separator = _SEPARATOR.search(text)
     if separator is not None:
-        # In a comment it would hide the block that an editor shows on the next line.
+        # After a comment, an editor would show the rest as a block on the next line.
         raise JobError(
             f"the line holds the line separator U+{ord(separator[0]):04X} in column "
             f"{separator.start() + 1}",

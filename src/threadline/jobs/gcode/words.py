@@ -1,7 +1,7 @@
 """The words of a block, a letter and a number each, and its comments.
 
-Numbers are exact, as integers of 10**-18: sums of programmed increments do not depend on their
-order, and 780 times 0.1 is 78.
+Numbers are exact: integers in units of 10**-18. The order of programmed increments therefore does
+not change their sum, and 780 times 0.1 is 78.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from threadline.errors import JobError, Place
 from threadline.jobs.gcode.textfile import SourceFile
 
 DECIMALS = 18
-MAX_DECIMALS = 17  # one less: an inch is 25.4 mm, and the product has to be exact too
+MAX_DECIMALS = 17  # one fewer: the product with 25.4 mm per inch must be exact, too
 ONE: int = int(10**DECIMALS)
 MAX_MAGNITUDE = 10**12
 _MAX_SHOWN = 40
 
-# A group is never possessive: Python below 3.11.5 takes one that fits only in part for a match.
+# No group is possessive: Python before 3.11.5 matches a possessive group that fits only in part.
 _NUMBER = r"[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)"
 _WORD = re.compile(rf"[ \t]*([A-Za-z])[ \t]*({_NUMBER})")
 _BLOCK = re.compile(rf"(?:[ \t]*+[A-Za-z][ \t]*+{_NUMBER}(?![0-9.eE]))*[ \t]*+")
@@ -30,7 +30,7 @@ _POWERS: tuple[int, ...] = tuple(int(10**k) for k in range(DECIMALS + 1))
 
 
 class RawBlock(NamedTuple):
-    """Letters (upper case) and number texts of a line, and the numbers that its comment names."""
+    """Letters (upper case) and number texts of a line, and the tags in its comment."""
 
     words: list[tuple[str, str]]
     tags: tuple[tuple[str, float], ...]
@@ -42,7 +42,7 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
     Raises
     ------
     JobError
-        If it holds anything but words and comments.
+        If the line holds text other than words and comments.
     """
     tags: tuple[tuple[str, float], ...] = ()
     if ";" in text or "(" in text or ")" in text:
@@ -55,7 +55,7 @@ def split_words(text: str, file: str, line: int) -> RawBlock:
 
 
 def exact(number: str) -> int | None:
-    """Return ``number`` in units of 10**-18, None if it is too large or too fine.
+    """Return ``number`` in units of 10**-18, None if the number is too large or too fine.
 
     >>> exact("10.13"), exact("-.5"), exact("1" + "0" * 40)
     (10130000000000000000, -500000000000000000, None)
@@ -78,8 +78,8 @@ def _exact_unusual(whole: str, fraction: str) -> int | None:
 def without_comments(text: str, file: str, line: int) -> tuple[str, str]:
     """Return ``text`` without its comments, and the comment after the semicolon.
 
-    In the dialect of the printed winder program ``;`` ends a block, in all others it begins a
-    comment. Text after it that is a block in the one and a comment in the others is refused.
+    In the dialect of the printed winder program ``;`` ends a block; in all other dialects ``;``
+    begins a comment. Text after ``;`` that reads as a block is therefore refused.
     """
     code, _, comment = _cut_at_semicolon(text)
     if "(" in code or ")" in code:
@@ -92,7 +92,7 @@ def without_comments(text: str, file: str, line: int) -> tuple[str, str]:
                 remedy="Put a comment between one ( and one ) on the same line.",
             )
     if comment.strip() and code.strip():
-        # Behind "X1; Y2;" or "X1; home; Y2" the printed dialect would move Y, too.
+        # In "X1; Y2;" or "X1; home; Y2" the printed dialect would move Y, too.
         for part in _PARENTHESES.sub(" ", comment).split(";"):
             if _WORD.match(part) and _BLOCK.fullmatch(part):
                 raise JobError(
@@ -119,9 +119,9 @@ def _cut_at_semicolon(text: str) -> tuple[str, str, str]:
 
 
 def tags_of(comment: str, file: str, line: int) -> tuple[tuple[str, float], ...]:
-    """Return the numbers that a comment like ``tension=6.5 width=4`` names.
+    """Return the tags of a comment like ``tension=6.5 width=4``.
 
-    A comment that holds anything else names none.
+    A comment with any other text has no tags.
     """
     if _NAMED.fullmatch(comment) is None:
         return ()
@@ -150,7 +150,7 @@ def refuse_switched(place: Place) -> NoReturn:
     Raises
     ------
     JobError
-        Always.
+        In every call.
     """
     raise JobError(
         "a line that begins with / is run or left out by a switch of the control (block delete)",
@@ -165,7 +165,7 @@ def _shown(text: str) -> str:
 
 
 def _diagnose(text: str, file: str, line: int) -> NoReturn:
-    """Raise the error for ``text``, which is not a block."""
+    """Raise the error that explains why ``text`` is not a block."""
     at = 0
     while match := _WORD.match(text, at):
         if match.end() < len(text) and text[match.end()] in "eE,.":
@@ -218,39 +218,39 @@ TAPE = "%"
 
 
 class Tapes:
-    """The % of a file, in their order.
+    """The lines with % of a file, in their order.
 
     Parameters
     ----------
     file
         The file, for errors.
     first_alone
-        Name of a control that takes a % for the beginning only on the first line that is not
-        empty, and for the end elsewhere; empty for others.
+        Name of a control for which a % opens the program only on the first line that is not empty,
+        and ends the file on any other line; empty for other controls.
     """
 
     def __init__(self, file: SourceFile, first_alone: str = "") -> None:
         self._file = file
         self._first_alone = first_alone
         self._lines: list[int] = []
-        self._written = False  # a line before
+        self._written = False  # whether a line with text came before
 
     @property
     def first(self) -> int:
-        """The first line with a %, 0 without one."""
+        """First line with a %, 0 without one."""
         return self._lines[0] if self._lines else 0
 
     def pass_by(self, text: str) -> None:
-        """Take a line without %, as it stands, before the first block."""
+        """Take the text of a line without %."""
         self._written = self._written or bool(text)
 
     def take(self, line: int, begun: bool) -> None:
-        """Take a %; ``begun`` says whether blocks stand before it.
+        """Take a line with %; ``begun`` says whether blocks stand before the line.
 
         Raises
         ------
         JobError
-            If it closes a program that none has opened.
+            If the % closes a program that no % has opened.
         """
         if self._first_alone and self._written and not self._lines:
             raise JobError(
@@ -273,7 +273,7 @@ class Tapes:
         Raises
         ------
         JobError
-            If there is one.
+            If the % before this block has ended the file.
         """
         if len(self._lines) > 1:
             raise JobError(
@@ -288,7 +288,7 @@ class Tapes:
         Raises
         ------
         JobError
-            If a % is open.
+            If a % has opened the program and no % closes it.
         """
         if len(self._lines) == 1:
             raise JobError(

@@ -1,8 +1,8 @@
 """Zeros of part programs: G92 to G92.3, the home of G28.1, G53 to G59, and tool lengths.
 
-Where a system has its zero is kept in the control, and is not in the program. A program that moves
-in one system alone is read with its zero there, as one in G54 is. One that moves in several, or by
-G53, needs to be told where they are in the machine's own (``[programs.offsets]``).
+The control stores the zero of each coordinate system; the program does not have it. A program that
+uses only one system is read as if in G54, with its zero at the start position. A program that uses
+several systems, or G53, needs their zeros in machine coordinates (``[programs.offsets]``).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from threadline.machine import Machine
 FIRST, MACHINE = 540, 530
 SYSTEMS = range(540, 600, 10)
 LENGTH, NO_LENGTH = 430, 490
-_FINE = 10**7  # parts of a millimetre or degree, as fine as plain blocks are read
+_FINE = 10**7  # steps per millimetre or degree, as in plain blocks
 _OTHERS = (
     'Name the zero of each in the machine file, like [programs.offsets] G54 = { X = "0 mm exact, '
     'assumed" }, or give each a program of its own.'
@@ -29,19 +29,19 @@ _OTHERS = (
 
 @dataclass(slots=True)
 class SystemsUsed:
-    """The coordinate systems in which a file moves, noted as it is scanned.
+    """The coordinate systems in which a file moves; the scan fills them in.
 
     Attributes
     ----------
     lines
-        The first line of a move in each, by ten times its G word.
+        First line of a move in each system, by ten times the number of its G word.
     """
 
     lines: dict[int, int] = field(default_factory=dict)
     now: int = FIRST
 
     def take(self, settings: Sequence[int], line: int, *, moves: bool) -> None:
-        """Note the G words of a block, and whether it moves."""
+        """Note the G words of a block, and whether the block moves the axes."""
         for code in settings:
             if code in SYSTEMS:
                 self.now = code
@@ -51,10 +51,10 @@ class SystemsUsed:
 
 @dataclass(slots=True)
 class ToolLengths:
-    """The tool lengths (G43) in force, noted as a file is scanned or run.
+    """The tool lengths (G43) in force while a file is scanned or run.
 
-    How long a tool is the control alone knows. One that holds for all moves is a matter of where
-    the zero lies, which is at the start position here, as that of G54 is; another is refused.
+    Only the control knows the length of a tool. A tool length that holds for all moves only shifts
+    the zero, and the zero is at the start position here, as for G54. Any other use is refused.
 
     Parameters
     ----------
@@ -64,26 +64,26 @@ class ToolLengths:
     Attributes
     ----------
     line
-        The first line with G43, 0 without one.
+        First line with G43, 0 without one.
     """
 
     file: SourceFile
     line: int = 0
     _now: str = ""
-    _left: int = 0  # the line of G49 behind moves
+    _left: int = 0  # line of a G49 that ended a tool length
     _moved: bool = False
 
     def take(
         self, length: str, settings: Sequence[int], line: int, *, moves: bool, later: bool
     ) -> None:
-        """Take a block: its G43 as written or nothing, its G words, and whether it moves.
+        """Take a block: its G43 as written or empty, its G words, and whether the block moves.
 
-        ``later`` says that it stands in another program than the first of its file.
+        ``later`` says that the block is not in the first program of its file.
 
         Raises
         ------
         JobError
-            If a tool length is taken or left between moves, or in a subroutine.
+            If a tool length begins or ends between moves, or in a subroutine.
         """
         if length and (length != self._now or later) and (self._moved or later):
             self._refuse(f"{length} begins it", line)
@@ -110,12 +110,12 @@ class ToolLengths:
 def zeros_of(
     used: SystemsUsed, machine: Machine, file: SourceFile
 ) -> Mapping[int, tuple[int, ...]]:
-    """Return the exact (axes,) zero of each system that is used, from that of the first one.
+    """Return the exact (axes,) zero of each used system, relative to the zero of the first one.
 
     Raises
     ------
     JobError
-        If there are several and the machine file does not say where one is.
+        If the file uses several systems and the machine file lacks the zero of one.
     """
     first = next((code for code in used.lines if code != MACHINE), FIRST)
     if set(used.lines) <= {first}:
@@ -156,24 +156,24 @@ _HOME, _SHIFT, _SUSPEND, _RESTORE = 281, 920, 922, 923
 
 
 class Zeros:
-    """Positions on the machine for a number of ``axes``, as exact 10**-18 mm or degrees.
+    """Zeros and home position of ``axes`` axes, exact in units of 10**-18 mm or degrees.
 
     Attributes
     ----------
     offset
         Position of the programmed zero.
     home
-        Position to which G28 moves.
+        Target position of G28.
     machine
-        Zero of the machine's own system.
+        Zero of the machine coordinates.
     kept
-        What G92 has shifted, for G92.3, while G92.2 has set it aside, too.
+        Shift of G92, which G92.3 restores; G92.2 suspends the shift and keeps it here.
 
     Parameters
     ----------
     systems
-        Zero of each work coordinate system, by ten times its G word, and of the machine; none where
-        a program uses one system alone.
+        Zero of each work coordinate system and of the machine coordinates, by ten times the number
+        of the G word; empty if a program uses only one system.
     """
 
     def __init__(self, axes: int, systems: Mapping[int, tuple[int, ...]]) -> None:
@@ -185,12 +185,12 @@ class Zeros:
         self.kept = [0] * axes
 
     def take(self, code: int, at: Sequence[int], given: Mapping[int, int]) -> None:
-        """Apply a G word, given as ten times its number, at the position ``at``.
+        """Apply a G word (ten times its number) at the position ``at``.
 
         Parameters
         ----------
         given
-            Programmed positions that G92 gives the present position, by the index of the axis.
+            Programmed position that G92 assigns to the present position, by axis index.
         """
         if code == _HOME:
             self.home = list(at)
@@ -208,7 +208,7 @@ class Zeros:
             self.offset = list(self._system)
 
     def choose(self, code: int) -> None:
-        """Go over to a work coordinate system, ten times its G word; what G92 shifted stays."""
+        """Select a work coordinate system (ten times its G number); the shift of G92 stays."""
         system = self._systems.get(code, self._system)
         self.offset = _moved(_moved(self.offset, self._system, -1), system, 1)
         self._system = system

@@ -1,4 +1,4 @@
-"""The reader of seams: drawings and tables of points, as jobs of one move per stitch."""
+"""The reader of seams: it turns drawings and tables of points into jobs of one move per stitch."""
 
 from threadline.jobs.seam.job import SUFFIXES, read_seam
 from threadline.jobs.seam.settings import STITCHING_KEYS, Stitching

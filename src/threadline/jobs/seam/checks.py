@@ -1,4 +1,4 @@
-"""Checks of a seam: warnings about it, and errors where a machine cannot sew it."""
+"""Checks of a seam: warnings, and errors if the machine cannot sew the seam."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _CROSSING_TOLERANCE_M = 1e-5
 def head_accelerations_m_s2(
     settings: Stitching, axes: tuple[str, str], machine: Machine
 ) -> tuple[Accelerations, list[str]]:
-    """Return the accelerations that a seam is planned with, and warnings about them.
+    """Return the accelerations for planning a seam, and warnings about them.
 
-    They are those of the settings, or of the two-stitch rule without, but no more than the limit of
-    the weaker axis.
+    The accelerations come from the settings, or else from the two-stitch rule, and do not exceed
+    the limit of the weaker axis.
     """
     rule = ramp_acceleration_m_s2(settings.speed_m_s, settings.stitch_length_m)
     up = settings.acceleration_m_s2 or rule
@@ -50,7 +50,7 @@ def head_accelerations_m_s2(
 
 
 def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:
-    """Return a warning where the contour crosses itself."""
+    """Return a warning if the contour crosses itself."""
     if len(contour.pieces) == 1 and contour.pieces.is_line[0]:
         return []
     begin, end, piece = flatten(contour.pieces, _CROSSING_TOLERANCE_M)
@@ -70,7 +70,7 @@ def crossing_warnings(contour: Contour, seam: str, file: str) -> list[str]:
 
 
 def corner_warnings(sewn: SewnContour, machine_acceleration_m_s2: float) -> list[str]:
-    """Return a warning where interpolated motion misses corners by more than the placement."""
+    """Return a warning if interpolated motion misses corners by more than the placement."""
     settings = sewn.settings
     if settings.motion != "interpolated" or settings.needle != "constant":
         return []
@@ -89,7 +89,7 @@ def corner_warnings(sewn: SewnContour, machine_acceleration_m_s2: float) -> list
 
 
 class StitchCheck:
-    """Collects the faults of a seam's stitches in one pass over them."""
+    """Collects the faults of a seam's stitches in one pass over the stitches."""
 
     def __init__(self, sewn: SewnContour, axes: tuple[str, str], machine: Machine) -> None:
         self.sewn = sewn
@@ -98,19 +98,17 @@ class StitchCheck:
         self.off = 0
         self.worst = (0.0, "")
         self.short: list[tuple[float, str]] = []
-        self.along_m_s2 = (
-            math.inf
-        )  # what a needle that follows lets the speed of the head change by
+        self.along_m_s2 = math.inf  # head acceleration limit of a needle that follows
 
     def add(self, block: StitchBlock) -> None:
-        """Check one block.
+        """Check one block of stitches.
 
         Raises
         ------
         LimitError
             If a stitch lies outside the travel of an axis.
         JobError
-            If the line bows out of a stitch by more than the placement.
+            If the drawn line bows out of a stitch by more than the placement.
         """
         self._travel(block.points, np.append(block.line[:1], block.line))
         settings = self.sewn.settings
@@ -132,7 +130,7 @@ class StitchCheck:
             self.short.append((block.leg.length_m, where))
 
     def _unsewn(self, block: StitchBlock) -> None:
-        """Refuse stitches out of which the drawn line bows by more than the placement."""
+        """Refuse a stitch if the drawn line bows out of it by more than the placement."""
         settings, file = self.sewn.settings, self.sewn.place.file
         k = int(np.argmax(block.bulge_m))
         if block.bulge_m[k] > settings.placement_m:
@@ -146,12 +144,12 @@ class StitchCheck:
             )
 
     def reach(self) -> None:
-        """Check the ends of all pieces and some places between, before a stitch is placed.
+        """Check the ends and the middle of every piece before any stitch is placed.
 
         Raises
         ------
         LimitError
-            If one lies outside the travel of an axis.
+            If one of these points lies outside the travel of an axis.
         """
         pieces = self.sewn.table.pieces
         piece = np.repeat(np.arange(len(pieces)), 3)
@@ -181,7 +179,7 @@ class StitchCheck:
             )
 
     def warnings(self) -> list[str]:
-        """Return what was found."""
+        """Return the warnings about the checked stitches."""
         found = []
         name = f"seam {self.sewn.seam!r}"
         settings = self.sewn.settings

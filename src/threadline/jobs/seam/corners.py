@@ -1,8 +1,9 @@
-"""The corners of a contour: turns within less than a stitch, however they are drawn.
+"""The corners of a contour (turns within less than a stitch, in any drawing style), and its legs.
 
-After the travel the machine swings: a speed v that ends at once leaves an amplitude of ``v / w`` in
-a mode of ``w`` rad/s. The default speed is the one that leaves half of the placement in the slowest
-mode. The default rest is the time after which a tenth of the placement is left in every mode.
+After travel to a contour the machine swings: a speed v that ends at once leaves an amplitude of
+``v / w`` in a mode of ``w`` rad/s. The default travel speed leaves an amplitude of half the
+placement in the slowest mode. The default rest lasts until the amplitude in every mode is a tenth
+of the placement.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from threadline.geometry.curves import Pieces
 from threadline.jobs.seam.settings import MOST_SETTLE_S, Stitching
 from threadline.machine import Machine
 
-_EDGE = 0.05  # share of a turn that is left out at each end when its length is measured
+_EDGE = 0.05  # share of a turn left out at each end when the turn's length is measured
 _CHORD_RAD = math.radians(30.0)  # twelve sides to a circle
 _CHORD_STITCHES = 2.0
 _FINE_M = 1e-7
@@ -32,18 +33,18 @@ _SAMPLES = np.linspace(0.0, 1.0, 33)
 
 
 def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatArray, FloatArray]:
-    """Return the places of the corners of a contour, and their angles.
+    """Return the places and the angles of the corners of a contour.
 
-    A corner is a turn by at least the angle of the settings within the least stitch: a joint, a
-    fillet, a chamfer or the tip of a hairpin. A longer turn is a bend. So are three or more joints
-    at most two stitches apart that turn to the same side by similar angles of at most 30 degrees:
-    these are chords of a bend.
+    A corner is a turn by at least the settings' corner angle within the least stitch: a joint, a
+    fillet, a chamfer or the tip of a hairpin. A longer turn is a bend. Three or more joints also
+    form a bend, as its chords, if they are at most two stitches apart and turn to the same side by
+    similar angles of at most 30 degrees.
 
     Returns
     -------
     at_m, turn_rad
-        (n,) lengths along the contour, increasing, and angles in (0, pi]. The start of a closed
-        contour may be a corner, the ends of an open one are not.
+        (n,) increasing lengths along the contour, and angles in (0, pi]. The start of a closed
+        contour may be a corner; the ends of an open contour are not corners.
     """
     if len(table.pieces) == 1 and table.pieces.is_line[0]:
         return np.empty(0), np.empty(0)
@@ -66,7 +67,7 @@ def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatAr
     at_all, turn_all = at_all[order], turn_all[order]
     found = dict(zip(at_joint[sharp].tolist(), np.abs(turn_joint[sharp]).tolist(), strict=True))
     for begin, end in tight_turns(at_all, turn_all, least_rad, settings.least_m):
-        if begin == end:  # a joint alone is judged above
+        if begin == end:  # ``sharp`` above decides about a single joint
             continue
         inside = slice(begin, end + 1)
         for at_m in at_all[inside].tolist():
@@ -74,7 +75,7 @@ def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatAr
         angle = turn_all[inside]
         total = float(angle.sum())
         largest = int(np.argmax(np.abs(angle)))
-        if abs(angle[largest]) < 0.5 * abs(total):  # no joint to speak of: halfway round
+        if abs(angle[largest]) < 0.5 * abs(total):  # no dominant joint: take the middle of the turn
             largest = int(np.searchsorted(np.cumsum(angle) / total, 0.5))
         found[float(at_all[begin + largest])] = min(abs(total), math.pi)
     places = np.array(sorted(found), dtype=np.float64)
@@ -82,13 +83,13 @@ def corners(table: ArcTable, closed: bool, settings: Stitching) -> tuple[FloatAr
 
 
 def _turn(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the (n,) signed angles from one direction to the next."""
+    """Return the (n,) signed angles from directions ``before`` to directions ``after``."""
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     return np.asarray(np.arctan2(cross, (before * after).sum(axis=1)))
 
 
 def _tight_bends(table: ArcTable, radius_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return places and turns within all pieces that somewhere bend more tightly than a radius."""
+    """Return places and turns along every piece with a bend tighter than ``radius_m``."""
     pieces = table.pieces
     curved = np.flatnonzero(~pieces.is_line)
     tight, most = [], []
@@ -99,7 +100,7 @@ def _tight_bends(table: ArcTable, radius_m: float) -> tuple[FloatArray, FloatArr
         cross = np.abs(speed[:, 0] * bend[:, 1] - speed[:, 1] * bend[:, 0])
         cubed = np.hypot(*speed.T) ** 3
         bends = (cross * radius_m > cubed) | (cubed == 0.0)
-        # Between two samples a curve may turn round at once.
+        # A curve may turn back between two samples.
         turned = np.abs(_turn(speed[:-1], speed[1:])) > 0.5
         bends[1:] |= turned & (u[1:] > 0.0)
         chosen = bends.reshape(len(index), -1).any(axis=1)
@@ -111,7 +112,7 @@ def _tight_bends(table: ArcTable, radius_m: float) -> tuple[FloatArray, FloatArr
 
 
 def _turning(table: ArcTable, index: IntArray, bend: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return places and turns along the pieces of ``index``, from the directions at many places."""
+    """Return places and turns along the pieces ``index``, from directions at many places."""
     pieces: Pieces = table.pieces.take(index)
     parts = np.ceil(np.sqrt(1.1 * bend / (8.0 * _FINE_M))).clip(8, 1 << 16).astype(np.int64)
     piece = np.repeat(np.arange(len(index)), parts + 1)
@@ -136,14 +137,14 @@ def _turning(table: ArcTable, index: IntArray, bend: FloatArray) -> tuple[FloatA
 def tight_turns(
     at_m: FloatArray, turn_rad: FloatArray, least_rad: float, within_m: float
 ) -> list[tuple[int, int]]:
-    """Return the stretches in which a line turns like a corner: first and last element of each.
+    """Return the stretches that turn like a corner: the first and last index of each stretch.
 
     Parameters
     ----------
     at_m, turn_rad
-        (n,) places along the line, not decreasing, and signed angles by which it turns there.
+        (n,) places along the line, not decreasing, and the signed turn of the line at each place.
     least_rad, within_m
-        Least angle and greatest length of a corner.
+        Least angle and greatest length of a corner, in rad and m.
     """
     total = np.concatenate([[0.0], np.cumsum(turn_rad)])
     last = np.searchsorted(at_m, at_m + within_m, side="right") - 1
@@ -157,7 +158,7 @@ def tight_turns(
             clusters.append([k, int(last[k])])
     found = []
     for begin, end in clusters:
-        # Ends that hardly turn do not belong to the corner.
+        # Ends with almost no turn do not belong to the corner.
         share = np.cumsum(turn_rad[begin : end + 1]) / (total[end + 1] - total[begin] or 1.0)
         inner = np.flatnonzero((share >= _EDGE) & (np.append(0.0, share[:-1]) <= 1.0 - _EDGE))
         if not len(inner):
@@ -172,10 +173,10 @@ def tight_turns(
 def drawn_as_chords(
     at_m: FloatArray, turn_rad: FloatArray, within_m: float, most_rad: float
 ) -> NDArray[np.bool_]:
-    """Return (n,) whether each joint belongs to a bend that is drawn as chords.
+    """Return (n,) whether each joint belongs to a bend drawn as chords.
 
-    Three or more such joints follow each other within ``within_m``, and turn to the same side by
-    similar angles of at most ``most_rad``.
+    Such a bend has three or more joints, each at most ``within_m`` from the next, that turn to the
+    same side by similar angles of at most ``most_rad``.
     """
     count = len(at_m)
     alike = np.zeros(max(count - 1, 0), dtype=np.bool_)
@@ -186,7 +187,7 @@ def drawn_as_chords(
             (np.diff(at_m) <= within_m)
             & (turn_rad[:-1] * turn_rad[1:] > 0.0)
             & (larger <= most_rad)
-            & (larger <= 2.5 * smaller)  # where a curve meets a straight line the turn is half
+            & (larger <= 2.5 * smaller)  # a joint of curve and straight line has half the turn
         )
     found = np.zeros(count, dtype=np.bool_)
     ends = [-1, *np.flatnonzero(~alike).tolist(), count - 1]
@@ -203,11 +204,11 @@ class Leg:
     Parameters
     ----------
     begin_m, end_m
-        Lengths along the contour, backwards when ``end_m`` is less; a closed contour goes on
-        past its length.
+        Lengths along the contour; the leg runs backwards if ``end_m`` is less. On a closed contour
+        lengths may exceed the length of the contour.
     begin_turn_rad, end_turn_rad
-        Angle of the corner at each end; None where the head rests: at the ends of the seam and
-        where a lock turns back.
+        Angle of the corner at each end; None at an end where the head rests: at the ends of the
+        seam and at the reversal of a lock.
     lock
         Whether the leg is part of the lock stitches.
     """
@@ -220,12 +221,12 @@ class Leg:
 
     @property
     def length_m(self) -> float:
-        """Length along the contour."""
+        """Length of the leg along the contour."""
         return abs(self.end_m - self.begin_m)
 
 
 def seam_legs(table: ArcTable, closed: bool, settings: Stitching, place: Place) -> list[Leg]:
-    """Return the legs of a seam in the order in which they are sewn.
+    """Return the legs of a seam in the order of sewing.
 
     Raises
     ------
@@ -287,7 +288,7 @@ def _lock_length(stitches: int, key: str, leg: Leg, settings: Stitching, place: 
 
 
 def _lock(here_m: float, there_m: float) -> list[Leg]:
-    """Return the two legs from one place to another and back; none where they are equal."""
+    """Return the two legs from one place to another and back; none if the places are equal."""
     if here_m == there_m:
         return []
     ends = [(here_m, there_m), (there_m, here_m)]
@@ -297,7 +298,7 @@ def _lock(here_m: float, there_m: float) -> list[Leg]:
 
 
 _SWING, _LEFT = 0.5, 0.1
-# A search reads its seam again for every speed, and following a damping takes 64 sets of poles.
+# A search reads the seam again for every speed, and the damping of a mode takes 64 pole sets.
 _RECENT: Recent[tuple[Machine, tuple[str, ...]], tuple[Oscillation, ...]] = Recent(
     4, lambda a, b: a[0] is b[0] and a[1] == b[1]
 )
@@ -306,16 +307,16 @@ _RECENT: Recent[tuple[Machine, tuple[str, ...]], tuple[Oscillation, ...]] = Rece
 def with_journeys(
     settings: Stitching, modes: tuple[Oscillation, ...], fastest_m_s: float
 ) -> Stitching:
-    """Return ``settings`` with defaults for the speed and rest of travels that were left out.
+    """Return ``settings`` with defaults for a missing travel speed and a missing rest.
 
     Parameters
     ----------
     settings
-        Stitching of the seam.
+        Settings of the seam.
     modes
-        Modes of the machine. Without any, the head travels as fast as it can and does not rest.
+        Modes of the machine. Without modes the head travels at full speed and does not rest.
     fastest_m_s
-        Largest speed of the machine.
+        Highest speed of the machine.
     """
     omegas = [2.0 * math.pi * mode.frequency_hz for mode in modes]
     speed = settings.travel_speed_m_s
@@ -333,7 +334,7 @@ def with_journeys(
 
 
 def swinging_modes(machine: Machine, axes: tuple[str, ...]) -> tuple[Oscillation, ...]:
-    """Return the modes of the axes with their motors held still."""
+    """Return the modes of the axes while their motors hold still."""
     return _RECENT.of(
         (machine, axes),
         lambda: tuple(mode for axis in axes for mode in modes_held(machine, axis)),

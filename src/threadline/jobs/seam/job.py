@@ -1,4 +1,4 @@
-"""The seams of a drawing: their strokes, joined to contours."""
+"""The job of a seam: the strokes of a drawing, joined into contours, and their stitches."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ MAX_REACH_M = 1e4
 
 
 def seam_choices(seam_file: SeamFile, drawing: Drawing) -> list[SeamChoice]:
-    """Return the seams that were asked for, or one for each layer or colour."""
+    """Return the seams that the file names, or else one seam for each layer or colour."""
     if seam_file.choices:
         return list(seam_file.choices)
     if seam_file.by == "all":
@@ -58,7 +58,7 @@ def seam_choices(seam_file: SeamFile, drawing: Drawing) -> list[SeamChoice]:
     by = seam_file.by
     found = dict.fromkeys(getattr(stroke, by) for stroke in drawing.strokes)
     for refusal in drawing.refusals:
-        # A text of an SVG counts for every colour.
+        # A text in an SVG counts for every colour.
         if by == "layer" or refusal.colour:
             found.setdefault(getattr(refusal, by))
     if not found:
@@ -74,12 +74,12 @@ def seam_choices(seam_file: SeamFile, drawing: Drawing) -> list[SeamChoice]:
 def seam_contours(
     drawing: Drawing, choice: SeamChoice, seam_file: SeamFile
 ) -> tuple[list[Contour], list[str]]:
-    """Return the contours of a seam on the machine, and warnings.
+    """Return the contours of a seam in machine coordinates, and warnings.
 
     Raises
     ------
     JobError
-        If the seam has an entity that cannot be sewn, or none at all.
+        If an entity of the seam cannot be sewn, or the seam has no entity.
     """
     file = drawing.file
     for refusal in drawing.refusals:
@@ -131,7 +131,7 @@ _RUN = 4096
 
 
 class StitchStream(OperationStream):
-    """The operations of a job's contours: for each of them travel, its stitches, and a trim."""
+    """The operations of a job's contours: for each contour the travel, the stitches and a trim."""
 
     __slots__ = ()
 
@@ -181,15 +181,15 @@ def _rest(contour: SewnContour, block: StitchBlock) -> Iterator[Operation]:
 
 
 def _with_most(contour: SewnContour) -> Iterator[tuple[StitchBlock, FloatArray]]:
-    """Yield blocks with the (n,) speeds up to which a timing by limits may turn the needle.
+    """Yield each block with the (n,) highest needle speeds for a timing by limits, in stitch/s.
 
-    Where a corner is rounded one piece of the path is of two stitches, and has one speed. So that
-    neither of them takes less than a turn, both have that of the shorter.
+    At a rounded corner one piece of the path spans two stitches and has one speed. The shorter
+    stitch sets this speed, so that neither stitch takes less time than a turn of the needle.
     """
     held: tuple[StitchBlock, FloatArray] | None = None
     for block in contour.blocks():
         most_hz = np.full(len(block.lengths_m), contour.settings.needle_speed_hz)
-        # Only a needle that follows has such speeds; others need no leg in hand.
+        # Only a needle that follows has these speeds, and needs the next leg.
         if not contour.settings.follows:
             yield block, most_hz
             continue
@@ -208,7 +208,7 @@ def _with_most(contour: SewnContour) -> Iterator[tuple[StitchBlock, FloatArray]]
 def _feeds(
     contour: SewnContour, times_s: FloatArray, most_hz: FloatArray
 ) -> Iterator[tuple[int, Feed]]:
-    """Yield each feed with the index of the first stitch to which it applies."""
+    """Yield each feed with the index of its first stitch."""
     if contour.settings.needle == "constant":
         yield 0, Feed(FeedMode.INVERSE_TIME, contour.settings.needle_speed_hz)
         return
@@ -221,7 +221,7 @@ def _feeds(
 
 
 class _Needle:
-    """Counts the stitches of a contour and their time."""
+    """Counts the stitches of a contour and adds up their time."""
 
     def __init__(self, contour: SewnContour, number: int) -> None:
         self.contour = contour
@@ -230,11 +230,11 @@ class _Needle:
         self.time_s = 0.0
 
     def columns(self, block: StitchBlock) -> dict[str, Column]:
-        """Return the tags of the stitches of a leg, as columns."""
+        """Return the tags of a leg's stitches as columns."""
         settings, count = self.contour.settings, len(block.lengths_m)
         stitch = np.arange(self.stitch, self.stitch + count)
         if settings.needle == "constant":
-            # Whole turns of the needle are counted, so that no rounding adds up.
+            # Counting whole turns of the needle avoids a sum of rounding errors.
             ends_s = (stitch + 1) / settings.needle_speed_hz
         else:
             ends_s = np.cumsum(np.concatenate([[self.time_s], block.times_s]))[1:]
@@ -274,29 +274,30 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
     Parameters
     ----------
     path
-        A seam file (``.seam.toml``), or a drawing (``.dxf``, ``.svg``, ``.csv``) with
+        Seam file (``.seam.toml``), or a drawing (``.dxf``, ``.svg``, ``.csv``) together with
         ``options``.
     machine
-        Its axes X and Y carry the head; travel, speed and acceleration are checked against it.
+        Machine whose axes X and Y carry the head, and whose limits for travel, speed and
+        acceleration apply.
     options
         Settings of the ``[stitching]`` table by name, as text with a unit
-        (``needle_speed="40 stitch/s"``); they replace those of the file, for every seam.
+        (``needle_speed="40 stitch/s"``); they replace the file's settings for every seam.
 
     Returns
     -------
     Job
-        A job with one move per stitch, whose feed is the time of one turn of the needle. Tags are
-        ``kind`` (travel, sew, lock), ``seam``, ``contour`` and ``stitch`` (counted from 0),
-        ``exempt`` and ``corner`` (0 or 1), ``needle_s`` (time since the first stitch of the
-        contour), ``length_m`` and ``target_m``, and ``from_m`` and ``to_m``, the stretch of the
-        contour that the stitch covers.
+        Job with one move per stitch; the feed of a move gives the time of one turn of the needle.
+        The tags are ``kind`` (travel, sew, lock), ``seam``, ``contour`` and ``stitch`` (counted
+        from 0), ``exempt`` and ``corner`` (0 or 1), ``needle_s`` (time since the start of the
+        contour), ``length_m`` and ``target_m``, and ``from_m`` and ``to_m`` (the stretch of the
+        contour that the stitch covers).
 
     Raises
     ------
     JobError
-        If the file cannot be read, or has an entity that cannot be sewn.
+        If the file cannot be read, or an entity cannot be sewn.
     LimitError
-        If a stitch lies outside the travel.
+        If a stitch lies outside the travel of an axis.
     """
     path = Path(path)
     for axis in AXES:
@@ -330,7 +331,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
             for part in offset_contour(contour, settings.allowance, drawing.file):
                 sewn.append(sewn_contour(part, choice.name, drawing.file, settings, accelerations))
                 if len(sewn) == 1 and not sewn[0].start().any():
-                    # The head is there already.
+                    # The head is at the start of this contour already.
                     still = replace(settings, settle_s=rests or 0.0)
                     sewn[0] = replace(sewn[0], settings=still)
                 warnings += corner_warnings(sewn[-1], machine.least_acceleration(AXES))
@@ -358,7 +359,7 @@ def read_seam(path: str | Path, machine: Machine, **options: Any) -> Job:
 
 
 def _load(path: Path) -> tuple[SeamFile, Drawing, str]:
-    """Return the seam file, the drawing, and the hash of both."""
+    """Return the seam file, the drawing, and one hash over both files."""
     content = read_limited(path)
     digest = hashlib.sha256(content)
     if path.name.lower().endswith(".toml"):
@@ -385,7 +386,7 @@ def _load(path: Path) -> tuple[SeamFile, Drawing, str]:
     reader = _READERS.get(drawn.suffix.lower())
     if reader is None:
         raise JobError(f"{path.name!r} is no seam", remedy=f"A seam ends in {', '.join(SUFFIXES)}.")
-    # What overflows here is not finite, and refused with its place when the strokes are chosen.
+    # A number that overflows is not finite; ``_check_size`` refuses it with its place.
     with np.errstate(all="ignore"):
         drawing = reader(content, str(drawn), seam_file.unit)
     return seam_file, drawing, digest.hexdigest()

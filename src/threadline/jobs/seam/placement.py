@@ -1,4 +1,4 @@
-"""Stitches that are shorter where the drawn line bends, so that they stay close to it."""
+"""Places of the stitches: even lengths, and shorter stitches at bends of the drawn line."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from threadline.geometry.arclength import ArcTable
 from threadline.jobs.seam.corners import Leg
 from threadline.jobs.seam.settings import Accelerations, Stitching
 
-_PARTS = 8  # samples of the line in the length of the least stitch
+_PARTS = 8  # samples of the line per least stitch
 _FEWEST, _MOST = 64, 2_000_000
 _GROWTH = 1.08
-_SHARE = 0.5  # share of the tolerance by which all stitches of a leg may be longer than planned
+_SHARE = 0.5  # share of the tolerance by which all stitches of a leg may grow
 
 
 def bow_m(arc_m: FloatArray, chord_m: FloatArray) -> FloatArray:
-    """Return the largest distance from its chord that a curve of length ``arc_m`` can have.
+    """Return the largest possible distance of a curve of length ``arc_m`` from its chord.
 
-    The farthest points of all curves of that length between the ends lie on the ellipse with the
-    ends as its foci. For an arc of a circle the result is 15 % more than its rise.
+    The farthest points of all curves of length ``arc_m`` between the ends lie on the ellipse with
+    the ends as its foci. For an arc of a circle the result exceeds the rise by 15 %.
     """
     return np.asarray(0.5 * np.sqrt(np.maximum(arc_m - chord_m, 0.0) * (arc_m + chord_m)))
 
@@ -35,25 +35,25 @@ def bent_stitches(
     accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> FloatArray:
-    """Return (n + 1,) lengths along the contour at which the stitches of a bent leg begin and end.
+    """Return the (n + 1,) lengths along the contour of the stitch ends of a bent leg.
 
     Parameters
     ----------
     table, leg, closed
-        The contour, the leg of it, and whether the contour is closed.
+        Contour, leg of the contour, and whether the contour is closed.
     settings, accelerations
-        Stitching, and accelerations of the head.
+        Settings of the seam, and accelerations of the head.
     rests
-        Whether the head rests at the beginning, and at the end; for a needle of constant speed.
+        Whether the head rests at the beginning and at the end, for a needle of constant speed.
 
     Notes
     -----
-    For each place of the leg the longest stitch around it is found that is not longer than wanted
-    and out of which the line does not bow more than the settings allow; it is at least the least
-    stitch. That length times the needle's speed is a speed of the head, which is then reduced until
-    it changes no faster than the accelerations. The stitches are the distances that the head covers
-    in each turn of the needle. Last, they are scaled so that their number is whole; they grow by at
-    most half of the tolerance.
+    First, each place of the leg gets the longest stitch around it that is not longer than wanted
+    and from which the line bows no more than the settings allow, but at least the least stitch.
+    This length times the needle speed is a head speed. The head speed is reduced until it changes
+    no faster than the accelerations allow. The stitches are the distances that the head covers in
+    each turn of the needle. Finally the stitches are scaled to a whole number; they grow by at most
+    half of the tolerance.
     """
     whole = leg.length_m
     spacing = settings.least_m / _PARTS
@@ -69,7 +69,7 @@ def bent_stitches(
         count += 1
     at = np.interp(np.arange(count + 1) * (turns[-1] / count), turns, np.arange(parts + 1))
     k = np.minimum(at.astype(np.int64), parts - 1)
-    # Between two places the speed changes evenly with time, not with length.
+    # Between two places the speed changes evenly over time, not over length.
     turn = (at - k) * (turns[k + 1] - turns[k])
     gain = (longest[k + 1] - longest[k]) / (turns[k + 1] - turns[k])
     covered = s[k] + longest[k] * turn + 0.5 * gain * turn**2
@@ -88,15 +88,15 @@ def leg_points(table: ArcTable, leg: Leg, closed: bool, s: FloatArray) -> FloatA
 
 
 def _longest(points: FloatArray, step: float, settings: Stitching) -> FloatArray:
-    """Return (n,) the longest stitch, along the line, about each point."""
+    """Return the (n,) length along the line of the longest stitch around each point."""
     wanted, limit = settings.stitch_length_m, settings.bow_limit_m
     count = len(points)
     place = np.arange(count)
     found = np.full(count, wanted)
     going: NDArray[np.bool_] = np.ones(count, dtype=np.bool_)
     arc, chord, bow = (np.zeros(count) for _ in range(3))
-    # The reach of a stitch grows in small steps, and between two of them values are interpolated
-    # linearly, which gives shorter stitches rather than longer ones.
+    # The reach of a stitch grows in small steps. Linear interpolation between two steps errs
+    # towards shorter stitches.
     reach, most = 0, math.ceil(math.hypot(wanted, 2.0 * limit) / (2.0 * step))
     while reach < most and going.any():
         reach = min(most, max(reach + 1, math.ceil(reach * _GROWTH)))
@@ -124,7 +124,7 @@ def _reached(
     accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> FloatArray:
-    """Return ``longest``, reduced where the head could not change its speed in time."""
+    """Return ``longest``, reduced wherever the head could not change its speed in time."""
     up, down = (2.0 * a / settings.needle_speed_hz**2 for a in accelerations)
     squared = longest**2
     if rests[0]:
@@ -137,14 +137,14 @@ def _reached(
     return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
 
-EXEMPT = 2  # stitches on each side of a corner that need not keep their length
+EXEMPT = 2  # stitches on each side of a corner whose length may differ
 _ROUNDS = 30
 
 
 def stitch_lengths(
     length_m: float, settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]
 ) -> FloatArray:
-    r"""Return the (n,) lengths of the stitches of a leg, in order; their sum is ``length_m``.
+    r"""Return the (n,) stitch lengths of a leg, in order; their sum is ``length_m``.
 
     Parameters
     ----------
@@ -153,20 +153,20 @@ def stitch_lengths(
     settings
         Stitch length and needle speed.
     accelerations
-        Accelerations of the head, where it starts from a rest and where it comes to one.
+        Accelerations of the head at a start from rest and at a stop.
     rests
-        Whether the head rests at the beginning, and at the end.
+        Whether the head rests at the beginning and at the end of the leg.
 
     Notes
     -----
     With a needle of constant speed N a leg of n stitches takes n/N. A head that rests at r of
     its ends, accelerates with a, and moves at v = N l' in between covers
-    :math:`n l' - r l'^2 N^2/(2a)`, with the a of each end where they differ. The number n is chosen
-    so that l' is nearest to the wanted length (``stitch_count``). A stitch in which the head
-    accelerates has the length of the ramp: 1/4 and 3/4 of l' under the two-stitch rule.
+    :math:`n l' - r l'^2 N^2/(2a)`; if the ends have different a, each end uses its own a. The
+    number n brings l' as near as possible to the wanted length (``stitch_count``). Stitches during
+    acceleration follow the ramp: they measure 1/4 and 3/4 of l' under the two-stitch rule.
 
-    On a leg of few stitches not all can be within the tolerance. Those in the middle then differ by
-    half of the tolerance, and the four exempt ones take the rest.
+    On a leg of few stitches, not all stitches can be within the tolerance. The middle stitches then
+    differ by half of the tolerance, and the four exempt stitches take the rest.
     """
     wanted = settings.stitch_length_m
     count = stitch_count(length_m, settings, accelerations, rests)
@@ -177,7 +177,7 @@ def stitch_lengths(
     middle = np.clip(even_m, wanted * (1.0 - share), wanted * (1.0 + share))
     resting = [a for rest, a in zip(rests, accelerations, strict=True) if rest]
     ramp_stitches = middle * settings.needle_speed_hz**2 / min(resting, default=np.inf)
-    # A ramp that reaches a twentieth of a stitch further shortens it by a thousandth.
+    # A ramp that reaches 1/20 into the next stitch shortens that stitch by a thousandth.
     within = ramp_stitches <= EXEMPT * (1.0 + settings.tolerance)
     if count > 2 * EXEMPT and middle != even_m and within:
         rest = length_m - middle * (count - 2 * EXEMPT)
@@ -191,10 +191,10 @@ def stitch_lengths(
 def stitch_count(
     length_m: float, settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]
 ) -> int:
-    """Return the number of stitches of a leg for which they are nearest to the wanted length.
+    """Return the number of stitches of a leg that brings them nearest to the wanted length.
 
-    On a leg so short that the head never reaches its speed it is the least possible number, since
-    more stitches would be still shorter.
+    On a leg too short for the head to reach its speed, the result is the least possible number,
+    because more stitches would be even shorter.
     """
     wanted = settings.stitch_length_m
     loss = _loss(settings, accelerations, rests)
@@ -207,19 +207,19 @@ def stitch_count(
 
 
 def _loss(settings: Stitching, accelerations: Accelerations, rests: tuple[bool, bool]) -> float:
-    """Return, in 1/m, the distance lost by the ramps at rests over the squared stitch length."""
+    """Return the distance lost in the ramps at rests over the squared stitch length, in 1/m."""
     inverse = sum(rest / a for rest, a in zip(rests, accelerations, strict=True))
     return settings.needle_speed_hz**2 * inverse / 2.0
 
 
 def exempt_mask(count: int) -> NDArray[np.bool_]:
-    """Return (count,) whether each stitch is one of the two at either end of a leg."""
+    """Return (count,) whether each stitch is one of the first two or last two of a leg."""
     index = np.arange(count)
     return (index < EXEMPT) | (index >= count - EXEMPT)
 
 
 def _even_m(count: int, length_m: float, loss: float) -> float:
-    """Return the stitch length at speed: the smaller root of ``loss l^2 - count l + L = 0``."""
+    """Return the stitch length at speed, the smaller root of ``loss l^2 - count l + L = 0``."""
     if loss == 0.0:
         return length_m / count
     root = math.sqrt(max(0.0, count**2 - 4.0 * loss * length_m))
@@ -235,7 +235,7 @@ def _ramped(
 ) -> FloatArray:
     """Return the (count,) distances that the head covers in each turn of the needle.
 
-    Its speed is a trapezoid over time.
+    The speed of the head is a trapezoid over time.
     """
     time = np.arange(count + 1, dtype=np.float64)
     covered = time * even_m
@@ -244,7 +244,7 @@ def _ramped(
             continue
         a = si / settings.needle_speed_hz**2  # m per period squared
         ramp = even_m / a
-        # Distance lost against even speed until ``clock`` periods after (before) the rest.
+        # Distance lost against constant speed up to ``clock`` periods after (before) the rest.
         ramping = np.minimum(clock, ramp)
         lost = even_m * ramping - a * ramping**2 / 2.0
         covered = covered - (lost if clock is time else lost[0] - lost)
@@ -259,21 +259,21 @@ def place_leg(
     accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Return the places on the contour at which the stitches of a leg begin and end.
+    """Return the places on the contour of the stitch ends of a leg.
 
     Returns
     -------
     at_m
         (n + 1,) lengths along the contour, from ``leg.begin_m`` to ``leg.end_m``.
     points
-        (n + 1, 2) m.
+        (n + 1, 2) points of the needle, m.
     short
-        (n,) bool: stitches that a bend made shorter than wanted.
+        (n,) whether a bend makes the stitch shorter than wanted.
 
     Notes
     -----
-    Stitches have even lengths, unless the line would bow out of them by more than the settings
-    allow; then they are shorter at bends (``bends``).
+    Stitches have even lengths. If the line would bow out of such stitches by more than the settings
+    allow, the stitches are shorter at bends (``bent_stitches``).
     """
     even = _even(table, leg, closed, settings, accelerations, rests)
     if even is not None:
@@ -295,13 +295,13 @@ def _even(
     accelerations: Accelerations,
     rests: tuple[bool, bool],
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return places, points and chords of stitches of even length; None where there are none.
+    """Return places, points and chords of stitches of even length; None for a loop of one stitch.
 
     Notes
     -----
-    The length of a stitch is that of its chord and not of its arc. Where the two differ, the arcs
-    are divided by the ratio of chord to wanted length. This is repeated, and each time at least
-    halves the error, until the chords have the wanted proportions.
+    The length of a stitch is the length of its chord, not of its arc. If the two differ, each arc
+    is divided by the ratio of chord to wanted length. Each repetition at least halves the error;
+    the loop ends when the chords have the wanted proportions.
     """
     whole = leg.length_m
     chord_sum = whole
@@ -339,5 +339,5 @@ def _measure(
 
 
 def wrap(at_m: FloatArray, length_m: float) -> FloatArray:
-    """Return lengths along a closed contour modulo its length."""
+    """Return lengths along a closed contour modulo the length of the contour."""
     return np.asarray(np.mod(at_m, length_m))

@@ -1,4 +1,4 @@
-"""Seam files (``.seam.toml``): the drawing, the seams of it, and their settings."""
+"""Seam files (``.seam.toml``): the drawing, its seams, and their settings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEFAULT_GAP_M = 1e-5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SeamChoice:
-    """The layer and colour of a seam's strokes, None for every one, and settings of its own."""
+    """The layer and colour of a seam's strokes (None: any), and the seam's own settings."""
 
     name: str
     layer: str | None = None
@@ -36,8 +36,9 @@ class SeamChoice:
 class SeamFile:
     """The content of a seam file.
 
-    ``drawing`` is the name of a drawing, or the contours in the file itself. Without ``choices``,
-    each ``layer`` or ``colour`` is a seam, or ``all`` strokes are one, as ``by`` says.
+    ``drawing`` is the name of a drawing, or the contours in the seam file itself. Without
+    ``choices``, ``by`` decides: each ``layer`` or ``colour`` is a seam, or ``all`` strokes form one
+    seam.
     """
 
     drawing: str | Drawing
@@ -57,7 +58,7 @@ def read_seam_file(content: bytes, file: str) -> SeamFile:
     Raises
     ------
     JobError
-        With the line, if the file is not TOML or not a seam file.
+        If the file is not TOML or not a seam file; the error gives the line.
     """
     text = decode_text(content, file, "seam file")
     try:

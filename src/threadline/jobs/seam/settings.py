@@ -31,50 +31,51 @@ class Stitching:
     Parameters
     ----------
     stitch_length_m, needle_speed_hz
-        Wanted length of the stitches, and number of stitches a second.
+        Wanted length of the stitches, and number of stitches per second.
     tolerance
-        Share of the stitch length by which a stitch may differ from it; two stitches on each side
-        of a corner, of a reversal and of the ends are exempt.
+        Allowed difference of a stitch from the stitch length, as a share of that length. Two
+        stitches on each side of a corner or reversal, and at each end, are exempt.
     placement_m
-        Allowed distance of the head from the seam. With a slowed needle and interpolated motion it
-        determines the speed at corners.
+        Allowed distance of the head from the seam. With a slowed needle and interpolated motion
+        this distance sets the speed at corners.
     bow_m, least_stitch_m
-        Where the drawn line would bow out of the stitches by more than ``bow_m`` (half of the
-        placement when None), they are shorter, but not shorter than the least stitch or than the
-        wanted length, whichever is less.
+        Stitches are shortened where the drawn line would bow out of them by more than ``bow_m``
+        (None: half of the placement), but not below the least stitch or the wanted length,
+        whichever is less.
     corner_angle_rad
-        A turn of at least this angle within the least stitch is a corner: it gets a stitch.
+        A turn of at least this angle within the least stitch is a corner, and gets a stitch.
     motion
-        ``interpolated``: the next leg begins while the last one ends, which rounds the corner;
-        ``discrete``: the head rests in each corner.
+        ``interpolated``: a leg begins before the leg before it ends, which rounds the corner;
+        ``discrete``: the head rests at each corner.
     needle
-        ``constant`` speed; ``slowed`` with the head, so that stitches keep their length; or
-        ``follow``: it turns with the way of the head, whose timing is found afterwards.
+        ``constant``: the needle has constant speed; ``slowed``: the needle slows down with the
+        head, so that stitches keep their length; ``follow``: the needle turns with the path length
+        of the head, and the planner times the head.
     needle_slowest_hz
-        Lowest speed of a needle that follows, stitch/s, but for turns beside a rest of the head.
+        Lowest speed of a needle that follows, stitch/s, except for turns beside a rest of the head.
     acceleration_m_s2
-        Acceleration of the head along the seam; None for the two-stitch rule,
+        Acceleration of the head along the seam; None: the two-stitch rule,
         ``v^2 / (2 stitch length)``.
     deceleration_m_s2
-        Deceleration of the head along the seam; equal to the acceleration when None.
+        Deceleration of the head along the seam; None: equal to the acceleration.
     needle_acceleration_hz_s
-        Largest acceleration of the sewing motor, stitch/s^2; infinite when it is no limit.
+        Largest acceleration of the sewing motor, stitch/s^2; infinite for no limit.
     allowance_m, side, join, mitre_limit
-        Distance of the stitches from the drawn line: ``inside`` or ``outside`` a closed contour,
-        ``left`` or ``right`` of an open one; corners ``mitre`` or ``round``; a mitre longer than
-        ``mitre_limit`` allowances is rounded.
+        Distance of the stitches from the drawn line; side: ``inside`` or ``outside`` a closed
+        contour, ``left`` or ``right`` of an open contour; shape of corners: ``mitre`` or ``round``;
+        a mitre longer than ``mitre_limit`` allowances is rounded.
     lock_start, lock_end
-        Number of stitches sewn forth and back to lock the thread.
+        Number of stitches sewn forth and back to lock the thread at the start and at the end.
     start_m, end_m
-        Lengths along the contour at which the seam begins and ends; None for the whole contour.
+        Lengths along the contour of the start and the end of the seam; None: the whole contour.
     reverse
-        Whether the contour is sewn against the direction in which it was drawn.
+        Whether to sew the contour against its drawn direction.
     travel_speed_m_s, settle_s
-        Speed of the head on its way to a contour, and its rest there before the first stitch. When
-        None, they follow from the machine's slowest modes (see ``journeys``). An infinite speed
-        (``"fastest"``) is the largest of the machine.
+        Speed of the head on the way to a contour, and rest of the head before the first stitch.
+        None: the machine's modes give the values (see ``with_journeys``). An infinite speed
+        (``"fastest"``) means the highest speed of the machine.
     trim_s
-        Rest at the end of a contour while the thread is trimmed.
+        Rest of the head at the end of a contour for the thread trim.
     """
 
     stitch_length_m: float
@@ -105,7 +106,7 @@ class Stitching:
 
     @property
     def follows(self) -> bool:
-        """Whether the needle turns with the way of the head."""
+        """Whether the needle turns with the path length of the head."""
         return self.needle == "follow"
 
     @property
@@ -115,7 +116,7 @@ class Stitching:
 
     @property
     def least_m(self) -> float:
-        """Least length of the stitches at bends."""
+        """Least length of stitches at bends."""
         return min(self.least_stitch_m, self.stitch_length_m)
 
     @property
@@ -139,13 +140,13 @@ class Accelerations(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class _Setting:
     field: str
-    unit: str | None = None  # None: one of choices, or a whole number, or a truth value
+    unit: str | None = None  # None: a choice, a whole number or a truth value
     choices: tuple[str, ...] = ()
     kind: type = str
     low: float = 0.0
     high: float = math.inf
     open_low: bool = False
-    endless: str = ""  # a word for without limit
+    endless: str = ""  # word for an infinite value
 
 
 _SETTINGS = {
@@ -188,16 +189,16 @@ def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: P
     Parameters
     ----------
     settings
-        Values by the names of ``STITCHING_KEYS``, quantities as text with a unit.
+        Values by the names in ``STITCHING_KEYS``; quantities are texts with a unit.
     places
-        Place of each in its file, for errors.
+        Place of each setting in its file, for errors.
     place
-        Place for the error of one that is missing.
+        Place for the error about a missing setting.
 
     Raises
     ------
     JobError
-        If one is unknown, malformed, out of range or missing.
+        If a setting is unknown, malformed, out of range or missing.
     """
     values: dict[str, Any] = {}
     for key, value in settings.items():
@@ -220,7 +221,7 @@ def stitching(settings: Mapping[str, Any], places: Mapping[str, Place], place: P
 
 
 def _check_needle(found: Stitching, places: Mapping[str, Place], place: Place) -> None:
-    """Refuse a lowest speed of a needle that does not follow, or one above its highest."""
+    """Refuse ``needle_slowest`` for a needle that does not follow, or above ``needle_speed``."""
     slowest = found.needle_slowest_hz
     if not slowest:
         return
@@ -250,7 +251,7 @@ def _value(key: str, value: Any, setting: _Setting, place: Place) -> Any:
             )
         return value
     if setting.unit is None:
-        # bool is an int in Python; here they are different things.
+        # bool is an int in Python; here a truth value is no number.
         if type(value) is not setting.kind:
             raise JobError(f"{key} is {value!r}, not of type {setting.kind.__name__}", place=place)
         number: Any = value

@@ -1,7 +1,7 @@
-"""Times of stitches for a needle that slows down with the head, so that they keep their length.
+"""The stitches of a contour, and their times with a needle that slows down with the head.
 
-The sewing motor turns once a stitch. Head speed v and needle speed v / length are therefore
-coupled, and the lower of the limits of head and motor applies to both.
+The sewing motor turns once per stitch. If stitches keep their length, head speed v and needle speed
+v / length are coupled, and the lower limit of head and motor applies to both.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from threadline.sizing import corner_error_m
 def end_speed_m_s(
     turn_rad: float | None, settings: Stitching, accelerations: Accelerations
 ) -> float:
-    """Return the largest speed in m/s at the end of a leg: 0 at a rest.
+    """Return the highest speed in m/s at the end of a leg: 0 at a rest.
 
-    At a corner of interpolated motion it is the speed at which the corner is missed by the
-    placement (``corner_error_m``).
+    At a corner of interpolated motion, the head at this speed misses the corner by the placement
+    (``corner_error_m``).
     """
     if turn_rad is None or settings.motion == "discrete":
         return 0.0
@@ -52,22 +52,22 @@ def stitch_times_s(
     lengths_m
         (n,) lengths of the stitches.
     bend_1_m
-        (n + 1,) curvature of the seam where the stitches begin and end; the head goes no faster
-        there than ``sqrt(a / curvature)``, a being the smaller of the accelerations.
+        (n + 1,) curvature of the seam at the stitch ends, 1/m. At these points the head speed is at
+        most ``sqrt(a / curvature)``; a is the smaller of the accelerations.
     settings, accelerations
-        Settings of the seam, with the limit of the needle, and accelerations of the head.
+        Settings of the seam with the needle's limit, and accelerations of the head.
     ends_m_s
-        Speeds at the two ends of the leg.
+        Highest speeds at the two ends of the leg.
     short
-        (n,) whether a bend shortens a stitch; the head is slower there, so that the needle does not
-        exceed its speed.
+        (n,) whether a bend shortens the stitch; the head slows down at a short stitch to keep the
+        needle within its speed.
 
     Notes
     -----
-    The speeds between stitches are the fastest that the limits allow, by one pass forwards and
-    one backwards over ``v'^2 <= v^2 + 2 a l``, a being the deceleration
-    backwards. Each stitch then takes the least time between its two speeds: up to a peak, at most
-    the programmed speed, and down again.
+    The speeds between stitches are the highest that the limits allow. One forward pass and one
+    backward pass apply ``v'^2 <= v^2 + 2 a l``; the backward pass uses the deceleration for a. Each
+    stitch then takes the least time between its two speeds: the speed rises to a peak, at most the
+    programmed speed, and falls again.
     """
     needle = settings.needle_acceleration_hz_s * settings.stitch_length_m
     a, d = (min(along, needle) for along in accelerations)
@@ -79,7 +79,7 @@ def stitch_times_s(
     squared = limit.copy()
     squared[0] = min(squared[0], ends_m_s[0] ** 2)
     squared[-1] = min(squared[-1], ends_m_s[1] ** 2)
-    # min over j <= i of squared[j] + 2 a (s_i - s_j): a running minimum of squared - 2 a s.
+    # min over j <= i of squared[j] + 2 a (s_i - s_j) is a running minimum of squared - 2 a s.
     rise = 2.0 * a * np.concatenate([[0.0], np.cumsum(lengths_m)])
     squared = np.minimum.accumulate(squared - rise) + rise
     fall = (rise[-1] - rise) * (d / a)
@@ -95,12 +95,12 @@ def stitch_times_s(
 
 
 def _larger(squared: FloatArray) -> FloatArray:
-    """Return the (n,) larger of each two neighbours."""
+    """Return the (n,) larger value of each pair of neighbours."""
     return np.maximum(squared[:-1], squared[1:])
 
 
-_BACK_RAD = 2.5  # of a corner: a little less than at which ``turning_back`` asks for a rest
-MAX_STITCHES = 5_000_000  # of one contour: a leg of them takes 0.5 GB
+_BACK_RAD = 2.5  # corner angle, a little below the angle at which the planner needs a rest
+MAX_STITCHES = 5_000_000  # per contour: a leg with this many takes 0.5 GB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,24 +110,24 @@ class StitchBlock:
     Parameters
     ----------
     leg
-        The leg.
+        Leg of the stitches.
     points
-        (n + 1, 2) places of the needle in m; the first is the end of the leg before.
+        (n + 1, 2) places of the needle in m; the first place is the end of the previous leg.
     lengths_m
-        (n,) lengths of the chords.
+        (n,) lengths of the stitches (chords).
     times_s
         (n,) time of each turn of the needle.
     exempt
-        (n,) whether a stitch is one of the two next to a corner or a rest.
+        (n,) whether the stitch is one of the two stitches next to a corner or rest.
     target_m
-        (n,) wanted lengths: that of the settings, less where a bend shortens stitches.
+        (n,) wanted lengths: the stitch length of the settings, or less at a bend.
     at_m
-        (n + 1,) places of the needle as lengths along the contour: they decrease where a lock turns
-        back, and exceed the length of the contour in a second lap.
+        (n + 1,) places of the needle as lengths along the contour. They decrease on the way back of
+        a lock, and exceed the length of the contour in a second lap.
     bulge_m
-        (n,) largest distance that the contour can have from the chord.
+        (n,) largest possible distance of the contour from the chord.
     line
-        (n,) int: line in the file of the entity on which the stitch ends.
+        (n,) int: line in the file of the entity at the end of the stitch.
     rests
         Whether the head rests at the end of the leg.
     """
@@ -146,16 +146,16 @@ class StitchBlock:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SewnContour:
-    """A contour with everything that determines its stitches.
+    """A contour with all settings that determine its stitches.
 
     Parameters
     ----------
     seam
         Name of the seam.
     place
-        Place in the drawing of the beginning of the contour.
+        Place in the drawing of the start of the contour.
     table, closed
-        The curve in the axes of the machine, and whether it is closed.
+        Curve in machine coordinates, and whether the curve is closed.
     legs
         Legs in the order of sewing.
     settings
@@ -178,7 +178,7 @@ class SewnContour:
         Raises
         ------
         JobError
-            If a stitch has no length because a loop is too small, or the head is too slow.
+            If a stitch has no length, because a loop is too small or the head is too slow.
         """
         for leg in self.legs:
             yield self._block(leg)
@@ -198,7 +198,7 @@ class SewnContour:
             discrete or leg.end_turn_rad is None,
         )
         slowed = settings.needle != "constant"
-        # Such a needle waits for the head, so that no stitch is shortened by a ramp.
+        # A slowed needle waits for the head, so no ramp shortens a stitch.
         ramps = (False, False) if slowed else halts
         count = stitch_count(leg.length_m, settings, self.accelerations, ramps)
         if count > MAX_STITCHES:
@@ -242,9 +242,9 @@ class SewnContour:
         )
 
     def _turns_back(self, leg: Leg) -> bool:
-        """Say whether a needle that can only change its speed so fast has to rest after a leg.
+        """Say whether a needle with an acceleration limit has to rest after a leg.
 
-        Where the line turns back the way of the head has a kink in its speed.
+        If the line turns back, the speed of the head along its path has a kink.
         """
         limited = self.settings.follows and np.isfinite(self.settings.needle_acceleration_hz_s)
         return bool(limited and leg.end_turn_rad is not None and leg.end_turn_rad > _BACK_RAD)
@@ -266,7 +266,7 @@ def sewn_contour(
     Raises
     ------
     JobError
-        If the start, the end or a lock lies outside it, or it is too long.
+        If the start, the end or a lock lies outside the contour, or the contour is too long.
     """
     pieces = contour.pieces.reverse() if settings.reverse else contour.pieces
     table = arc_table(pieces)

@@ -1,1 +1,1 @@
-"""Part programs with parameters, expressions and O words, as LinuxCNC and FluidNC take them."""
+"""Part programs with parameters, expressions and O words, as LinuxCNC and FluidNC read them."""

@@ -1,4 +1,4 @@
-"""A run over the lines of a program: which comes next, and how many there may be."""
+"""A run over the lines of a program: the order of the lines, and the limit on their number."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from threadline.jobs.gcode.parametric.statements import Code, Statement, stateme
 from threadline.jobs.gcode.words import RawBlock
 
 MOST_LINES = 1_000_000
-"""Lines that may be run more often than once."""
+"""Most lines that a run may repeat."""
 MOST_IDLE = 100_000
-"""Lines that may be run one behind another without a move between them."""
+"""Most lines that may run in sequence without a move."""
 _KEPT = 100_000
 
 
 class Run:
-    """One run.
+    """One run of a program.
 
     Parameters
     ----------
     codes
-        The lines.
+        Lines of the program.
     flow
-        What the O words among them do.
+        Order of the O words in these lines.
     flavour
-        The control.
+        Rules of the control for parameters and O words.
     values
-        The parameters.
+        Parameters of the run.
     file
         Path of the file, for errors.
 
     Attributes
     ----------
     idle
-        Lines that were run since the last move, which sets it to 0.
+        Number of lines since the last move; a move resets the number to 0.
     """
 
     def __init__(
@@ -54,19 +54,19 @@ class Run:
         self._statements: dict[int, Statement | None] = {}
         self._formulas: dict[int, Formula] = {}
         self._arguments: dict[int, tuple[str, list[Formula]]] = {}
-        self._counts: dict[int, int] = {}  # that are left of each repeat
+        self._counts: dict[int, int] = {}  # passes left in each repeat
         self._callers: list[int] = []
-        # LinuxCNC keeps two marks: the first ends the next do, the second begins a while or a
-        # repeat anew where it would end.
+        # LinuxCNC keeps two flags: ``_broken`` ends the next do; ``_continued`` restarts a while
+        # or a repeat at its end.
         self._broken = self._continued = False
 
     def statements(self) -> Iterator[tuple[RawBlock, int]]:
-        """Return the blocks that are run, with numbers alone, and their lines, from 1.
+        """Return the blocks of the run, with formulas replaced by numbers, and their lines, from 1.
 
         Raises
         ------
         JobError
-            If a line cannot be read, or has no value, or too many are run.
+            If a line cannot be read, a formula has no value, or too many lines run.
         """
         line, done = 0, 0
         steps, kept = self._flow.steps, self._statements
@@ -102,11 +102,11 @@ class Run:
         return Place(self._file, line + 1)
 
     def _next(self, step: Step) -> int:
-        """Return the line behind an O word."""
+        """Return the index of the line that runs after an O word."""
         word, line = step.o.word, step.line
         if word == "if":
             return self._branch(step)
-        if word in {"elseif", "else"}:  # reached from the branch before it
+        if word in {"elseif", "else"}:  # the end of the branch before
             return self._flow.steps[step.begin].branches[-1] + 1
         if word == "while":
             return self._while(step)
@@ -133,7 +133,7 @@ class Run:
         return line + 1  # do, endif
 
     def _value(self, step: Step) -> float:
-        """Return the value of the expression behind an O word."""
+        """Return the value of the expression after an O word."""
         formula = self._formulas.get(step.line)
         if formula is None:
             reader = FormulaReader(step.o.rest, self._flavour, self._place(step.line))
@@ -153,18 +153,18 @@ class Run:
         return step.branches[-1] + 1
 
     def _while(self, step: Step) -> int:
-        if step.begin >= 0:  # it ends a do
+        if step.begin >= 0:  # this while ends a do
             again = bool(self._value(step)) and not self._broken
             self._broken = self._broken and again
             return step.begin + 1 if again else step.line + 1
         return step.line + 1 if self._value(step) else self._leave(step, step.line)
 
     def _leave(self, begun: Step, line: int) -> int:
-        """Return the line to go on with, where a loop is left from ``line`` on.
+        """Return the line that runs next after a loop is left at ``line``.
 
-        LinuxCNC reads on to the end of the loop. On its way it takes each ``break`` of that label,
-        which ends the next ``do``, too; and a ``continue`` of a ``do``, whose mark nobody takes
-        off, begins the loop anew.
+        LinuxCNC reads on to the end of the loop. It takes each ``break`` of the same label on the
+        way, which also ends the next ``do``; and a ``continue`` of a ``do`` leaves a flag set,
+        which restarts the loop.
         """
         if not self._flavour.subroutines:
             return begun.end + 1
@@ -215,7 +215,7 @@ class Run:
             return self._leave(begun, step.line)
         self._leave_inner(begun, step)
         if begun.o.word == "do":
-            return begun.line + 1  # FluidNC begins anew without a look at the condition
+            return begun.line + 1  # FluidNC restarts without testing the condition
         if begun.o.word == "while" and not self._value(begun):
             raise JobError(
                 f"continue {begun.o.label}, where its while no longer holds: FluidNC goes on "
@@ -233,9 +233,9 @@ class Run:
         return begun.line
 
     def _leave_inner(self, begun: Step, step: Step) -> None:
-        """Forget the passes left of each repeat in a loop that is gone on with from inside of it.
+        """Drop the counts of repeats inside a loop when a break or continue leaves them.
 
-        LinuxCNC does not forget them.
+        LinuxCNC keeps these counts.
         """
         if not self._flavour.subroutines:
             for line in [k for k in self._counts if begun.line < k < step.line]:

@@ -1,8 +1,8 @@
-"""O words: which lines they are, and where each of them leads.
+"""O words: their lines, and the line to which each O word leads.
 
-Blocks of ``if``, ``while``, ``do``, ``repeat`` and ``sub`` are nested in each other and have their
-ends. LinuxCNC itself looks for an end while it runs; what does not fit together there is refused
-here before anything runs.
+Blocks of ``if``, ``while``, ``do``, ``repeat`` and ``sub`` nest, and each block has its end.
+LinuxCNC searches for the end while it runs; this reader refuses blocks without a matching end
+before the program runs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _WITH_FORMULA = ("if", "elseif", "while", "repeat")
 
 
 class OWord(NamedTuple):
-    """An O word: its label (or the formula of one, behind ``o``), what it does, what follows."""
+    """An O word: its label (or the label's formula), its word, and the text after the word."""
 
     label: str
     formula: str
@@ -38,12 +38,12 @@ class OWord(NamedTuple):
 
 
 def o_word(code: str, place: Place) -> OWord | None:
-    """Return the O word of a line without blanks, in small letters; None if it is another block.
+    """Return the O word of a line (lower case, no blanks); None if the line is another block.
 
     Raises
     ------
     JobError
-        If it begins like one and is none.
+        If the line begins with ``o`` and is no O word.
     """
     begin = code.lstrip("n0123456789") if code[:1] == "n" else code
     if begin[:1] != "o":
@@ -70,20 +70,20 @@ def o_word(code: str, place: Place) -> OWord | None:
 
 @dataclass(slots=True)
 class Step:
-    """An O word in its place.
+    """An O word and its place in the program.
 
     Parameters
     ----------
     line
-        Index of its line.
+        Index of the line of the O word.
     end
-        Index of the line that ends its block: of ``endif``, ``endwhile``, ``endsub`` and such; of
-        the ``while`` that ends a ``do``.
+        Index of the line that ends the block: ``endif``, ``endwhile``, ``endrepeat`` or
+        ``endsub``; for a ``do``, the closing ``while``.
     begin
-        Index of the line that begins its block.
+        Index of the line that begins the block.
     branches
-        Of an ``if``: indices of each ``elseif``, of ``else`` and of ``endif``, in order. Of a loop:
-        of each ``break``.
+        For an ``if``: line indices of each ``elseif``, ``else`` and ``endif``, in order. For a
+        loop: line indices of each ``break``.
     """
 
     o: OWord
@@ -95,21 +95,21 @@ class Step:
 
 @dataclass(slots=True)
 class Flow:
-    """The O words of a program by the index of their line, and its subroutines by their label."""
+    """The O words of a program by line index, and the lines of its subroutines by label."""
 
     steps: dict[int, Step]
     subs: dict[str, int]
 
 
 class FlowReader:
-    """Takes the O words of a program in their order and fits them together.
+    """Takes the O words of a program in order and matches the ends of blocks to their beginnings.
 
     Parameters
     ----------
     file
         Path of the file, for errors.
     flavour
-        The control.
+        Rules of the control for parameters and O words.
     """
 
     def __init__(self, file: str, flavour: Flavour) -> None:
@@ -121,12 +121,12 @@ class FlowReader:
         self._sub = ""
 
     def take(self, o: OWord, line: int) -> None:
-        """Take an O word on the line with an index.
+        """Take the O word on the line with index ``line``.
 
         Raises
         ------
         JobError
-            If it does not fit to those before.
+            If the O word does not match the O words before it.
         """
         step = Step(o, line)
         self._flow.steps[line] = step

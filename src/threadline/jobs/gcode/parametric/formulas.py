@@ -1,8 +1,8 @@
 """Expressions of part programs: ``[#1 * SIN[30] + 2]``, numbers, parameters and functions.
 
-Operators of one rank are worked out from the left, powers too: ``[2 ** 3 ** 2]`` is 64. From the
-highest rank: ``**``; ``* / MOD``; ``+ -``; ``EQ NE GT GE LT LE``; ``AND OR XOR``. What is true is
-1, and any number but 0 is true. Angles are in degrees.
+Operators of equal rank are evaluated from the left, including powers: ``[2 ** 3 ** 2]`` is 64.
+Ranks from the highest: ``**``; ``* / MOD``; ``+ -``; ``EQ NE GT GE LT LE``; ``AND OR XOR``. A true
+comparison is 1, and every number except 0 counts as true. Angles are in degrees.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _RANK = {
 
 
 class FormulaReader:
-    """Reads formulas of a line from a position on, which moves.
+    """Reads the formulas of a line from a position that moves forward.
 
     Parameters
     ----------
     text
-        The line without blanks and comments, in small letters.
+        The line in lower case, without blanks and comments.
     flavour
-        The control.
+        Rules of the control for expressions.
     place
         Place of the line.
     """
@@ -53,22 +53,22 @@ class FormulaReader:
         self._nested = self._operators = 0
 
     def more(self) -> bool:
-        """Say whether anything is left of the line."""
+        """Say whether the line has more text."""
         return self.at < len(self.text)
 
     def peek(self) -> str:
-        """Return the next letter, empty at the end."""
+        """Return the next character, empty at the end of the line."""
         return self.text[self.at : self.at + 1]
 
     def take(self, what: str) -> bool:
-        """Skip ``what``, if it comes next."""
+        """Skip ``what`` if it comes next; return whether it does."""
         if not self.text.startswith(what, self.at):
             return False
         self.at += len(what)
         return True
 
     def refuse(self, message: str, remedy: str = "Correct it.") -> NoReturn:
-        """Raise an error at what comes next."""
+        """Raise an error that quotes the next text of the line."""
         rest = self.text[self.at : self.at + _MAX_SHOWN] or "the end of the line"
         raise JobError(f"{message}, at {rest!r}", place=self._place, remedy=remedy)
 
@@ -78,7 +78,7 @@ class FormulaReader:
         Raises
         ------
         JobError
-            If it is none.
+            If the text is none of these.
         """
         c = self.peek()
         if c == "[":
@@ -109,7 +109,7 @@ class FormulaReader:
         Raises
         ------
         JobError
-            If it is none.
+            If the text is no expression in brackets.
         """
         if not self.take("["):
             self.refuse("an expression in [ ] is missing")
@@ -121,9 +121,9 @@ class FormulaReader:
         return formula
 
     def whole(self) -> Callable[[Values], int]:
-        """Read a value that must come to a whole number, within 0.0001."""
+        """Read a value that must be a whole number, within 0.0001 (exactly for FluidNC)."""
         value, place = self.value(), self._place
-        apart = 0.0 if self._flavour is FLUIDNC else _ALMOST_WHOLE  # it cuts decimals off
+        apart = 0.0 if self._flavour is FLUIDNC else _ALMOST_WHOLE  # FluidNC cuts decimals off
 
         def whole(values: Values) -> int:
             number = value(values)
@@ -175,7 +175,7 @@ class FormulaReader:
             if marked or bare is None or self._flavour.subroutines:
                 name = self.name() if marked else self.refuse("EXISTS[#<name>] needs a name")
             else:
-                name, self.at = bare[0], bare.end()  # FluidNC takes it so, too
+                name, self.at = bare[0], bare.end()  # FluidNC also takes a bare name
             found = lambda values: float(values.exists(name, self._place))  # noqa: E731
         if not self.take("]"):
             self.refuse("] is missing")
@@ -207,7 +207,7 @@ class FormulaReader:
         return function
 
     def _ranked(self, left: Formula, least: int) -> Formula:
-        """Read operators of a rank above ``least`` with what stands to their right."""
+        """Read the operators of a rank above ``least`` and their right operands."""
         while (found := _OPERATOR.match(self.text, self.at)) and _RANK[found[0]] > least:
             self.at = found.end()
             self._operators += 1
@@ -288,7 +288,7 @@ _IN_SINGLE: dict[str, Callable[[float], float]] = {
     "sin": lambda x: math.sin(single(x * _DEGREE)),
     "tan": lambda x: math.tan(single(x * _DEGREE)),
 }
-"""Functions of FluidNC that round on their way: its cosine of 90 is -4e-8, and no zero."""
+"""FluidNC's functions, which round intermediate values: its cosine of 90 is -4e-8, not 0."""
 
 
 def _operators(flavour: Flavour) -> dict[str, Callable[[float, float], float]]:
@@ -313,7 +313,7 @@ def _operators(flavour: Flavour) -> dict[str, Callable[[float, float], float]]:
 
 
 def _in_doubt(operator: str, a: float, b: float, flavour: Flavour) -> bool:
-    """Say whether versions of the control compare two numbers differently."""
+    """Say whether versions of the control compare these two numbers differently."""
     later = flavour.alike_later
     if later is None or a == b:
         return False

@@ -1,4 +1,4 @@
-"""The parameters of a program while it runs: numbered ones, local and global names."""
+"""The parameters of a running program: numbered, local and global ones."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from threadline.errors import JobError, Place
 from threadline.jobs.gcode.dialects import Flavour
 
 ARGUMENTS = 30
-"""A subroutine has as many parameters of its own: #1 to #30."""
+"""Number of a subroutine's own parameters, #1 to #30."""
 MAX_DEPTH = 9
-"""Calls inside calls that LinuxCNC allows."""
+"""Deepest nesting of calls that LinuxCNC allows."""
 _LAST_OWN = 5000
 _POSITION = 5420
 _AXES = "XYZABCUVW"
@@ -35,7 +35,7 @@ _IN_PROGRAM = "Set it in the program, or have the program written with numbers a
 
 @dataclass(slots=True)
 class _Frame:
-    """A call: its local names, and what #1 to #30 were before it."""
+    """An open call: its local names, and the values of #1 to #30 before the call."""
 
     names: dict[str, float] = field(default_factory=dict)
     saved: dict[int, float] = field(default_factory=dict)
@@ -48,18 +48,18 @@ class Values:
     Parameters
     ----------
     flavour
-        The control.
+        Rules of the control for parameters.
     told
-        Returns what a predefined name stands for, None where it is not one that is known here;
-        ``_x`` to ``_w`` are the present position in the units of the program.
+        Function that returns the value of a predefined name, None for an unknown name. The names
+        ``_x`` to ``_w`` give the present position in the units of the program.
 
     Attributes
     ----------
     unset
-        The first line that reads each numbered parameter which was never set before.
+        First line that reads each numbered parameter before it is set.
     doubtful
-        The first line that compares numbers so near to each other that versions of the control
-        answer differently; 0 for none.
+        First line that compares numbers so close that versions of the control give different
+        results; 0 without one.
     """
 
     flavour: Flavour
@@ -73,7 +73,7 @@ class Values:
 
     @property
     def depth(self) -> int:
-        """Number of calls that are open."""
+        """Number of open calls."""
         return len(self._frames) - 1
 
     def number(self, which: int, at: Place) -> float:
@@ -82,7 +82,7 @@ class Values:
         Raises
         ------
         JobError
-            If there is none of that number, or the control alone knows its value.
+            If the parameter does not exist, is not set, or only the control knows its value.
         """
         if 1 <= which < self.flavour.readable:
             raise JobError(
@@ -120,7 +120,7 @@ class Values:
         Raises
         ------
         JobError
-            If it is none that a program has for itself.
+            If the number is not one of the program's own parameters.
         """
         if not 1 <= which <= _LAST_OWN:
             raise JobError(
@@ -132,12 +132,12 @@ class Values:
         self._numbers[which] = value
 
     def named(self, name: str, at: Place) -> float:
-        """Return the value of a named parameter, global if it begins with an underscore.
+        """Return the value of a named parameter; a name with a leading underscore is global.
 
         Raises
         ------
         JobError
-            If it was not set.
+            If the parameter was not set, or only the control knows its value.
         """
         if name in _POSITIONS:
             self._refuse_position(f"#<{name}>", at)
@@ -159,13 +159,13 @@ class Values:
         Raises
         ------
         JobError
-            If the control alone knows it.
+            If the name is an item of the control's configuration.
         """
         self._refuse_configuration(name, at)
         return name in _OF_CONTROL or self._find(name) is not None
 
     def has_number(self, which: int) -> bool:
-        """Say whether there is a numbered parameter."""
+        """Say whether the numbered parameter ``which`` exists."""
         return 1 <= which <= _LAST
 
     def set_named(self, name: str, value: float, at: Place) -> None:
@@ -174,7 +174,7 @@ class Values:
         Raises
         ------
         JobError
-            If the control sets it.
+            If the control sets this parameter.
         """
         self._refuse_configuration(name, at)
         if name in _OF_CONTROL or (name[:1] == "_" and self._predefined(name) is not None):
@@ -186,7 +186,7 @@ class Values:
         (self._globals if name[:1] == "_" else self._frames[-1].names)[name] = value
 
     def _refuse_position(self, written: str, at: Place) -> None:
-        """Refuse the position of the motors, where the control reads it as the program is read."""
+        """Refuse a position parameter if the control reads the motors while it parses the line."""
         if not self.flavour.at_motors:
             return
         raise JobError(
@@ -197,7 +197,7 @@ class Values:
         )
 
     def _refuse_configuration(self, name: str, at: Place) -> None:
-        """Refuse an item of the configuration, whose name is a path."""
+        """Refuse a name that is an item of the control's configuration (a path)."""
         if name[:1] == "/" and self.flavour.paths_configure:
             raise JobError(
                 f"#<{name[:40]}> is an item of the control's configuration (its steps, limits and "
@@ -223,12 +223,12 @@ class Values:
         return self.told(name)
 
     def enter(self, arguments: list[float], at: Place) -> None:
-        """Begin a call: #1 to #30 are its arguments, 0 where there are less.
+        """Begin a call: set #1 to #30 to the arguments, and to 0 without an argument.
 
         Raises
         ------
         JobError
-            If calls are nested too deep.
+            If calls are nested too deeply.
         """
         if self.depth >= MAX_DEPTH:
             raise JobError(
@@ -243,7 +243,7 @@ class Values:
             self._numbers[k] = arguments[k - 1] if k <= len(arguments) else 0.0
 
     def leave(self, returned: float | None) -> None:
-        """End a call, with the value that it returns."""
+        """End a call and keep its returned value."""
         frame = self._frames.pop()
         for k in range(1, ARGUMENTS + 1):
             self._numbers.pop(k, None)

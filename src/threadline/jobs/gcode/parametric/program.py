@@ -1,4 +1,4 @@
-"""A part program with parameters: its lines, its O words, and the run over them."""
+"""A part program with parameters: its lines, its O words, and the run over its lines."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ def is_parametric(file: SourceFile) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """The lines of a program without comments and blanks, and what its O words do."""
+    """The lines of a program without comments and blanks, and the flow of its O words."""
 
     codes: tuple[Code, ...]
     flow: Flow
 
 
 def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
-    """Return the lines of a program that is short enough to be kept.
+    """Return the lines of a program that is short enough for memory.
 
     Raises
     ------
     JobError
-        If it is too long, or its O words do not fit together.
+        If the program is too long, or its O words do not match.
     """
     if file.end - file.begin > MOST_BYTES:
         raise JobError(
@@ -104,33 +104,33 @@ def text_of(file: SourceFile, reading: Reading, flavour: Flavour) -> Text:
 
 @dataclass(frozen=True, slots=True)
 class ParametricProgram(ProgramText):
-    """A part program with parameters, which can be read any number of times.
+    """A part program with parameters; it can be read any number of times.
 
     Parameters
     ----------
     flavour
-        The control.
+        Rules of the control for parameters and O words.
     """
 
     flavour: Flavour
 
     def runs(self) -> Iterator[Operation | MoveRun]:
-        """Return the operations from the start position on.
+        """Return the operations from the start position.
 
         Raises
         ------
         JobError
-            If a block cannot be read, or has no value.
+            If a block cannot be read, or a formula has no value.
         """
         return (item for item, _, _ in self.folded())
 
     def folded(self) -> Iterator[tuple[Operation | MoveRun, int, int]]:
-        """Return the operations, each with the number of times it happens (1) and 0 for a line.
+        """Return the operations, each with its number of times (1) and line of the call (0).
 
         Raises
         ------
         JobError
-            As ``runs`` does.
+            If a block cannot be read, or a formula has no value.
         """
         for _, operations in ParametricInterpreter(self).blocks():
             for operation in operations:
@@ -138,17 +138,17 @@ class ParametricProgram(ProgramText):
 
 
 class ParametricInterpreter(Modal):
-    """The state of one reading, with the parameters.
+    """The state of one reading, with its parameters.
 
     Parameters
     ----------
     program
-        What is read.
+        Program to read.
 
     Attributes
     ----------
     values
-        The parameters.
+        Parameters of the run.
     """
 
     def __init__(self, program: ParametricProgram) -> None:
@@ -159,12 +159,12 @@ class ParametricInterpreter(Modal):
         self.values = Values(program.flavour, self._told)
 
     def blocks(self) -> Iterator[tuple[Block, Iterator[Operation]]]:
-        """Return each block that is run, with its operations, which must be taken before the next.
+        """Return each block of the run with its operations; take them before the next block.
 
         Raises
         ------
         JobError
-            If a block cannot be read, or has no value, or too many lines are run.
+            If a block cannot be read, a formula has no value, or too many lines run.
         """
         codes = self._text.codes
         run = Run(codes, self._text.flow, self._flavour, self.values, self._reading.file)
@@ -199,7 +199,7 @@ class ParametricInterpreter(Modal):
         )
 
     def _told(self, name: str) -> float | None:
-        """Return what a predefined name stands for, None for one that is not known here."""
+        """Return the value of a predefined name, None for an unknown name."""
         letter = _AXIS_NAMES.get(name)
         if letter is not None:
             index = self._reading.axes.get(letter)
@@ -229,12 +229,12 @@ class ParametricInterpreter(Modal):
 
 
 MOST_OPERATIONS = 5_000_000
-"""Moves, chords of arcs, dwells and such that a program with parameters may come to."""
+"""Most operations (moves, chords, dwells and others) of a program with parameters."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surveyed:
-    """A program, what was found in its first run, and the indices of the axes that it names."""
+    """A program, the findings of its first run, and the indices of the axes that it names."""
 
     program: ParametricProgram
     findings: Findings
@@ -246,15 +246,15 @@ def survey(
 ) -> Surveyed:
     """Run a program once.
 
-    Where it moves in several coordinate systems it is run a second time, with their zeros, since
-    its own position is among what it can ask for.
+    A program that moves in several coordinate systems runs a second time with their zeros, because
+    the program can read its own position.
 
     Raises
     ------
     JobError
-        If it cannot be read, runs too long, or moves nothing.
+        If the program cannot be read, runs too long, or moves no axis.
     BudgetError
-        If it has more operations than the machine's tick budget.
+        If the program has more operations than the machine's tick budget.
     """
     flavour = reading.dialect.flavour
     assert flavour is not None

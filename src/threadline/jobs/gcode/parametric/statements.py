@@ -1,4 +1,4 @@
-"""Blocks whose numbers are formulas, and what they set: ``G1 X[#1 + 2] #3 = 5``."""
+"""Blocks with formulas for numbers, and with settings of parameters: ``G1 X[#1 + 2] #3 = 5``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _UNREAL = re.compile(r"[^\x21-\x7e]")
 
 
 class Setting(NamedTuple):
-    """A parameter that a block sets: its name, or its number, and its value."""
+    """A setting of a parameter in a block: its name or its number, and its value."""
 
     name: str
     number: Callable[[Values], int] | None
@@ -29,7 +29,7 @@ class Setting(NamedTuple):
 
 
 class Statement(NamedTuple):
-    """A block: its words, each with the text of its number or a formula, and what it sets."""
+    """A block: its words, each with a number text or a formula, and its settings."""
 
     words: tuple[tuple[str, str | Formula], ...]
     settings: tuple[Setting, ...]
@@ -37,9 +37,9 @@ class Statement(NamedTuple):
     place: Place
 
     def worked_out(self, values: Values) -> RawBlock:
-        """Return the block with numbers alone, and set its parameters.
+        """Return the block with formulas replaced by numbers, and set its parameters.
 
-        All of them are set after every formula of the block has been worked out.
+        The parameters are set after every formula of the block is evaluated.
         """
         words = [
             (letter, told if isinstance(told, str) else number_text(letter, told(values)))
@@ -58,7 +58,7 @@ class Statement(NamedTuple):
 
 
 class Code(NamedTuple):
-    """The code of a line without blanks, in small letters, and its comment behind ``;``."""
+    """The code of a line in lower case without blanks, and the comment after ``;``."""
 
     text: str
     comment: str
@@ -70,7 +70,7 @@ def code_of(text: str, flavour: Flavour, file: str, line: int) -> Code:
     Raises
     ------
     JobError
-        If parentheses do not fit.
+        If the parentheses do not match.
     """
     comment = ""
     if flavour.loose_comments:
@@ -82,12 +82,12 @@ def code_of(text: str, flavour: Flavour, file: str, line: int) -> Code:
 
 
 def statement(code: Code, flavour: Flavour, place: Place) -> Statement | None:
-    """Return the statement of a line that is no O word, None for one without words.
+    """Return the statement of a line that is no O word, None for an empty line.
 
     Raises
     ------
     JobError
-        If it is no block.
+        If the line is no block.
     """
     if not code.text:
         return None
@@ -131,7 +131,8 @@ def _setting(reader: FormulaReader) -> Setting:
 def number_text(letter: str, value: float) -> str:
     """Return the number of a word as digits.
 
-    G words are tenths, and M L T whole, where they are so nearly.
+    A G number close to a tenth is rounded to a tenth, and an M, L or T number close to a whole
+    number is rounded to a whole number.
 
     >>> number_text("X", 0.1 + 0.2), number_text("G", 1.00000001), number_text("X", 1e-20)
     ('0.30000000000000004', '1', '0')
