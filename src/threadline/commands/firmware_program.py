@@ -69,14 +69,14 @@ def write_firmware_program(
     override: float | None = 1.0,
     slower: bool = True,
 ) -> Written:
-    """Write a plan for a firmware; the file appears only after the program read back correctly.
+    """Write a plan for a firmware; the file appears only after a correct read-back.
 
     Parameters
     ----------
     programmed
         Path of the job, with its times at the requested feeds.
     override
-        Override of the job's feeds: no chord exceeds a feed times ``override``. None where another
+        Factor on the feeds of the job: no chord exceeds a feed times ``override``. None if another
         feed replaces the job's feeds.
     slower
         Whether the firmware's planner may take longer for the program than for the job itself. If
@@ -441,7 +441,7 @@ def _as_run_s(
 ) -> tuple[float, float] | None:
     """Return the time of the firmware's planner for the job and for its program, s.
 
-    None where the machine file does not describe the planner of this firmware.
+    None if the machine file does not describe the planner of this firmware.
     """
     planner = machine.planner
     if planner is None or planner.kind != BOARDS[target].planner:

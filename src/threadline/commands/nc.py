@@ -1,9 +1,9 @@
 """Part programs for the winder and for LinuxCNC, with repeated passes of subroutines as calls.
 
-A program for LinuxCNC differs in two points. Every G1 has its time as G93 F, because a speed in
-LinuxCNC is along the path of X Y Z, and a speed of the winder is of the fastest axis. G64 asks for
-corners blended within a stated distance of the program. LinuxCNC accepts O words only alone on a
-line, and the main program only before its subroutines; programs for both targets keep these rules.
+A program for LinuxCNC differs in two points. Every G1 has its time as G93 F, because F of LinuxCNC
+is the speed along the path of X Y Z, and F of the winder is the speed of the fastest axis. G64 asks
+for corners blended within a stated distance of the program. LinuxCNC accepts O words only alone on
+a line, and the main program only before its subroutines; both kinds of programs keep these rules.
 """
 
 from __future__ import annotations

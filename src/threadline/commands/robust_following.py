@@ -39,13 +39,13 @@ _SEEN_S = 2.0
 _SAMPLED = (4096, 8192)  # smallest and largest number of instants: memory grows with them
 _LEAST_CHANGE_S = 0.01
 _SUPPLY = 0.95  # share of the current limit: the supply of a bad day
-_RIPPLE = 0.937  # share of that, if possible: references come in steps, and the current ripples
+_RIPPLE = 0.937  # share of the supply, if possible: references come in steps, current ripples
 _PLACE_M = 4.2e-4  # part of the 0.5 mm that the founding cases may be off at a corner
-_WEAK, _STRONG = 0.9, 0.43  # shares for the worst axis and for others; their squares add up to 1
+_WEAK, _STRONG = 0.9, 0.43  # shares of the room, worst axis and others: 1 in square
 _DEPARTURES = (0.25, 0.35, 0.425, 0.5)  # earlier starts before the step, as shares of two turns
 _WITHIN = (1.0, 0.8)  # starts within the run-up, as shares of the run-up
 _ENOUGH = 0.04  # share of the speed: a small enough error for a load to stand in the corners
-_HOPELESS = 1.25  # factor on an error limit: sharing the room of a corner mends no more than this
+_HOPELESS = 1.25  # times the limit: a larger error is beyond what sharing a corner mends
 _SOONER = 0.96
 """Share of the time within which machines other than the machine of the file must reach the speed.
 The planned motion differs from the motion of the linear programs by some per cent."""

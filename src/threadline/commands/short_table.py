@@ -30,7 +30,7 @@ _CLOSE_S = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShortTable:
-    """A shorter table of references.
+    """The changes that make a table of references shorter.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def short_table(
 ) -> ShortTable | None:
     """Return the shortest table with which loads leave their motion by ``within_m`` at most.
 
-    None if no table is short enough.
+    None if no shorter table keeps the loads within ``within_m``.
 
     Parameters
     ----------

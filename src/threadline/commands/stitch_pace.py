@@ -26,7 +26,7 @@ from threadline.motion.shaping.law_residual import lasting_windows_s, swing
 Modes = dict[str, tuple[FlexibleMode, ...]]
 """Modes of each axis, the slowest first."""
 _ROUNDS = 200
-_SLOWER = 1.03  # factor per round
+_SLOWER = 1.03  # factor on the turn per round
 _MODES = 4  # modes of an axis: faster ones hardly swing
 _BELOW = 1.0 - 1e-9
 _EVEN_TURNS, _AT_FIRST = 97, 4096  # number of turn times to try, and of moves to check first
