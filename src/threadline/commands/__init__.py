@@ -1,4 +1,4 @@
-"""Trajectory -> commands, and one writer per controller."""
+"""Commands of a trajectory, and one writer per controller."""
 
 from threadline.commands.feedforward import (
     Followed,

@@ -1,12 +1,12 @@
-"""The firmwares that programs are written for: what a board takes, and which words it knows.
+"""Firmwares that programs are written for: limits of a board, and words that it knows.
 
-A part program switches spindles, lasers, pens, coolants and fans, and changes tools. Written for
-the firmware that it was made for, its words go over as they are. For another firmware each is
-taken only where both know it as the same: M4 turns a spindle the other way round in LinuxCNC and
-makes the power of a laser follow its speed in grbl, S of Marlin is a share of 255 and no speed.
+A part program switches spindles, lasers, pens, coolants and fans, and changes tools. In a program
+for the job's own firmware these words stay as they are. In a program for another firmware a word is
+accepted only if it means the same to both. For example, M4 turns a spindle in reverse in LinuxCNC
+and makes the laser power follow the speed in grbl; S of Marlin is a share of 255, not a speed.
 
 Sources: grbl 1.1 and FluidNC (``gcode.c``, ``GCode.cpp``), LinuxCNC's and Fanuc's lists of M codes,
-marlinfw.org/meta/gcode, Klipper's and RepRapFirmware's documents of G-codes.
+marlinfw.org/meta/gcode, Klipper's and RepRapFirmware's G-code documentation.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from threadline.machine.quantity import parse_machine_quantity
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """How a program for a firmware begins and ends, and what it takes.
+    """First and last lines of a firmware's programs, and limits of its board.
 
     Parameters
     ----------
     begin, end
         First and last lines of a program.
     longest
-        Characters of a line, its end not counted.
+        Longest line in characters, without the line end.
     bytes_s
-        Characters a second that its port takes; 0 where it reads files.
+        Characters per second of the serial port; 0 if the board reads files.
     pause
-        The word of a dwell, and how many of its units a second has.
+        Word of a dwell, and its units per second.
     planner
-        Kind of the ``[planner]`` of machines with this firmware; empty where none is known.
+        Kind of the ``[planner]`` of machines with this firmware; empty if none is known.
     dialect
-        In which it is written and read back; empty for the one of its own name.
+        Dialect of the program; empty for the dialect named like the target.
     stops
-        Whether it knows M0.
+        Whether the firmware knows M0.
     head
-        Returns comments about a machine and the axes of a job, which come first.
+        Function that returns comments about a machine and the axes of a job, for the first lines.
     """
 
     begin: tuple[str, ...]
@@ -57,11 +57,11 @@ class Board:
     head: Callable[[Machine, Sequence[str]], list[str]] | None = None
 
 
-_P_MM = "0.01"  # of G64: what the chords of a plan leave of it, once more
+_P_MM = "0.01"  # P of G64: as large as the chord tolerance of a plan
 LINUXCNC_BLENDS = LinuxCncPlanner(
     kind="linuxcnc", tolerance=parse_machine_quantity(f"{_P_MM} mm exact, assumed", ("m",))
 )
-"""How programs for LinuxCNC are blended: by the P that they say."""
+"""Blending of programs for LinuxCNC: each program states this P."""
 BOARDS: Mapping[str, Board] = {
     "grbl": Board(
         begin=("G21 G90 G94 G17",), end=("M30",), longest=79, bytes_s=11_520, planner="grbl"
@@ -103,11 +103,11 @@ BOARDS: Mapping[str, Board] = {
         begin=("%", "O1", "G21 G90 G94 G17"), end=("M30", "%"), longest=127, pause=("X", 1)
     ),
 }
-"""By target. Serial ports are those of 115200 baud."""
+"""Board of each target. Serial ports run at 115200 baud."""
 
 
 def dialect_of(target: str) -> str:
-    """Return the dialect that a target is written in."""
+    """Return the dialect of a target's programs."""
     return BOARDS[target].dialect or target
 
 
@@ -138,13 +138,13 @@ _SAME: Mapping[str, tuple[frozenset[str], ...]] = {
     "S": (_CNC,),
     "T": (_CHANGES,),
 }
-"""By word (S and T by their letter), the firmwares between which it means the same."""
+"""By word (S and T by their letter): groups of firmwares to which the word means the same."""
 _ARGUMENTS = frozenset("SXYZABCUVW")
-"""Letters behind a word that mean the same wherever it does; P and the like name a pin there."""
+"""Letters of arguments that mean the same wherever their word does; P and others name a pin."""
 
 
 def firmware_of(job: Job, machine: Machine) -> str:
-    """Return the firmware that a program was made for: of Marlin's dialect that of the machine."""
+    """Return the firmware of a job's program; for Marlin's dialect, the machine's firmware."""
     planner = machine.planner
     if job.dialect == "marlin" and planner is not None and planner.kind in _PRINTERS:
         return planner.kind
@@ -152,7 +152,7 @@ def firmware_of(job: Job, machine: Machine) -> str:
 
 
 def working_words(job: Job) -> Iterator[tuple[int, str]]:
-    """Yield line and text of every word that works a machine, in order."""
+    """Yield line and text of every word that switches or controls the machine, in order."""
     for item in job.runs():
         if isinstance(item, MoveRun):
             yield from ((act.source.line, act.words) for _, acts in item.acts for act in acts)
@@ -163,7 +163,7 @@ def working_words(job: Job) -> Iterator[tuple[int, str]]:
 
 
 def refuse_lost(job: Job, machine: Machine, target: str) -> None:
-    """Refuse to write a job for a target that does not take all of its words as they are meant.
+    """Refuse to write a job for a target that reads a word of the job differently or not at all.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def refuse_lost(job: Job, machine: Machine, target: str) -> None:
     Raises
     ------
     PlanError
-        With each word and its line, a few of them where they are many.
+        If there is such a word; the message names the first few words with their lines.
     """
     source = firmware_of(job, machine)
     if source == target:
@@ -198,7 +198,7 @@ def _goes_over(words: str, source: str, target: str) -> bool:
     parts = words.split()
     one_command = source in _PRINTERS
     if one_command and parts[0] in {"M0", "M1"} and len(parts) > 1:
-        return False  # it goes on by itself after a time
+        return False  # such a stop ends by itself after a time
     for at, word in enumerate(parts):
         if at and (one_command or word[0] not in "MGST"):
             if word[0] not in _ARGUMENTS and (one_command or word[0] != "P"):

@@ -1,4 +1,4 @@
-"""The third choice of a plan: whether motors or loads follow the timed motion; their commands."""
+"""Commands for motors that follow the timed motion, or whose loads follow it."""
 
 from __future__ import annotations
 
@@ -31,35 +31,34 @@ from threadline.motion.timing.averaged import DEGREE, Averages
 
 
 class Following(StrEnum):
-    """What is to be where the trajectory says."""
+    """The part that follows the trajectory: motors or loads."""
 
-    MOTOR = "motor"  # the trajectory is its reference; the load follows as belt and frame let it
-    LOAD = "load"  # the reference of the motor is what the inverse of the axis asks for
+    MOTOR = "motor"  # the trajectory is the motor's reference; belt and frame move the load
+    LOAD = "load"  # the inverse of the axis gives the motor's reference
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Followed:
-    """A motion with the commands that follow it.
+    """A motion and its commands.
 
     Parameters
     ----------
     following
-        What follows.
+        Whether motors or loads follow the motion.
     timed
-        The motion as it was timed, before it was shaped or smoothed, with the rests that are
-        needed; on the clock of the recording.
+        Motion before shaping or smoothing, with the necessary rests, on the clock of the recording.
     trajectory
-        Where what follows is to be, on the same clock.
+        Intended position of the motors or loads, on the same clock.
     commands
-        What the controllers are told.
+        Commands for the controllers.
     demands
-        Per axis, what the inverse of its model needs; empty where the motors follow.
+        Demand of the inverse model on each axis; empty if the motors follow.
     rests_s
-        How long the loads rest before their motion, while the references begin, and after it,
-        while what swings in the inverses decays.
+        Rest of the loads before their motion, while the references begin, and after their motion,
+        while the oscillation of the inverses decays, s.
     table_s
-        How long the table is where it is shorter than the motion with its rests: the loops bring
-        the loads to rest after it.
+        Duration of a table that is shorter than the motion with its rests, s. After such a table
+        the control loops bring the loads to rest.
     """
 
     following: Following
@@ -77,7 +76,7 @@ def followed_by_motors(
     job: Job,
     shaper: Shaper | Mapping[str, Shaper] | None = None,
 ) -> Followed:
-    """Return the commands that are the motion itself, shaped where there is a shaper.
+    """Return the motion itself as commands, shaped if a shaper is given.
 
     Raises
     ------
@@ -97,8 +96,8 @@ def followed_by_motors(
     )
 
 
-ROWS = 2048  # references in hand at once
-KEPT = 32  # blocks of so many
+ROWS = 2048  # references processed at once
+KEPT = 32  # most blocks of references kept in memory
 
 
 def followed_by_loads(
@@ -115,21 +114,20 @@ def followed_by_loads(
     Parameters
     ----------
     planned
-        From rest to rest; its velocity may step.
+        Motion from rest to rest; its velocity may step.
     machine
-        Its limits are checked on the smoothed motion, before anything is put out.
+        Machine; its limits are checked on the smoothed motion before any output.
     job
-        Where an output, a wait or a dwell comes between two moves, the loads come to rest.
+        Job; the loads come to rest where an output, a wait or a dwell stands between two moves.
     averages
-        Over time, of the motion of all axes.
+        Averages over time, applied to the motion of all axes.
     model
-        The numbers that the inverses believe in; the machine's own when None.
+        Model values for the inverses; None: the machine's own values.
     stepped
-        The motion that is smoothed, with other run-ups than ``planned``, at the same times;
-        ``planned`` itself when None.
+        Motion to smooth, with other run-ups than ``planned`` at the same times; None: ``planned``.
     ends_m
-        By how much the loads may leave their motion where the table begins and ends, at the tool,
-        so that it rests neither before the motion nor after it; None keeps these rests.
+        Largest distance, at the tool, by which the loads may leave their motion at both ends of the
+        table. With it the table has no rests before and after the motion. None keeps these rests.
 
     Raises
     ------
@@ -153,7 +151,7 @@ def followed_by_loads(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Motion:
-    """A motion that loads are to follow, with the parameters of ``followed_by_loads``."""
+    """A motion for loads to follow, with the parameters of ``followed_by_loads``."""
 
     planned: Trajectory
     machine: Machine
@@ -163,7 +161,7 @@ class _Motion:
     stepped: Trajectory | None
 
     def whole(self, rests_s: tuple[float, float]) -> Followed:
-        """Return it with the rests that its inverses need."""
+        """Return the motion with the rests that its inverses need."""
         timed, trajectory = self._smoothed(rests_s)
         reading, references = self._read(trajectory)
         return Followed(
@@ -176,9 +174,9 @@ class _Motion:
         )
 
     def short(self, rests_s: tuple[float, float], ends_m: float) -> Followed | None:
-        """Return it with a table that ends with the motion; None where that cannot be.
+        """Return the motion with a table that ends together with it; None if there is no such one.
 
-        The second of ``rests_s`` is what its inverses need.
+        The second value of ``rests_s`` is the rest that the inverses need.
         """
         _, trajectory = self._smoothed(rests_s)
         reading, references = self._read(trajectory)
@@ -200,7 +198,7 @@ class _Motion:
         )
 
     def _smoothed(self, rests_s: tuple[float, float]) -> tuple[Trajectory, Trajectory]:
-        """Return the motion before and after it was smoothed, with rests before and after it."""
+        """Return the motion before and after smoothing, with rests at both ends."""
         width_s = self.averages.width_s
         held_s = (rests_s[0] + 0.5 * width_s, rests_s[1] + 0.5 * width_s)
         held = timed = held_trajectory(self.planned, self.job, width_s, *held_s)
@@ -211,7 +209,7 @@ class _Motion:
         return timed, trajectory
 
     def _read(self, trajectory: Trajectory) -> tuple[_References, Trajectory]:
-        """Read the references once: that finds the demands; of a short motion they are kept."""
+        """Read the references once for the demands, and keep the blocks of a short motion."""
         reading = _References(trajectory, self.machine, self.model)
         kept: list[TrajectoryBlock] | None = []
         for block in reading.blocks():
@@ -227,16 +225,17 @@ def reference_trajectory(
 ) -> Trajectory:
     """Return the positions to command, one straight piece per reference tick.
 
-    ``compile_ticks`` turns it into the table; its velocity is not limited, for the reference runs
-    ahead of the motor by what the filter needs to give the volts.
+    ``compile_ticks`` turns the result into the table. The velocity of the references is not
+    limited, because a reference runs ahead of the motor by the error that the filter needs to give
+    the volts.
 
     Parameters
     ----------
     trajectory
-        Of the load, at rest at its start for ``lead_s`` and at its end for ``settle_s`` of every
-        axis, with as many derivatives as their inverses need.
+        Motion of the load, with as many derivatives as the inverses need. The load rests at the
+        start for the ``lead_s`` and at the end for the ``settle_s`` of every axis.
     model
-        The numbers that the inverses believe in; the machine's own when None.
+        Model values for the inverses; None: the machine's own values.
 
     Raises
     ------
@@ -257,7 +256,7 @@ def _referred(
 
 
 class _References:
-    """One reading of the trajectory."""
+    """One pass through the trajectory."""
 
     def __init__(self, trajectory: Trajectory, machine: Machine, model: Values | None) -> None:
         self._trajectory = trajectory
@@ -293,7 +292,7 @@ class _References:
 
 
 class _Column:
-    """The references of one axis: computed at its controller's ticks, taken where they are due."""
+    """References of one axis, computed at the controller's ticks and interpolated at due times."""
 
     def __init__(self, column: int, preview: AxisPreview, ends: ToldEnds) -> None:
         self._column, self._preview, self._ends = column, preview, ends
@@ -303,11 +302,11 @@ class _Column:
 
     @property
     def reached_s(self) -> float:
-        """Before it the motion is not read again."""
+        """Time before which the motion is not read again, s."""
         return self._next * self._preview.timing.tick_s
 
     def until(self, due_s: FloatArray, motion: TrajectoryReader) -> FloatArray:
-        """Return the (n,) references that are due at (n,) rising times."""
+        """Return the (n,) references due at (n,) rising times."""
         timing, preview = self._preview.timing, self._preview
         stop = ceil((due_s[-1] + timing.held_s) / timing.tick_s) + 1
         time_s = np.arange(self._next, stop) * timing.tick_s
@@ -326,7 +325,7 @@ class _Column:
 
 
 class _Labels:
-    """The operation under way at rising times."""
+    """The active operation at rising times."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self._source = iter(trajectory)
@@ -352,7 +351,7 @@ class _Labels:
 
 
 def _rests_s(machine: Machine, axes: tuple[str, ...], model: Values | None) -> tuple[float, float]:
-    """Return how long the loads must rest before and after their motion, in s."""
+    """Return how long the loads must rest before and after their motion, s."""
     before, after = 0.0, 0.0
     for axis in axes:
         preview = AxisPreview(machine, axis, model)

@@ -1,11 +1,11 @@
 """The planned motion as a part program for a firmware that plans its own ramps.
 
-A firmware speeds up and slows down by itself, so that it is told where to go and how fast at most:
-chords of the planned path, as long as they stay within 0.01 mm of it, each with the greatest speed
-that was planned along it. A chord ends where the planned speed rises again after it has fallen,
-where the job changes its feed or goes over from G0 to G1, and where its words switch something. The
-text is read back in the dialect it was written in, and held against the plan, before there is a
-file.
+The firmware accelerates and decelerates by itself, so the program gives only end points and a
+maximum speed for each. The program consists of chords that stay within 0.01 mm of the planned path;
+F of a chord is the highest planned speed along the chord. A chord ends where the planned speed
+rises again after a fall, where the feed of the job changes, where G0 changes to G1 or back, and
+where a word switches something. The program is read back in its own dialect and compared with the
+plan before the file exists.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ from threadline.motion.path.types import ProgrammedPath
 from threadline.motion.timing import plan_trajectory
 from threadline.motion.timing.types import Trajectory
 
-_DECIMALS = 4  # of a millimetre or a degree
+_DECIMALS = 4  # decimals of a millimetre or a degree
 _MOST_POINTS = 100_000
 _HOMES = "G28"
 _NO_SLOWER = 1e-3
-"""Share by which a program may be slower than the job as it stands: F and ends are rounded."""
+"""Share by which a program may be slower than the job itself: F and end points are rounded."""
 
 
 class Chord(NamedTuple):
-    """A straight move: from ``points[0]`` on past the (n, axes) points, at ``speed`` at most.
+    """A straight move through (n, axes) ``points``, at ``speed`` at most.
 
-    ``speed`` is in m/s as F of the target counts it. ``feed`` is that of the programmed move;
-    ``acts`` happen as the chord begins.
+    The move begins at ``points[0]``. ``speed`` is in m/s, measured as F of the target measures it.
+    ``feed`` is the feed of the programmed move. ``acts`` happen when the chord begins.
     """
 
     points: FloatArray
@@ -69,24 +69,26 @@ def write_firmware_program(
     override: float | None = 1.0,
     slower: bool = True,
 ) -> Written:
-    """Write a plan for a firmware; the file is there when it has been read back and found right.
+    """Write a plan for a firmware; the file appears only after a correct read-back.
 
     Parameters
     ----------
     programmed
-        The path of the job, with its times at the feeds that were asked for.
+        Path of the job, with its times at the requested feeds.
     override
-        By which the feeds of the job hold: none is exceeded. None where another took their place.
+        Factor on the feeds of the job: no chord exceeds a feed times ``override``. None if another
+        feed replaces the job's feeds.
     slower
-        Whether the planner of the firmware may take longer over the program than over the job as
-        it stands. Where it may not and does, F is that of the job in place of the planned speeds:
-        the blocks are fewer, and the firmware slows down by itself where the plan does.
+        Whether the firmware's planner may take longer for the program than for the job itself. If
+        False and the program is slower, F is the feed of the job in place of the planned speeds.
+        The program then has fewer blocks, and the firmware slows down by itself where the plan
+        does.
 
     Raises
     ------
     PlanError
-        If the job holds what the dialect has no word for, a line is too long, what was read back is
-        not what was planned, or the program is slower than it may be.
+        If the dialect has no word for a part of the job, a line is too long, the program read back
+        differs from the plan, or the program is slower than allowed.
     """
     refuse_lost(job, machine, target)
     planned = Chords(target, job, trajectory, machine, override)
@@ -103,7 +105,7 @@ def write_firmware_program(
 def _written_once(
     chords: Chords, file: IO[bytes], programmed: ProgrammedPath
 ) -> tuple[str, tuple[float, float] | None]:
-    """Write a program into a file, in place of what is in it, and hold it against the plan."""
+    """Replace the contents of a file with a program, and compare the program with the plan."""
     target, machine = chords.target, chords.planned_on
     file.seek(0)
     file.truncate()
@@ -127,12 +129,12 @@ def _is_slower(as_run_s: tuple[float, float] | None) -> bool:
 
 
 def refuse_slower(target: str, job: Job, as_run_s: tuple[float, float] | None) -> None:
-    """Refuse a program over which the planner of its firmware takes longer than over the job.
+    """Refuse a program for which the firmware's planner takes longer than for the job.
 
     Raises
     ------
     PlanError
-        With both times.
+        If the program is slower; the message gives both times.
     """
     if as_run_s is None or not _is_slower(as_run_s):
         return
@@ -146,18 +148,18 @@ def refuse_slower(target: str, job: Job, as_run_s: tuple[float, float] | None) -
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chords:
-    """The operations of a plan with its moves merged into chords; they can be read again.
+    """The operations of a plan, with moves merged into chords; iteration may be repeated.
 
     Parameters
     ----------
     target, job, trajectory
-        What is written, and for which firmware.
+        Firmware to write for, and the plan to write.
     planned_on
-        The machine of the plan.
+        Machine of the plan.
     override
-        As ``write_firmware_program`` has it.
+        As in ``write_firmware_program``.
     own_feeds
-        Whether F is that of the job, where its rule is that of the target.
+        Whether F is the feed of the job, where job and target measure feeds alike.
     """
 
     target: str
@@ -169,11 +171,11 @@ class Chords:
 
     @property
     def machine(self) -> Machine:
-        """The machine, without the feed of its operator: that is in the plan already."""
+        """The machine without its operator's feed, because the plan already contains that feed."""
         return replace(self.planned_on, operator=None)
 
     def __iter__(self) -> Iterator[Operation | Chord]:
-        """Yield them in order."""
+        """Yield operations and chords in order."""
         stretch = _Stretch(self)
         planned = planned_operations(self.job, self.trajectory, self.planned_on)
         for item, feed in planned:
@@ -191,14 +193,14 @@ class Chords:
 
 
 class _Stretch:
-    """Moves in hand that follow each other at one programmed feed.
+    """Collected moves that follow each other at one programmed feed.
 
     Attributes
     ----------
     ends, durations_s
-        Of each move.
+        End point and duration of each move.
     feed, acts
-        The programmed one, and what happens as the first move begins.
+        Programmed feed, and actions at the start of the first move.
     """
 
     def __init__(self, chords: Chords) -> None:
@@ -217,15 +219,15 @@ class _Stretch:
         self.acts: tuple[ToolEvent, ...] = ()
 
     def ends_before(self, feed: Feed | None, acts: tuple[ToolEvent, ...]) -> bool:
-        """Say whether a move belongs to another stretch."""
+        """Say whether the current stretch ends before this move."""
         if not self.ends or acts or len(self.ends) >= _MOST_POINTS:
             return True
-        if self._override is None:  # one feed for all that are no G0
+        if self._override is None:  # one feed for all moves but G0
             return _travels(feed) != _travels(self.feed)
         return feed != self.feed
 
     def end(self) -> Iterator[Chord]:
-        """Yield the chords of the moves in hand and begin at their end."""
+        """Yield the chords of the collected moves, and start the next stretch at their end."""
         if not self.ends:
             return
         points = np.vstack([self._start, np.array(self.ends)])
@@ -234,9 +236,9 @@ class _Stretch:
         speeds = lengths / seconds
         if self.feed is not None and self.feed.mode is FeedMode.RAPID:
             if not self._rapid_is_feed:
-                speeds = np.full(len(speeds), speeds.max())  # it is not written
+                speeds = np.full(len(speeds), speeds.max())  # the program writes no F for G0
         elif self.feed is not None and self._override and self.feed.mode is self._unit.mode:
-            # Into a faster move the plan speeds up on the last of a slower one: F does not.
+            # The plan accelerates to a faster move on the end of a slower one; F does not.
             most = self._override * self.feed.value
             speeds = np.full(len(speeds), most) if self._own_feeds else np.minimum(speeds, most)
         acts = self.acts
@@ -265,16 +267,16 @@ def planned_instants(
     *,
     override: float | None = 1.0,
 ) -> FloatArray:
-    """Return the instant of the plan, in s, at which each line that is written begins.
+    """Return the instant of the plan, in s, at which each written line begins.
 
-    Parameters are as for ``write_firmware_program``.
+    The parameters are as for ``write_firmware_program``.
     """
     lines = _Lines(Chords(target, job, trajectory, machine, override))
     return np.array([begins_s for begins_s, _ in lines.timed()])
 
 
 class _Lines:
-    """The lines of a program; each moves at least one of its axes by a printed digit."""
+    """The lines of a program; each line with a move changes at least one printed digit."""
 
     def __init__(self, merged: Chords) -> None:
         self._merged = merged
@@ -294,14 +296,14 @@ class _Lines:
             yield line
 
     def timed(self) -> Iterator[tuple[float, str]]:
-        """Yield each line behind the instant of the plan at which it begins, s."""
+        """Yield each line after the instant of the plan at which the line begins, s."""
         at, feed, now_s = _written_position(np.array(self._job.start), self._linear), "", 0.0
         if self._board.head is not None:
             told = self._board.head(self._machine, self._job.axes)
             yield from ((now_s, f"; {line}") for line in told)
         yield from ((now_s, line) for line in self._board.begin)
         modal = -1
-        waiting: list[ToolEvent] = []  # of chords too short for a printed digit
+        waiting: list[ToolEvent] = []  # actions of chords too short for a printed digit
         for item in self._merged:
             begins_s = now_s
             if not isinstance(item, Chord):
@@ -339,7 +341,7 @@ class _Lines:
         yield from ((now_s, line) for line in self._board.end)
 
     def _motion(self, feed: Feed | None) -> int:
-        """Return the G word of a chord: a G0 at the feed is one only where G0 goes at the feed."""
+        """Return the G word of a chord: G0 at a feed only where the dialect's G0 uses the feed."""
         if feed is not None and feed.mode is FeedMode.RAPID:
             return 0
         return 0 if _travels(feed) and self._dialect.rapid_is_feed else 1
@@ -379,12 +381,12 @@ def _written_position(position: FloatArray, linear: list[bool]) -> list[str]:
 
 
 def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
-    """Hold the written program against the plan; return what it is in words, and its job.
+    """Compare the written program with the plan; return a description and the job read back.
 
     Raises
     ------
     PlanError
-        If a block of it leaves the plan by more than its chords may.
+        If a block leaves the plan by more than a chord may.
     """
     target, job, machine = merged.target, merged.job, merged.machine
     again = read_part_program(path, machine=machine, dialect=dialect_of(target))
@@ -399,7 +401,7 @@ def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
     for chord in merged:
         if not isinstance(chord, Chord):
             if isinstance(chord, ToolEvent) and chord.words.startswith(_HOMES):
-                next(moves, None)  # the reader's own, to where the plan is already
+                next(moves, None)  # the reader adds a move to home; the plan is there already
             continue
         text = _written_position(chord.points[-1], linear)
         if text != text_at:
@@ -424,7 +426,7 @@ def _read_back(merged: Chords, path: Path) -> tuple[str, Job]:
 
 
 def _rate_words(target: str, path: Path, again: Job, machine: Machine) -> str:
-    """Return a note where a port is too slow for a program, else nothing."""
+    """Return a note if a serial port is too slow for a program, else an empty string."""
     most = BOARDS[target].bytes_s
     rate = path.stat().st_size / max(programmed_time_s(again, machine), 1e-9)
     if not most or rate <= most:
@@ -437,9 +439,9 @@ def _rate_words(target: str, path: Path, again: Job, machine: Machine) -> str:
 def _as_run_s(
     target: str, programmed: ProgrammedPath, again: Job, machine: Machine
 ) -> tuple[float, float] | None:
-    """Return how long the planner of the firmware takes over the job and over its program.
+    """Return the time of the firmware's planner for the job and for its program, s.
 
-    None where the machine file does not say how it plans.
+    None if the machine file does not describe the planner of this firmware.
     """
     planner = machine.planner
     if planner is None or planner.kind != BOARDS[target].planner:
@@ -447,7 +449,7 @@ def _as_run_s(
     own = replace(machine, operator=None)
     before = plan_trajectory(plan_path(programmed, own, FIRMWARE), own).duration_s
     if isinstance(planner, LinuxCncPlanner):
-        own = replace(own, planner=LINUXCNC_BLENDS)  # the program itself says how it is blended
+        own = replace(own, planner=LINUXCNC_BLENDS)  # the program itself sets the blending
     path = plan_path(programmed_path(again, own), own, FIRMWARE)
     return before, plan_trajectory(path, own).duration_s
 
@@ -461,7 +463,7 @@ def _not_the_plan(target: str, what: str, off_m: float) -> PlanError:
 
 
 def _away_m(points: FloatArray, begin: FloatArray, end: FloatArray) -> float:
-    """Return how far (n, axes) points lie from a segment at most."""
+    """Return the largest distance of (n, axes) points from a segment."""
     way = end - begin
     squared = float(way @ way)
     share = np.clip((points - begin) @ way / squared, 0.0, 1.0) if squared else 0.0

@@ -1,4 +1,4 @@
-"""Input shapers of firmwares for the modes of a machine file, as comments of a program."""
+"""Input shapers of firmwares for the modes of a machine file, as comments in a program."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ _KLIPPER_AXES, _MARLIN_AXES = "XYZ", "XY"
 
 
 def klipper_section(machine: Machine, axes: Sequence[str]) -> list[str]:
-    """Return the section to paste into ``printer.cfg``, and why an axis has no line in it.
+    """Return the section to paste into ``printer.cfg``, and reasons for axes without a line.
 
-    Each axis gets Klipper's shortest type that leaves at most ``LEFT`` of its slowest mode
-    wherever that is within ``BAND`` of its frequency.
+    Each axis gets the shortest type of Klipper that leaves at most ``LEFT`` of the axis' slowest
+    mode, wherever the mode lies within ``BAND`` of its frequency.
 
     Raises
     ------
@@ -51,9 +51,9 @@ def klipper_section(machine: Machine, axes: Sequence[str]) -> list[str]:
 
 
 def marlin_commands(machine: Machine, axes: Sequence[str]) -> list[str]:
-    """Return ``M593`` for each axis that Marlin shapes, with what its train leaves of the mode.
+    """Return ``M593`` for each axis that Marlin shapes, and how much of the mode its train leaves.
 
-    Marlin has one type, whose F is the damped frequency.
+    Marlin has one shaper type; its F is the damped frequency.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def marlin_commands(machine: Machine, axes: Sequence[str]) -> list[str]:
 def reprap_command(machine: Machine, axes: Sequence[str]) -> list[str]:
     """Return the one ``M593`` of RepRapFirmware for the slowest mode of every axis.
 
-    It has one train for all axes, in the moves in which X or Y takes part.
+    RepRapFirmware has one train for all axes, and applies it to moves in which X or Y takes part.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def reprap_command(machine: Machine, axes: Sequence[str]) -> list[str]:
 def _modes(
     machine: Machine, axes: Sequence[str], shaped: str, firmware: str
 ) -> Iterator[tuple[str, FlexibleMode | None, str]]:
-    """Yield each axis with its slowest mode, or None, and what there is to say of it."""
+    """Yield each axis with its slowest mode, or None, and a comment about the axis."""
     for axis in axes:
         if axis not in shaped:
             yield axis, None, f"{axis}: {firmware} shapes {', '.join(shaped)} alone"

@@ -1,9 +1,9 @@
-"""Finding in a stream of blocks the passes of subroutines that are alike.
+"""Part programs for the winder and for LinuxCNC, with repeated passes of subroutines as calls.
 
-What is written for LinuxCNC differs in two points: every G1 has its time as G93 F, because there
-a speed is along the path of X Y Z and here it is of the fastest axis; and G64 asks for blended
-corners, within a stated distance of the program. LinuxCNC takes O words only alone on a line and
-the main program only before its subroutines, so that is how both are written.
+A program for LinuxCNC differs in two points. Every G1 has its time as G93 F, because F of LinuxCNC
+is the speed along the path of X Y Z, and F of the winder is the speed of the fastest axis. G64 asks
+for corners blended within a stated distance of the program. LinuxCNC accepts O words only alone on
+a line, and the main program only before its subroutines; both kinds of programs keep these rules.
 """
 
 from __future__ import annotations
@@ -29,18 +29,19 @@ _MAX_KEPT = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """``body``, run ``passes`` times."""
+    """The blocks of ``body``, run ``passes`` times."""
 
     body: tuple[OutBlock, ...]
     passes: int
 
 
 def fold(blocks: Iterable[OutBlock]) -> Iterator[OutBlock | Loop]:
-    """Return ``blocks`` with the passes of outermost subroutines as loops, nested ones unrolled.
+    """Return ``blocks`` with equal passes of outermost subroutines as loops.
 
-    Passes that differ, as where a program sets absolute positions, become loops of their own.
-    Bodies are in memory until the end of the program: one longer than ``MAX_BODY`` blocks, and
-    all that follow the millionth block, are written out instead.
+    Nested subroutines are unrolled. Passes that differ, for example where a program sets absolute
+    positions, become separate loops. Bodies stay in memory until the end of the program. A body
+    longer than ``MAX_BODY`` blocks, and every body that would bring the blocks in memory above a
+    million, is written out instead.
     """
     kept: dict[tuple[OutBlock, ...], None] = {}
     kept_blocks = 0
@@ -80,7 +81,7 @@ _N_LIMIT = 99_999
 
 
 class NcStyle(StrEnum):
-    """For whom a part program is written."""
+    """The reader of a part program."""
 
     WINDER = "winder"
     LINUXCNC = "linuxcnc"
@@ -100,21 +101,20 @@ def part_program_lines(
     Parameters
     ----------
     job, machine
-        What is to be said, for which machine.
+        Job to write, and its machine.
     style
-        For whom.
+        Reader of the program.
     subroutines
-        Passes of the job's subroutines that are alike become calls; otherwise every move is
-        written out.
+        True: equal passes of the job's subroutines become calls. False: every move is written out.
     feed
-        Replaces the programmed feeds; only for LinuxCNC.
+        Feed that replaces the programmed feeds; only for LinuxCNC.
     blend_m
-        How far LinuxCNC may leave the program where it blends corners (G64 P).
+        Largest distance from the program where LinuxCNC blends corners (G64 P), m.
 
     Raises
     ------
     PlanError
-        If the job holds something that a part program cannot say.
+        If a part program has no word for a part of the job.
     """
     style = NcStyle(style)
     linuxcnc = style is NcStyle.LINUXCNC
@@ -139,7 +139,7 @@ def write_part_program(
     subroutines: bool = False,
     feed: Feed | None = None,
 ) -> None:
-    """Write ``job`` to ``path``; the file is there when it is whole, or not at all.
+    """Write ``job`` to ``path``; the file appears only when it is complete.
 
     Raises
     ------
@@ -183,7 +183,7 @@ class _Writer:
                 if item.passes > 1:
                     call.append(self._words("L", item.passes))
                 yield self._numbered(*call)
-                # The body leaves its own modes behind; say them all again.
+                # The body changes the modes, so the next block states all of them again.
                 self._forget()
             else:
                 yield from self._block(item)

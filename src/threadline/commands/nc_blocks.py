@@ -1,4 +1,4 @@
-"""Operations -> blocks of a part program, in absolute or in incremental positions."""
+"""Operations as blocks of a part program, in absolute or incremental positions."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from threadline.motion.path import programmed_path
 
 
 class OutBlock(NamedTuple):
-    """A block to be written.
+    """A block to write.
 
     Parameters
     ----------
     motion
-        0 or 1; -1 for a block without motion.
+        0 for G0, 1 for G1, -1 for a block without motion.
     words
-        Axis words and what else is not modal, ready to be written.
+        Axis words and other words that are not modal, ready to write.
     inverse_time
-        For G1: whether F is 1/min.
+        Whether F of a G1 is in 1/min.
     feed
         Exact F; None for G0.
     comment
-        Behind the semicolon.
+        Text after the semicolon.
     passes
-        Of the operation's source.
+        Passes of the operation's source.
     final
-        The block ends the program.
+        Whether the block ends the program.
     """
 
     motion: int
@@ -61,17 +61,17 @@ class OutBlock(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Wording:
-    """How operations become words.
+    """Rules for writing operations as words.
 
     Parameters
     ----------
     incremental
-        Positions as differences.
+        Whether positions are written as differences.
     blank
-        What stands between the letter of a word and its number.
+        Text between the letter of a word and its number.
     timed
-        Every G1 gets the time that Threadline gives it, as G93 F; otherwise F is the programmed
-        speed wherever the dialect has it.
+        True: every G1 gets Threadline's time, as G93 F. False: F is the programmed speed wherever
+        the dialect has it.
     """
 
     incremental: bool
@@ -87,7 +87,7 @@ def blocks_of(
     Raises
     ------
     PlanError
-        If the job holds something that a part program cannot say.
+        If a part program has no word for a part of the job.
     """
     if any(job.start):
         raise PlanError(
@@ -117,7 +117,7 @@ class _Words:
             return
         programmed = programmed_path(self._job, self._machine, feed)
         times = chain.from_iterable(block.nominal_s.tolist() for block in programmed)
-        next(times)  # of the start position
+        next(times)  # the time of the start position
         for operation in self._job:
             if isinstance(operation, Move):
                 yield from self._acts(operation)
@@ -144,7 +144,7 @@ class _Words:
             return OutBlock(1, words, True, numbers.inverse_minutes(feed.value), comment, passes)
         duration_s = self._time_s(move, before) if planned_s is None else planned_s
         if duration_s == 0.0:
-            # No travel: there is no time to give, and no motion to give it to.
+            # A move without travel has no time and no motion.
             return OutBlock(0, words, comment=comment, passes=passes)
         if planned_s is None:
             value = numbers.inverse_minutes(1.0 / duration_s)
@@ -153,7 +153,7 @@ class _Words:
         return OutBlock(1, words, True, value, comment, passes)
 
     def _time_s(self, move: Move, before: list[float]) -> float:
-        """Return the time of a move whose feed has no word: counts per tick, or none given."""
+        """Return the time of a move whose feed has no word (counts per tick) or is missing, s."""
         feed = move.feed
         if feed is None:
             if self._machine.operator is None:
@@ -208,7 +208,7 @@ class _Words:
 
 
 def operation_words(operation: Operation) -> str:
-    """Return how a message calls an operation that is not a move.
+    """Return the name of an operation other than a move, for messages.
 
     >>> from threadline.jobs.operations import Source
     >>> operation_words(SetOutput("valve", 1.0, Source("winding.prg", 4)))

@@ -1,4 +1,4 @@
-"""Decimal numbers for part programs: the shortest that the reader turns into the same float."""
+"""Decimal numbers of part programs: the shortest decimal that reads back as the same float."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
     Parameters
     ----------
     wanted
-        In SI.
+        Value in SI units.
     factor
-        Units of the program in one of SI; None for degrees in a radian.
+        Program units per SI unit; None converts radians to degrees.
     read
-        What the reader makes of an exact number.
+        Function of the reader that turns an exact number into a float.
 
     Returns
     -------
     int
-        In units of 10**-18. If no decimal gives ``wanted`` (an angle that no program could have
-        given, or one with digits beyond the 17th decimal), the nearest one: it is off by less
-        than two units in the last place, or by 1e-17 of the unit.
+        Number in units of 10**-18. If no decimal reads back as ``wanted`` (an angle that no
+        program can give, or a value with digits beyond the 17th decimal), the nearest decimal. Its
+        error is below two units in the last place, or 1e-17 of the unit.
     """
     approximate = math.degrees(wanted) if factor is None else wanted * float(factor)
     for decimals in range(MAX_DECIMALS):
@@ -49,17 +49,17 @@ def shortest(wanted: float, factor: Fraction | None, read: Callable[[int], float
 
 
 _MM = Fraction(1000)
-_COUNTING = 9  # digits: a move of a minute is off by 60 ns
+_COUNTING = 9  # significant digits: the time of a one-minute move is off by 60 ns
 _MM_PER_MIN = Fraction(60_000)
 
 
 def millimetres(position_m: float) -> int:
-    """Return a position of a linear axis as an exact number of mm."""
+    """Return the position of a linear axis as an exact number of mm."""
     return shortest(position_m, _MM, lambda value: value / (1000 * ONE))
 
 
 def degrees(position_rad: float) -> int:
-    """Return a position of a rotary axis as an exact number of degrees."""
+    """Return the position of a rotary axis as an exact number of degrees."""
     return shortest(position_rad, None, lambda value: math.radians(value / ONE))
 
 
@@ -69,12 +69,12 @@ def per_minute(speed_m_s: float) -> int:
 
 
 def inverse_minutes(rate_hz: float) -> int:
-    """Return an inverse time as an exact number of 1/min."""
+    """Return an inverse time as an exact number per minute."""
     return shortest(rate_hz, Fraction(60), lambda value: value / (60 * ONE))
 
 
 def inverse_minutes_of(duration_s: float) -> int:
-    """Return the inverse of a time as an exact number of 1/min with nine digits that count."""
+    """Return the inverse of a time as an exact number per minute with nine significant digits."""
     digits = _COUNTING - 1 - math.floor(math.log10(60.0 / duration_s))
     value = exact(f"{60.0 / duration_s:.{max(min(digits, MAX_DECIMALS), 0)}f}")
     if value is None:

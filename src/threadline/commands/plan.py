@@ -1,4 +1,4 @@
-"""Plan: what was intended."""
+"""Plan: the intended work on a machine, with its commands."""
 
 from __future__ import annotations
 
@@ -27,68 +27,65 @@ IntentT = TypeVar("IntentT")
 
 
 class Intent(Protocol):
-    """What is meant to happen when the commands run: what every kind of work can answer."""
+    """The intended result of the commands: an interface for every kind of work."""
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of what moves, in the order of all columns."""
+        """Names of the moving axes, in the order of all columns."""
 
     @property
     def duration_s(self) -> float:
-        """Duration of the commands as planned, s."""
+        """Planned duration of the commands, s."""
 
     @property
     def historical(self) -> bool:
-        """Whether acceleration and jerk have no limit, as with the 1994 interpolations."""
+        """Whether acceleration and jerk are unlimited, as with the 1994 interpolations."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What deserves a second look, in words."""
+        """Warnings for the user, in words."""
 
     def interpolation(self, options: Mapping[str, str]) -> str:
-        """Return the interpolation that was asked for, or what stands in its place."""
+        """Return the requested interpolation, or the name that takes its place."""
 
     def planned_with(self, options: Mapping[str, str]) -> str:
-        """Return how it was planned, for people."""
+        """Return words for the planning method."""
 
     def told(self, options: Mapping[str, str]) -> dict[str, Any]:
-        """Return the keys, with their values, that it adds to the JSON of a verdict."""
+        """Return the entries that this kind of work adds to the JSON of a verdict."""
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
-        """Return the line of the job for each of ``operations``, 0 where it has none."""
+        """Return the line of the job for each of ``operations``, 0 for one without a line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Motion:
-    """What axes with a path mean to do.
+    """The intent of axes that follow a path.
 
     Parameters
     ----------
     programmed
-        What the job says, in axis space.
+        Path of the job, in axis space.
     path
-        What will be followed.
+        Planned path.
     trajectory
-        The path over time.
+        Planned path over time.
     following
-        What is to be where the trajectory says: the motors, which are told it, or the loads,
-        whose motors are told what the inverses of the axes say.
+        Whether the motors follow the trajectory, which is their reference, or the loads follow it
+        and the inverses of the axes give the references of the motors.
     timed
-        The path as it was timed, before it was shaped, or smoothed for the inverses; None where
-        it is neither.
+        Timed path before shaping, or before smoothing for the inverses; None without either.
     demands
-        What the motion asks of each axis by the inverse of its model; empty where the motors
-        follow.
+        Demand of the inverse model on each axis; empty if the motors follow.
     rests_s
-        How long the loads rest in the table before their motion and after it, for the sake of
-        the inverses.
+        Rests of the loads in the table before and after their motion, which the inverses need, s.
     table_s
-        How long the table is where it ends before the loads stand; None where it is as long as the
+        Duration of a table that ends before the loads stand, s; None if the table is as long as the
         trajectory.
     needle_follows
-        Whether a needle turns with the way of the head, and keeps no times of its own.
+        Whether a needle turns with the path of the head, and keeps no times of its own.
     of_averages
-        Warnings of how the motion was smoothed.
+        Warnings about the smoothing of the motion.
     """
 
     programmed: ProgrammedPath
@@ -109,30 +106,30 @@ class Motion:
 
     @property
     def duration_s(self) -> float:
-        """Of the commands, s."""
+        """Duration of the commands, s."""
         return self.trajectory.duration_s if self.table_s is None else self.table_s
 
     @property
     def moving_s(self) -> tuple[float, float]:
-        """When the motion begins and ends, on the clock of the table, s."""
+        """Start and end of the motion on the clock of the table, s."""
         before_s, after_s = self.rests_s
         return before_s, self.trajectory.duration_s - after_s
 
     @property
     def historical(self) -> bool:
-        """Whether the motion is one of the 1994 controller's, which respects no limits."""
+        """Whether this is a motion of the 1994 controller, which respects no limits."""
         return self.trajectory.historical
 
     @property
     def of_loads(self) -> Trajectory | None:
-        """Where the loads are intended to be, if that is not what the motors are told."""
+        """Intended positions of the loads; None if the motors follow the trajectory."""
         return self.trajectory if self.following is Following.LOAD else None
 
     @property
     def of_needle(self) -> Trajectory:
-        """The motion that a needle is geared with.
+        """The motion to which a needle is geared.
 
-        With feed-forward one that keeps times of its own keeps those before smoothing.
+        With feed-forward, a needle with times of its own is geared to the motion before smoothing.
         """
         if self.of_loads is not None and self.timed is not None and not self.needle_follows:
             return self.timed
@@ -140,21 +137,21 @@ class Motion:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """How it was smoothed, and each axis whose feed-forward needs more than its drive has."""
+        """Warnings about smoothing, and about axes whose drive cannot give the feed-forward."""
         beyond = tuple(line for demand in self.demands if (line := _beyond(demand)))
         return self.of_averages + beyond
 
     def interpolation(self, options: Mapping[str, str]) -> str:
-        """Return the interpolation that was asked for, that of the path where none is named."""
+        """Return the requested interpolation, or the path's interpolation if none is requested."""
         return options.get("interpolation", self.path.interpolation)
 
     def planned_with(self, options: Mapping[str, str]) -> str:
-        """Return the interpolation, and feed-forward where the loads follow, for people."""
+        """Return words for the interpolation, with feed-forward if the loads follow."""
         name = self.interpolation(options)
         return name if self.of_loads is None else f"{name}, feed-forward"
 
     def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
-        """Return when it moves and what feed-forward asks of each axis, where it is used."""
+        """Return times of the motion and the feed-forward of each axis, if the loads follow."""
         if self.of_loads is None:
             return {}
         begin_s, end_s = self.moving_s
@@ -176,9 +173,9 @@ class Motion:
         }
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
-        """Return the line of each operation; one without motion has that of the motion before.
+        """Return the line of each operation; one without motion has the line of the motion before.
 
-        One reading of the programmed path, no further than needed.
+        The programmed path is read once, and no further than needed.
         """
         wanted = np.unique(np.array(list(operations), dtype=np.int64))
         lines: dict[int, int] = {}
@@ -198,7 +195,7 @@ class Motion:
 
 
 def _beyond(demand: Demand) -> str:
-    """Say what the reference of an axis needs beyond its limit; empty if nothing."""
+    """Return words for a demand of an axis beyond its limit; empty if there is none."""
     if demand.share <= 1.0:
         return ""
     if demand.bound_by == "current":
@@ -216,18 +213,18 @@ def _beyond(demand: Demand) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, weakref_slot=True)
 class Plan:
-    """Everything that was decided before the machine moved, whatever kind of work it is.
+    """All decisions before the machine moves, for any kind of work.
 
     Parameters
     ----------
     job, machine
-        The two inputs.
+        Job and machine of the plan.
     commands
-        What the controller is given.
+        Commands for the controller.
     intent
-        What is meant to happen: paths and a trajectory, or a schedule with its moves.
+        Intended result: paths and a trajectory, a schedule with its moves, or stitches.
     options
-        How it was planned (interpolation, feed, tolerance), as text, for people and recordings.
+        Options of the plan (interpolation, feed, tolerance) as text, for people and recordings.
     """
 
     job: Job
@@ -238,17 +235,17 @@ class Plan:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """Names of what moves, in the order of all columns."""
+        """Names of the moving axes, in the order of all columns."""
         return self.intent.axes
 
     @property
     def duration_s(self) -> float:
-        """As planned, s; inputs that come late make a job longer."""
+        """Planned duration, s; late inputs make a job longer."""
         return self.intent.duration_s
 
     @property
     def feed_override(self) -> float | None:
-        """By which the feeds of the job hold, 1 as programmed; None where another was given."""
+        """Factor on the feeds of the job, 1 as programmed; None if another feed replaces them."""
         text = self.options.get("feed", "programmed")
         if text.endswith("%"):
             return float(text.removesuffix("%")) / 100.0
@@ -256,7 +253,7 @@ class Plan:
 
     @property
     def limits_in_full(self) -> bool:
-        """Whether it may use all of the limits of acceleration and jerk."""
+        """Whether the plan may use the full limits of acceleration and jerk."""
         return float(self.options.get("limits", "100 %").removesuffix("%")) == 100.0
 
     @property
@@ -269,21 +266,21 @@ class Plan:
 
     @property
     def interpolation(self) -> str:
-        """The interpolation that was asked for, or what stands in its place."""
+        """The requested interpolation, or the name that takes its place."""
         return self.intent.interpolation(self.options)
 
     @property
     def planned_with(self) -> str:
-        """How it was planned, for people."""
+        """Words for the planning method."""
         return self.intent.planned_with(self.options)
 
     def intended(self, wanted: type[IntentT]) -> IntentT:
-        """Return the intent of this plan, which must be of the type ``wanted``.
+        """Return the intent of this plan, which must be of type ``wanted``.
 
         Raises
         ------
         PlanError
-            If it is of another: a schedule has no path, and a path no schedule.
+            If the intent is of another type: a schedule has no path, and a path has no schedule.
         """
         if not isinstance(self.intent, wanted):
             raise PlanError(

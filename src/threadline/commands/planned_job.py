@@ -1,4 +1,4 @@
-"""The planned motion as a job of short timed moves: what a controller of moves can follow."""
+"""The planned motion as a job of short timed moves, for a controller that follows moves."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from threadline.machine import Machine
 from threadline.motion.timing.types import Trajectory
 
 CHORD_TOLERANCE_M = 1e-5
-_DECIMALS = 6  # of a millimetre or a degree: a nanometre is far below the chords' tolerance
+_DECIMALS = 6  # decimals of a millimetre or a degree: far below the chord tolerance
 _PARTS_OF_UNIT = 1_000_000
-_STAYS = 1e-9  # m or rad: a path leaves out a vertex so near to the one before
+_STAYS = 1e-9  # m or rad: a path leaves out a vertex this close to the one before
 
 
 def planned_job(
@@ -38,21 +38,21 @@ def planned_job(
 ) -> Job:
     """Return ``job`` with its moves replaced by chords of ``trajectory``, each with its time.
 
-    Everything but moves stays where it was, dwells included; what happens as a move begins happens
-    as the first chord of that move does.
+    All other operations keep their places, dwells included. Actions at the start of a move happen
+    at the start of its first chord.
 
     Parameters
     ----------
     job, trajectory, machine
-        What was planned.
+        Job, its planned trajectory, and the machine of the plan.
     tolerance_m
-        Largest distance of a chord from the trajectory at the same instant, per axis; a rotary
-        axis acts at its radius.
+        Largest distance between chord and trajectory at the same instant, per axis. The distance of
+        a rotary axis is measured at its radius.
 
     Notes
     -----
-    Ends are rounded to 1e-6 mm and degrees, from where they are and not from each other.
-    Linear interpolation over a step h is off by at most h^2 max|f''| / 8.
+    End points are rounded to 1e-6 mm and degrees as absolute positions, so errors do not add up.
+    Linear interpolation over a step h has an error of at most h^2 max|f''| / 8.
     """
     return replace(job, operations=Stream(_operations, job, trajectory, machine, tolerance_m))
 
@@ -98,7 +98,7 @@ def planned_operations(
 
 
 def _rounded(position_si: float, linear: bool) -> float:
-    """Return the nearest position that is a short decimal of mm or degrees."""
+    """Return the nearest position with few decimals in mm or degrees."""
     if linear:
         return round(position_si * 1e3 * _PARTS_OF_UNIT) / (1000 * _PARTS_OF_UNIT)
     return radians(round(degrees(position_si), _DECIMALS))
@@ -106,7 +106,7 @@ def _rounded(position_si: float, linear: bool) -> float:
 
 @lru_cache(maxsize=64)
 def _powers(parts: int, count: int) -> FloatArray:
-    """Return the ``count`` powers of the ends of ``parts`` even parts of [0, 1]."""
+    """Return ``count`` powers of u at the ends of ``parts`` equal parts of [0, 1]."""
     u = np.arange(1, parts + 1) / parts
     powers: FloatArray = u[:, None] ** np.arange(count)
     powers.flags.writeable = False
@@ -114,7 +114,7 @@ def _powers(parts: int, count: int) -> FloatArray:
 
 
 def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> list[int]:
-    """Return into how many chords each of (N, degree + 1, A) pieces has to be divided.
+    """Return the number of chords for each of (N, degree + 1, A) pieces.
 
     A polynomial on [0, 1] lies between its smallest and largest Bernstein coefficient.
     """
@@ -129,7 +129,7 @@ def _parts(coefficients: FloatArray, radius: FloatArray, tolerance_m: float) -> 
 
 
 class _Merged:
-    """Gives out what is not a move when the pieces of the moves around it pass by."""
+    """Inserts the operations between moves while the pieces of the moves pass by."""
 
     def __init__(self, job: Job) -> None:
         self._operations = enumerate(job)
@@ -140,12 +140,12 @@ class _Merged:
         self._ended = False
         self.source = Source(job.file, 0)
         self.feed: Feed | None = None
-        self.acts: tuple[ToolEvent, ...] = ()  # of the moves that have begun, for the next chord
+        self.acts: tuple[ToolEvent, ...] = ()  # actions of begun moves, for the next chord
 
     def _read_group_after(self, operation: int) -> None:
-        """Read on to the first move behind ``operation`` that goes anywhere.
+        """Read up to the first move after ``operation`` that changes the position.
 
-        A move that stays has no pieces of its own: the pause behind it stands at the move before.
+        A move without travel has no pieces; the pause after it belongs to the move before.
         """
         while not self._ended and self._read <= operation:
             self._read, found = next(self._operations, (self._read, None))
@@ -158,10 +158,10 @@ class _Merged:
                 self._target = found.target
             else:
                 self._waiting.append((self._read, found))
-                operation = max(operation, self._read)  # the group goes on
+                operation = max(operation, self._read)  # the group continues
 
     def before(self, operation: int) -> Iterator[Operation]:
-        """Yield what comes before the pieces of ``operation``."""
+        """Yield the operations before the pieces of ``operation``."""
         self._read_group_after(operation)
         for number in [k for k in self._moves if k <= operation]:
             move = self._moves.pop(number)
@@ -173,28 +173,28 @@ class _Merged:
             yield from self._given()
 
     def _given(self) -> Iterator[Operation]:
-        """Yield the first that waits, behind what moves without a way of their own leave."""
+        """Yield the actions of moves without travel, then the first waiting operation."""
         yield from self.acts
         self.acts = ()
         yield self._waiting.pop(0)[1]
 
     def dwells_next(self) -> bool:
-        """Say whether a dwell of the job comes before its next move."""
+        """Say whether the job has a dwell before its next move."""
         return any(isinstance(found, Dwell) for _, found in self._waiting)
 
     def rest(self) -> Iterator[Operation]:
-        """Yield what comes after the last piece."""
+        """Yield the operations after the last piece."""
         yield from self.before(1 << 62)
         yield from self.acts
 
 
 CLOSE_M = 1e-7
-"""By how far an end that is rounded to 0.0001 mm or degrees lies off, and a little."""
-_RISE = 1e-3  # of a speed
+"""Largest error of an end point rounded to 0.0001 mm or degrees, with a margin."""
+_RISE = 1e-3  # share of a speed
 
 
 class Part(NamedTuple):
-    """The moves from ``first`` up to ``stop`` as one chord, at ``speed`` at most."""
+    """The moves from ``first`` up to ``stop``, not included, as one chord at ``speed`` at most."""
 
     first: int
     stop: int
@@ -202,7 +202,7 @@ class Part(NamedTuple):
 
 
 def merged(points: FloatArray, speeds: FloatArray) -> list[Part]:
-    """Return the chords of moves along (n + 1, axes) ``points`` at the tool, at (n,) ``speeds``."""
+    """Return the chords of moves along (n + 1, axes) ``points`` of the tool at (n,) ``speeds``."""
     first, parts = 0, list[Part]()
     for last in _humps(speeds):
         while first < last:
@@ -214,9 +214,9 @@ def merged(points: FloatArray, speeds: FloatArray) -> list[Part]:
 
 
 def _humps(speeds: FloatArray) -> Iterator[int]:
-    """Yield where each stretch of (n,) speeds ends that rises and then falls once at most.
+    """Yield the end of each stretch of (n,) speeds that rises and then falls at most once.
 
-    What is less than ``_RISE`` of a speed is none: ends of moves are rounded.
+    Changes below ``_RISE`` of the speed do not count, because end points of moves are rounded.
     """
     highest = lowest = float(speeds[0])
     for at, speed in enumerate(speeds.tolist()):
@@ -232,11 +232,11 @@ def _humps(speeds: FloatArray) -> Iterator[int]:
 
 
 def _without_slivers(parts: list[Part], points: FloatArray) -> list[Part]:
-    """Return ``parts`` with each that is shorter than the tolerance in the one beside it.
+    """Return ``parts`` with each part shorter than the tolerance joined to its neighbour.
 
     Where a planned speed falls and rises again in the middle of a move, the rest of the move would
-    be a block of its own. It takes the speed of the other part: within the tolerance of a
-    chord nothing is made of a speed.
+    become a block of its own. The joined part takes the speed of the longer part: a speed over less
+    than the tolerance of a chord has no effect.
     """
     kept: list[Part] = []
     for part in parts:
@@ -257,7 +257,7 @@ def _short(part: Part, points: FloatArray) -> bool:
 
 
 def _longest(points: FloatArray) -> int:
-    """Return how many moves from the first of (n, axes) points on make a chord, 1 at least."""
+    """Return how many moves from the first of (n, axes) points on fit one chord, at least 1."""
     most = len(points) - 1
     good = 1
     while good < most and _within(points[: min(2 * good, most) + 1], CHORD_TOLERANCE_M):
@@ -273,9 +273,10 @@ def _longest(points: FloatArray) -> int:
 
 
 def _within(points: FloatArray, most_m: float, back_m: float = CLOSE_M) -> bool:
-    """Say whether (n, axes) points lie along the line from first to last, in their order.
+    """Say whether (n, axes) points lie within ``most_m`` of the line from first to last, in order.
 
-    No step goes back along it by more than ``back_m``, and none lies that far beyond its ends.
+    No step goes back along the line by more than ``back_m``, and no point lies more than ``back_m``
+    beyond the ends of the line.
     """
     way = points[-1] - points[0]
     length = float(np.linalg.norm(way))

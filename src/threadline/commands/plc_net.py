@@ -1,7 +1,8 @@
-"""Names for PLC programs: letters, digits and single underscores, and no word of the language.
+"""The Petri net of a schedule, and valid names for PLC programs.
 
-A place is a state of all outputs; the token leaves it when the milliseconds since the last wait
-reach a due time, or when an input is there. Place 0 has every output off.
+A place is a state of all outputs. The token leaves a place when the milliseconds since the last
+wait reach the due time, or when an input is there. Place 0 has every output off. A name has
+letters, digits and single underscores, and is no word of the language.
 """
 
 from __future__ import annotations
@@ -33,24 +34,24 @@ using usint var var_access var_config var_external var_global var_in_out var_inp
 var_temp wchar while with word wstring xor xorn andn clk cu cv cd pv q qd qu et pt
 """
 RESERVED = frozenset(_WORDS.split())
-"""Keywords, types, standard functions and blocks and their pins, in lower case."""
+"""Keywords, types, standard functions, standard blocks and their pins, in lower case."""
 _MAX_LENGTH = 30
 
 
 class Names:
-    """Hands out names of one program: valid, and each once, whatever their case.
+    """Gives out valid and unique names in one program, without regard to case.
 
     Parameters
     ----------
     taken
-        Names that the program uses already.
+        Names already used in the program.
     """
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = {name.lower() for name in taken}
 
     def give(self, wanted: str) -> str:
-        """Return a valid name as near to ``wanted`` as can be.
+        """Return a valid name as close to ``wanted`` as possible.
 
         >>> names = Names()
         >>> names.give("step"), names.give("x-low"), names.give("X_low"), names.give("2nd__try")
@@ -77,17 +78,17 @@ class NetPlace:
     Parameters
     ----------
     number
-        From 1, in the order in which the token visits them.
+        Number from 1, in the order in which the token visits the places.
     step
         Step of the cycle.
     on
         Outputs that are on.
     due_ms
-        The token leaves this long after the origin; of a waiting place, its timeout.
+        Time since the origin at which the token leaves; for a waiting place, the timeout.
     wait
-        Input that is waited for, and its value; the time of the input is the next origin.
+        Awaited input and its value; the time of the input is the next origin.
     begin_tick, origin_tick
-        Scans of the schedule at which the token arrives, and from which its time counts.
+        Scans of the schedule at which the token arrives and at which its time count begins.
     """
 
     number: int
@@ -108,7 +109,7 @@ class PetriNet:
     outputs
         All outputs, in the order of the machine.
     places
-        In order; the transition out of the last leads back to place 0.
+        Places in order; the transition out of the last one leads back to place 0.
     scan_ms
         Period of the scan.
     """
@@ -135,7 +136,7 @@ def petri_net(scheduled: Scheduled) -> PetriNet:
         )
     scan_ms = int(period_ms)
     timeouts = iter(scheduled.wait_timeouts_s)
-    # Rows of a tick take effect before a wait at that tick begins.
+    # Rows of a tick take effect before a wait at the same tick begins.
     marks: list[tuple[int, int, str, object]] = [
         (int(tick), 1, "row", tuple(int(v) for v in row))
         for tick, row in zip(commands.ticks, commands.levels, strict=True)
@@ -165,7 +166,7 @@ class _Walk:
 
     def pass_mark(self, tick: int, kind: str, payload: object) -> None:
         if kind == "step":
-            # Outputs that stay as they are still change place, so that the step can be seen.
+            # A new step begins a new place even if no output changes, so that the step is visible.
             if self.pending:
                 self._leave(tick)
             self.step = str(payload)
@@ -197,7 +198,7 @@ class _Walk:
         self.arrival = tick
         scans = math.ceil(1000.0 * timeout_s / self.scan_ms - 1e-9)
         self._add(self._ms(tick) + scans * self.scan_ms, (name, value))
-        # The token arrives in the next place at once; its rows come at the next scan.
+        # The token arrives in the next place immediately; the rows come at the next scan.
         self.origin = self.arrival = tick
         self.pending = True
 

@@ -1,7 +1,7 @@
-"""Program units of a PLC as data: what structured text and PLCopen XML both write.
+"""Program units of a PLC as data, the source of both structured text and PLCopen XML.
 
-The cycle and the way home are two runs through places of one net; one token is in one of them, or
-in ``IDLE``, where every output is off.
+The cycle and the way home are two runs through places of one net. One token stands in one of these
+places, or in ``IDLE``, where every output is off.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class Variable:
     Parameters
     ----------
     name, type
-        Both as they are written; ``derived`` says that the type is a function block.
+        Written name and type; ``derived`` is True if the type is a function block.
     initial
-        Literal; empty for the type's own default.
+        Literal; empty for the default of the type.
     address
-        Of a located variable, like ``%QX0.1``.
+        Address of a located variable, like ``%QX0.1``.
     note
-        For people.
+        Comment for people.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Variable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """One VAR block; located and unlocated variables never share one."""
+    """One VAR block; either all or none of its variables are located."""
 
     kind: Literal["VAR_INPUT", "VAR_OUTPUT", "VAR", "VAR CONSTANT"]
     variables: tuple[Variable, ...]
@@ -77,7 +77,7 @@ class Pou:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlcProgram:
-    """Everything that a controller needs: the block, the program that feeds it, and its task."""
+    """The program of a controller: function block, the program that calls the block, and a task."""
 
     block: Pou
     main: Pou
@@ -102,23 +102,23 @@ FAULTS = {
     "f_stayed": "an end switch did not go off",
     "f_interlock": "an interlock of the machine file is off",
 }
-"""Reasons for a stop, by the name of their constant; the constants are numbered in this order."""
+"""Reasons for a stop, by the name of their constant. The order gives the numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Guarded:
-    """What a program knows of one cylinder.
+    """Variables and constants of a program for one cylinder.
 
     Parameters
     ----------
     axis
-        Its name in the machine file.
+        Name of the cylinder in the machine file.
     expect, early, gone
-        Variables: what is expected of its switches, and the two times since the origin.
+        Variables: the expected state of the end switches, and two times since the origin.
     unknown
-        Constant for "nothing is known".
+        Constant for an unknown position.
     known
-        Constant of every way (from, to) in m that the cycle has; from and to the same: it stands.
+        Constant of every way (from, to) in m of the cycle; from and to are equal at rest.
     """
 
     axis: str
@@ -131,23 +131,24 @@ class Guarded:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sequence:
-    """Everything of a schedule that a program is written from.
+    """The part of a schedule that a program is written from.
 
     Parameters
     ----------
     net
-        The cycle.
+        Net of the cycle.
     cycle, homing
-        Its places, and those of the way home.
+        Places of the cycle, and places of the way home.
     guarded, jogs
-        What is known of cylinders, and what may be done by hand.
+        Cylinders with monitored end switches, and jogs by hand.
     contacts
         Constant that names each contact.
     before_vacuum
         For every input that is waited for while a vacuum is on: the places just before the vacuum
-        is switched on, in which the input must be off.
+        is switched on. The input must be off in these places.
     still_held
-        Names of places that wait for what the same vacuum has brought before: it may simply be on.
+        Names of places that wait for an input that the same vacuum has switched on before. The
+        input may still be on.
     interlocks
         For every contact that the machine file needs: names of the places in which it must be on.
     idle
@@ -170,11 +171,11 @@ class Sequence:
 
     @property
     def places(self) -> tuple[NamedPlace, ...]:
-        """All of them, in the order of their numbers."""
+        """All places, in the order of their numbers."""
         return (*self.cycle, *self.homing)
 
     def constants(self, outputs: Mapping[str, str]) -> Iterator[Variable]:
-        """Yield the constants of the program, in which ``outputs`` are called so."""
+        """Yield the constants of the program; ``outputs`` gives the names of outputs in notes."""
         yield Variable(name=self.idle, type="INT", initial="0", note="every output is off")
         for named in self.places:
             number = str(named.place.number)
@@ -211,12 +212,12 @@ class Sequence:
 def sequence_of(
     scheduled: Scheduled, names: Names, inputs: Mapping[str, str], outputs: Mapping[str, str]
 ) -> Sequence:
-    """Return the sequence of ``scheduled``, whose comments call inputs and outputs so.
+    """Return the sequence of ``scheduled``; ``inputs`` and ``outputs`` give names for its notes.
 
     Raises
     ------
     PlanError
-        If the net cannot be made, or a cylinder could not be brought home.
+        If the net cannot be built, or a cylinder cannot be brought home.
     """
     net, machine = petri_net(scheduled), scheduled.machine
     idle = names.give("idle")
@@ -288,7 +289,7 @@ def _named(
 def _what(
     place: NetPlace, scheduled: Scheduled, inputs: Mapping[str, str], outputs: Mapping[str, str]
 ) -> str:
-    """Return words on what happens in a place, until the time to leave it has come."""
+    """Return words for what happens in a place until its due time."""
     if place.wait is not None:
         return f"{inputs[place.wait[0]]} must be {'on' if place.wait[1] else 'off'} by then"
     machine, tick = scheduled.machine, place.begin_tick
@@ -315,7 +316,7 @@ def _what(
 
 
 def _still_held(machine: Machine, cycle: tuple[NamedPlace, ...]) -> Iterator[str]:
-    """Yield each place that waits for an input that came already since its vacuum was drawn."""
+    """Yield each place that waits for an input that has already come during the same vacuum."""
     vacuums = {name for name, output in machine.outputs.items() if output.kind == "vacuum"}
     brought: set[tuple[str, bool]] = set()
     for named in cycle:

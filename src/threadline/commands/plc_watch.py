@@ -1,13 +1,15 @@
-"""What the end switches of every cylinder must say in each place of a sequence.
+"""Expected readings of all end switches in each place of a sequence, the way home, and jogs.
 
-A cylinder stands at a place that its moves name, or goes from one to another. Standing, every one
-of its switches is known. Going, none of the far end may come before the piston can be there, and
-those of the near end must be gone once it has had ample time to leave.
+A cylinder either stands at a position of its moves or travels from one to another. While a cylinder
+stands, all of its switches have known values. While a cylinder travels, no switch at the far end
+may come before the piston can be there, and every switch at the near end must be off after ample
+time to leave.
 
-One cylinder after the other, in the order that the job's ``home`` says or in which its moves bring
-them back, each with the smallest level that its flow controls make, until its own end switch says
-that it is there. Then it is pressed home for as long as its whole stroke takes: a switch that is
-stuck on, with the piston anywhere, sends no other cylinder on its way before this one is home.
+Cylinders go home one after the other, in the order of the job's ``home`` or, without it, in the
+order in which the job's moves bring them back. Each cylinder moves at the smallest level of its
+flow controls until its end switch is on. Then pressure stays on for as long as the whole stroke
+takes. A switch that is stuck on therefore starts no other cylinder before this cylinder is home,
+wherever its piston stands.
 """
 
 from __future__ import annotations
@@ -25,25 +27,25 @@ from threadline.errors import Place, PlanError
 from threadline.machine import Machine
 from threadline.machine.pneumatics import Contact
 
-_EARLIEST = 0.5  # of the time that the commanded speed alone needs
-_AMPLE = 2.0  # times the time that leaving takes with dead time and lags
+_EARLIEST = 0.5  # share of the time that the commanded speed needs to reach a switch
+_AMPLE = 2.0  # factor on the time to leave a switch, dead time and lags included
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watch:
-    """One cylinder in one place: from where to where; both the same where it stands.
+    """The expected way of one cylinder in one place; start and end are equal at rest.
 
     Parameters
     ----------
     axis, begin_m, end_m
-        The cylinder and its way.
+        Cylinder and its way, m.
     early_ms
-        Since the origin of the place: before it no switch of the far end is believed.
+        Time since the origin of the place before which a switch at the far end is not believed.
     gone_ms
-        Since the origin: after it no switch of the near end may be on.
+        Time since the origin of the place after which no switch at the near end may be on.
     arrived
-        Whether a switch of the far end was waited for on this way: what follows may rely on it,
-        though the piston still goes the last bit.
+        Whether a wait on this way confirmed a switch at the far end. Later operations may rely on
+        the arrival, although the piston still travels the last bit.
     """
 
     axis: str
@@ -61,21 +63,21 @@ class Watch:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NamedPlace:
-    """A place with what the program calls it.
+    """A place with its names in the program.
 
     Parameters
     ----------
     place
-        Of the net.
+        Place of the net.
     name, due
-        Constants: its number, and the time at which it is left or its input is late.
+        Constants: number of the place, and the time at which the token leaves or the input is late.
     note
-        What happens until its time has come, for people.
+        Words for what happens until the due time.
     watch
-        What the end switches of each cylinder must say, as far as that is known.
+        Expected way of each cylinder, as far as known.
     bounds
-        Of each cylinder on its way two constants: before the first its far end is not believed,
-        after the second its near end must be off.
+        Two constants for each travelling cylinder: before the first time its far end is not
+        believed, after the second time its near end must be off.
     """
 
     place: NetPlace
@@ -92,7 +94,7 @@ def switches_of(machine: Machine, axis: str) -> dict[str, Contact]:
 
 
 def reads(contact: Contact, place_m: float) -> bool | None:
-    """Return what an end switch says of a piston at ``place_m``; None within its tolerance."""
+    """Return the value of an end switch for a piston at ``place_m``; None within its tolerance."""
     assert contact.at is not None
     if abs(place_m - contact.at.si) <= contact.at.tolerance_si:
         return None
@@ -100,7 +102,7 @@ def reads(contact: Contact, place_m: float) -> bool | None:
 
 
 def watches(scheduled: Scheduled, net: PetriNet) -> list[dict[str, Watch]]:
-    """Return for every place of the net the watch of each cylinder that has end switches."""
+    """Return, for every place of the net, the watch of each cylinder with end switches."""
     machine = scheduled.machine
     ways = {axis: _moves_since(scheduled, axis, -1) for axis in scheduled.axes}
     found: list[dict[str, Watch]] = []
@@ -124,7 +126,7 @@ def watches(scheduled: Scheduled, net: PetriNet) -> list[dict[str, Watch]]:
 
 
 def _came(machine: Machine, place: NetPlace, axis: str, end_m: float) -> bool:
-    """Say whether a place waited for a switch of a cylinder that is on where its way ends."""
+    """Say whether a place waited for a switch that confirms the end of a cylinder's way."""
     if place.wait is None or not place.wait[1]:
         return False
     contact = machine.contacts[place.wait[0]]
@@ -132,7 +134,7 @@ def _came(machine: Machine, place: NetPlace, axis: str, end_m: float) -> bool:
 
 
 def _anywhere(scheduled: Scheduled, axis: str, tick: int) -> bool:
-    """Say whether a cylinder may be anywhere at a scan: an operation brings it home, or will."""
+    """Say whether a cylinder may be anywhere at a scan: its homing runs or is still to come."""
     return any(
         one.axis == axis
         and tick < one.last_tick
@@ -195,7 +197,7 @@ def _watch(
 
 
 def _commanded_ms(move: ScheduledMove, distance_m: float, scan_ms: int) -> float:
-    """Return when the commanded speed alone has covered a distance, ms after it set in."""
+    """Return when the commanded speed has covered a distance, ms after its first switching."""
     levels = move.levels
     edges = np.array(levels.ticks, dtype=np.float64) * scan_ms
     covered = np.concatenate(([0.0], np.cumsum(np.diff(edges) * np.array(levels.levels[:-1])))) * (
@@ -209,12 +211,12 @@ _SAME_M = 1e-6
 
 
 def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlace, ...]:
-    """Return the places of the way home, numbered from ``after`` on.
+    """Return the places of the way home, with numbers after ``after``.
 
     Raises
     ------
     PlanError
-        If a cylinder has no end switch at its start, or starts elsewhere than at 0.
+        If a cylinder has no end switch at its start, or does not start at 0.
     """
     machine = scheduled.machine
     air = tuple(n for n, o in machine.outputs.items() if o.kind == "soft-start")
@@ -231,15 +233,15 @@ def home_places(scheduled: Scheduled, after: int, scan_ms: int) -> tuple[NetPlac
 
 
 def air_ms(machine: Machine, scan_ms: int) -> int:
-    """Return how long the soft start takes to bring the air up, ms, whole scans."""
+    """Return the time of the soft start to build up air pressure, ms in whole scans."""
     return _scans_ms(max(output.ramp_s for output in machine.outputs.values()), scan_ms)
 
 
 def home_watches(places: tuple[NetPlace, ...], machine: Machine) -> list[dict[str, Watch]]:
-    """Return what the end switches must say in each place of the way home.
+    """Return the expected watches in each place of the way home.
 
-    Nothing is known of a cylinder before its own switch has come; from then on it stands at its
-    start, also while others come back.
+    The position of a cylinder is unknown until its own switch is on. From then on the cylinder
+    stands at its start, also while other cylinders come back.
     """
     found: list[dict[str, Watch]] = []
     home: dict[str, Watch] = {}
@@ -262,17 +264,17 @@ def _scans_ms(time_s: float, scan_ms: int) -> int:
 
 
 def home_order(scheduled: Scheduled) -> tuple[str, ...]:
-    """Return the cylinders in the order in which they come back.
+    """Return the cylinders in the order in which they come home.
 
-    That of the list's ``home``; without it the order in which the list moves each for the last
-    time: a list ends at its start, so that its last moves are the way back. What never moves comes
-    first, and what an interlock needs at home before what needs it.
+    The order is the list's ``home``. Without ``home``, the order is the order of the last moves of
+    the cylinders: a list ends at its start, so its last moves are the way back. Cylinders that
+    never move come first. A cylinder comes after those that its interlock needs at home.
 
     Raises
     ------
     PlanError
-        If the list or an interlock lets a cylinder move only with another at its start, and the
-        list brings it home before.
+        If the list or an interlock moves a cylinder only with another one at its start, and the
+        list's ``home`` brings the first one back before the other.
     """
     last = {move.axis: move.first_tick for move in scheduled.moves}
     order = scheduled.job.home
@@ -299,7 +301,7 @@ def home_order(scheduled: Scheduled) -> tuple[str, ...]:
 
 
 def _locked(machine: Machine) -> Iterator[tuple[str, str, str]]:
-    """Yield (cylinder, other, switch) where an interlock has the first wait for the second."""
+    """Yield (cylinder, other, switch) where an interlock makes the first wait for the second."""
     for axis, cylinder in machine.cylinders.items():
         for name in cylinder.needs:
             contact = machine.contacts[name]
@@ -308,11 +310,11 @@ def _locked(machine: Machine) -> Iterator[tuple[str, str, str]]:
 
 
 def _behind_needed(wanted: list[str], machine: Machine) -> Iterator[str]:
-    """Yield cylinders in their order, but each behind those that its interlock needs at home."""
+    """Yield cylinders in order, but each after those that its interlock needs at home."""
     left = list(wanted)
     while left:
         waits = {axis for axis, other, _ in _locked(machine) if other in left and other != axis}
-        # Where each waits for another, none could come first: the order stays.
+        # If each waits for another, none can come first, and the order stays.
         first = next((axis for axis in left if axis not in waits), left[0])
         left.remove(first)
         yield first
@@ -329,7 +331,7 @@ def _needed(scheduled: Scheduled) -> Iterator[tuple[str, str]]:
         at[move.axis] = 0.0 if isinstance(move, Homing) else move.end_m
     for axis in sorted(moving):
         for other in sorted(moving - {axis}):
-            # Each only with the other at home: their order is the user's.
+            # If each moves only with the other at its start, the user decides their order.
             if (axis, other) not in away and (other, axis) in away:
                 yield axis, other
 
@@ -339,21 +341,21 @@ Said = tuple[str, bool]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Jog:
-    """One thing that may be done by hand.
+    """One action by hand.
 
     Parameters
     ----------
     name
-        Constant that the panel gives.
+        Constant that the panel sends.
     note
-        For people.
+        Words for people.
     on
-        Outputs that it switches on.
+        Outputs that the jog switches on.
     needs
-        Contacts that must read so while it does.
+        Required readings of contacts during the jog.
     where
-        Places in which the list does it: what end switches of other cylinders read in each. One of
-        them must hold; where there is none it may be done anywhere.
+        Alternative conditions, one per place in which the list does the same action: readings of
+        other cylinders' end switches. At least one alternative must hold. Empty: allowed anywhere.
     """
 
     name: str
@@ -369,10 +371,10 @@ def jogs_of(
     names: Names,
     outputs: Mapping[str, str],
 ) -> Iterator[Jog]:
-    """Yield each thing that may be done by hand, under the conditions that the cycle does it in.
+    """Yield each action by hand, under the conditions under which the cycle does it.
 
-    A cylinder comes back to its start also where the way home would bring it: with all that come
-    home before it at their start. So there is always a way out, however pistons were left.
+    A cylinder may also go back to its start under the condition of the way home: all cylinders that
+    come home before it are at their start. So a way out exists for any positions of the pistons.
     """
     machine = scheduled.machine
     order = home_order(scheduled)
@@ -402,16 +404,16 @@ def jogs_of(
 
 
 def _told(needs: tuple[str, ...]) -> tuple[Said, ...]:
-    """Return an interlock of the machine file as what contacts must read."""
+    """Return an interlock of the machine file as required readings of contacts."""
     return tuple((name, True) for name in needs)
 
 
 def _where(
     machine: Machine, cycle: tuple[NamedPlace, ...], own: str, output: str
 ) -> tuple[tuple[Said, ...], ...]:
-    """Return what end switches of other cylinders read in each place that has an output on.
+    """Return readings of other cylinders' end switches in each place with an output on.
 
-    Nothing is asked of a cylinder that is on its way there.
+    A cylinder that still travels in a place adds no condition.
     """
     found = []
     for named in cycle:
@@ -429,9 +431,9 @@ def _where(
 
 
 def _weakest(found: list[tuple[Said, ...]]) -> tuple[tuple[Said, ...], ...]:
-    """Return the conditions without those that ask for more than another one of them does.
+    """Return the conditions without those that are stricter than another one.
 
-    Where one of them asks for nothing there is no condition at all.
+    If one condition is empty, the result is empty.
     """
     kept = [
         one for one in dict.fromkeys(found) if not any(set(other) < set(one) for other in found)
@@ -440,7 +442,7 @@ def _weakest(found: list[tuple[Said, ...]]) -> tuple[tuple[Said, ...], ...]:
 
 
 def interlocked(machine: Machine, places: tuple[NamedPlace, ...]) -> dict[str, tuple[str, ...]]:
-    """Return for each contact that the machine file needs the places in which it must be on."""
+    """Return, for each contact that the machine file needs, the places in which it must be on."""
     found: dict[str, list[str]] = {}
     for named in places:
         needs = [n for output in named.place.on for n in machine.outputs[output].needs]
@@ -450,7 +452,7 @@ def interlocked(machine: Machine, places: tuple[NamedPlace, ...]) -> dict[str, t
             elif axis in named.watch and not (
                 named.watch[axis].stands or named.watch[axis].arrived
             ):
-                # It still goes the last bit: the list may let another set out already.
+                # The cylinder still travels the last bit, so another one may already start.
                 needs += [n for n in cylinder.needs if _stands_on(machine, named, n)]
         for name in dict.fromkeys(needs):
             found.setdefault(name, []).append(named.name)
@@ -458,7 +460,7 @@ def interlocked(machine: Machine, places: tuple[NamedPlace, ...]) -> dict[str, t
 
 
 def _stands_on(machine: Machine, named: NamedPlace, name: str) -> bool:
-    """Say whether the cylinder of an end switch stands in a place where that is on."""
+    """Say whether a switch's cylinder stands, in a place, where it turns the switch on."""
     contact = machine.contacts[name]
     watch = named.watch.get(str(contact.cylinder))
     return watch is not None and watch.stands and bool(reads(contact, watch.end_m))

@@ -1,9 +1,10 @@
-"""A schedule as PLCopen XML and as Siemens SCL: the same units as its structured text.
+"""A schedule as PLCopen XML and as Siemens SCL, with the same units as its structured text.
 
-A source for TIA Portal (S7-1200, S7-1500): the function block with its interface, BEGIN and its
-body, a data block that is its instance, an organisation block for a cyclic interrupt that calls it
-with symbolic tags, and the table of these tags beside it. The body is that of the structured text,
-line by line; local names carry ``#``, tags stand in quotes, the timers are IEC timers.
+The SCL source is for TIA Portal (S7-1200, S7-1500). It contains the function block with interface,
+BEGIN and body, an instance data block, and an organisation block for a cyclic interrupt that calls
+the function block with symbolic tags. A table of these tags is a file beside the source. The body
+has the lines of the structured text; local names start with ``#``, tags stand in quotes, and timers
+are IEC timers.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _NAME = re.compile(r"'[^']*'|\(\*.*?\*\)|(?<![#%\w.])[A-Za-z_]\w*")
 
 
 def scl_source(scheduled: Scheduled) -> str:
-    """Return the source of ``scheduled``.
+    """Return the SCL source of ``scheduled``.
 
     Raises
     ------
@@ -83,9 +84,9 @@ def _declaration(variable: Variable) -> str:
 
 
 def _local(line: str, names: set[str]) -> str:
-    """Return a line with ``#`` before every local name; texts and comments stay.
+    """Return a line with ``#`` before every local name; string texts and comments stay.
 
-    A text that is an address is written as this PLC does, ``%I0.0``.
+    A string text that is an address takes the form of this PLC, ``%I0.0``.
     """
 
     def marked(match: re.Match[str]) -> str:
@@ -101,13 +102,13 @@ def _address(standard: str) -> str:
 
 
 def _located(program: PlcProgram) -> dict[str, str]:
-    """Return the address of every tag, in the order of the machine."""
+    """Return the address of every tag, in the order of the machine file."""
     variables = [v for block in program.main.blocks for v in block.variables]
     return {v.name: v.address for v in variables if v.address}
 
 
 def _organisation_block(program: PlcProgram, instance: str) -> Iterator[str]:
-    """Yield the block that a cyclic interrupt of the scan's period calls."""
+    """Yield the organisation block for a cyclic interrupt with the period of the scan."""
     arguments = [
         f'{name} {":=" if address.startswith("%I") else "=>"} "{name}"'
         for name, address in _located(program).items()
@@ -126,7 +127,7 @@ def _organisation_block(program: PlcProgram, instance: str) -> Iterator[str]:
 
 
 def scl_tags(scheduled: Scheduled) -> str:
-    """Return the table of tags: name, type and address as this PLC writes it, ``%I0.0``."""
+    """Return the table of tags: name, type and address in the form of this PLC, ``%I0.0``."""
     rows = [
         f"{name},Bool,{_address(address)}"
         for name, address in _located(plc_program(scheduled)).items()
@@ -135,7 +136,7 @@ def scl_tags(scheduled: Scheduled) -> str:
 
 
 def write_scl(scheduled: Scheduled, path: Path) -> list[Written]:
-    """Write the source to ``path`` and the tags beside it, ``NAME.tags.csv``."""
+    """Write the source to ``path`` and the tags beside it to ``NAME.tags.csv``."""
     beside = path.with_name(f"{path.stem}.tags.csv")
     with together():
         for file, content in ((path, scl_source(scheduled)), (beside, scl_tags(scheduled))):
@@ -147,7 +148,7 @@ def write_scl(scheduled: Scheduled, path: Path) -> list[Written]:
 NAMESPACE = "http://www.plcopen.org/xml/tc6_0201"
 XHTML = "http://www.w3.org/1999/xhtml"
 EPOCH = "2000-01-01T00:00:00"
-"""Creation time that is written unless another is given: the same job gives the same file."""
+"""Default creation time; it is fixed, so that the same job gives the same file."""
 _LISTS = {
     "VAR_INPUT": "inputVars",
     "VAR_OUTPUT": "outputVars",
@@ -158,7 +159,7 @@ _KINDS = {"FUNCTION_BLOCK": "functionBlock", "PROGRAM": "program"}
 
 
 def plcopen_xml(scheduled: Scheduled, created: str = EPOCH) -> bytes:
-    """Return the project of ``scheduled`` as XML.
+    """Return the PLCopen XML project of ``scheduled``.
 
     Parameters
     ----------
@@ -222,7 +223,7 @@ def _variable(parent: ET.Element, variable: Variable) -> None:
     if variable.derived:
         ET.SubElement(kind, "derived", {"name": variable.type})
     else:
-        # The schema has the string types in lower case, as elements of their own.
+        # The schema has string types as elements of their own, in lower case.
         ET.SubElement(kind, "string" if variable.type == "STRING" else variable.type)
     if variable.initial:
         initial = ET.SubElement(element, "initialValue")
@@ -244,7 +245,7 @@ def _instances(project: ET.Element, program: PlcProgram) -> None:
 
 
 def write_plcopen(scheduled: Scheduled, path: Path) -> list[Written]:
-    """Write the project to ``path``."""
+    """Write the PLCopen XML project to ``path``."""
     with atomic_file(path) as stream:
         stream.write(plcopen_xml(scheduled))
     return [written(path, scheduled.warnings)]

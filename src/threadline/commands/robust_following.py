@@ -1,4 +1,4 @@
-"""The averages with which loads follow a motion wherever their machine is in its tolerances."""
+"""Averages with which loads follow a motion for all values within a machine's tolerances."""
 
 from __future__ import annotations
 
@@ -30,42 +30,42 @@ from threadline.motion.timing import Trajectory, leads_of, with_steps
 from threadline.motion.timing.averaged import DEGREE, Averages, denser
 
 TURNS = 4
-"""Turns of a needle in which the speed may change: the two stitches before and after a rest."""
-_STEPS = 28  # of the spline in the time of a change
+"""Turns of a needle in which the speed may change: two stitches before and two after a rest."""
+_STEPS = 28  # spline steps in the time of a change
 _COUNT = 43  # weights: their tails are longer than the change
-_SAMPLES = 5  # of the motion in a step of the spline; odd, so that the weights have a middle
-_FINE = 4  # instants at which answers are looked at, in a step
+_SAMPLES = 5  # samples of the motion per spline step; odd, so that the weights have a middle
+_FINE = 4  # instants per spline step at which answers are checked
 _SEEN_S = 2.0
-_SAMPLED = (4096, 8192)  # least and most instants: memory grows with them
+_SAMPLED = (4096, 8192)  # smallest and largest number of instants: memory grows with them
 _LEAST_CHANGE_S = 0.01
-_SUPPLY = 0.95  # of the current limit: the supply of a bad day
-_RIPPLE = 0.937  # of that, if it can be: references come in steps, and the current ripples
-_PLACE_M = 4.2e-4  # of the 0.5 mm that the founding cases may be off at a corner
-_WEAK, _STRONG = 0.9, 0.43  # of it, for the axis with the largest error and for others: 1 in square
-_DEPARTURES = (0.25, 0.35, 0.425, 0.5)  # how long before its step a start may begin, in two turns
-_WITHIN = (1.0, 0.8)  # the same, in its run-up
-_ENOUGH = 0.04  # of the speed: an error with which a load may stand in the corners
-_HOPELESS = 1.25  # times it: more than sharing the room of a corner mends
+_SUPPLY = 0.95  # share of the current limit: the supply of a bad day
+_RIPPLE = 0.937  # share of the supply, if possible: references come in steps, current ripples
+_PLACE_M = 4.2e-4  # part of the 0.5 mm that the founding cases may be off at a corner
+_WEAK, _STRONG = 0.9, 0.43  # shares of the room, worst axis and others: 1 in square
+_DEPARTURES = (0.25, 0.35, 0.425, 0.5)  # earlier starts before the step, as shares of two turns
+_WITHIN = (1.0, 0.8)  # starts within the run-up, as shares of the run-up
+_ENOUGH = 0.04  # share of the speed: a small enough error for a load to stand in the corners
+_HOPELESS = 1.25  # times the limit: a larger error is beyond what sharing a corner mends
 _SOONER = 0.96
-"""Of the time in which machines other than that of the file have to have the speed: the motion that
-is planned departs from that of the programs by some per cent of it."""
-_STANDS_S = 1.5 * MEAN_S  # before and after a corner, so that it is seen to stand
-_CLOSE = 2e-3  # of the speed: an error that is nearer to the least possible is good enough
-_ALIKE = 1e-5  # of the cost: of ways whose costs differ by less the first is taken
+"""Share of the time within which machines other than the machine of the file must reach the speed.
+The planned motion differs from the motion of the linear programs by some per cent."""
+_STANDS_S = 1.5 * MEAN_S  # rest before and after a corner, long enough to be measured as a rest
+_CLOSE = 2e-3  # share of the speed: an error this close to the smallest possible one suffices
+_ALIKE = 1e-5  # cost: of ways whose costs differ by less, the first is used
 _STRAIGHT = 1e-9
-_BEND = 0.3  # of the speed: smaller steps need next to no current
+_BEND = 0.3  # share of the speed: smaller steps need almost no current
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Steps:
-    """The steps of the speed of a motion.
+    """The speed steps of a motion.
 
     Parameters
     ----------
     speeds, bends
-        (axes,) the highest speed, and the largest step between pieces that move.
+        (axes,) highest speed, and largest step between moving pieces.
     bent
-        Whether some pieces are not straight.
+        Whether some pieces are curved.
     """
 
     speeds: FloatArray
@@ -81,31 +81,31 @@ def robust_averages(
     share: float,
     smoothing_s: float | None,
 ) -> tuple[Averages, tuple[str, ...]]:
-    """Return averages over time that leave the least error of speed on nine machines, and warnings.
+    """Return averages over time with the least speed error on nine machines, and warnings.
 
-    They are of the motion with its run-ups as steps (``with_steps``). Where the needle is too fast
-    for all machines to keep the speed, its mean over a turn of the needle is what is even: stitches
-    then keep their length, and a warning says so.
+    The averages are for the motion with its run-ups as steps (``with_steps``). If the needle is too
+    fast for all machines to keep the speed, the averages keep the mean speed over a turn of the
+    needle. Stitches then keep their length, and a warning says so.
 
     Parameters
     ----------
     planned
-        Before it is smoothed, with its run-ups.
+        Motion before smoothing, with its run-ups.
     job
-        Its needle says how long a change of speed may take, unless ``smoothing_s`` does.
+        Job; its needle sets the time for a change of speed, unless ``smoothing_s`` does.
     radius_m
-        (axes,) at which the axes act on the job.
+        (axes,) radii at which the axes act on the job.
     share
-        Of the tolerances of loads and springs: the machines are at the ends of it. With 0 there is
-        one machine, that of its file.
+        Share of the tolerances of loads and springs at which the machines lie. 0: only the machine
+        of the file.
 
     Raises
     ------
     OptionError
         If no load or spring has a tolerance.
     PlanError
-        If a needle follows the head, if the job has no needle and no smoothing is given, if the
-        time is too short, or if the current does not suffice.
+        If a needle follows the head, the job has no needle and no smoothing is given, the time is
+        too short, or the current does not suffice.
     """
     if job.needle_follows:
         raise PlanError(
@@ -154,7 +154,7 @@ def robust_averages(
         warnings += told
     even = own[False]
     if steps.bent or steps.bends.any():
-        # A step between pieces that move may be the start of one axis and the stop of another.
+        # A step between moving pieces may be the start of one axis and the stop of another.
         if (steps.bends < _BEND * steps.speeds).all():
             program.axes = [replace(axis, current_limit_a=np.inf) for axis in axes]
         even = program.least(
@@ -170,11 +170,11 @@ def robust_averages(
 
 
 _Ways = Sequence[Sequence[Sequence[ChangeOfSpeed]]]
-"""Of ways that are as good as each other the best is taken; later ones where it is not enough."""
+"""Groups of ways: of the ways in a group the best is used; later groups if none suffices."""
 
 
 class _Program:
-    """The linear programs of all axes."""
+    """The linear programs for all axes."""
 
     def __init__(
         self,
@@ -194,12 +194,12 @@ class _Program:
     def speed_or_length(
         self, ways: _Ways, turn_s: float | None
     ) -> tuple[list[RobustWeights], list[str]]:
-        """Return weights that keep the speed or, where none do, its mean over a turn; and warnings.
+        """Return weights that keep the speed, or else its mean over a turn; and warnings.
 
         Parameters
         ----------
         turn_s
-            Of the needle; None where nothing but the speed may be kept.
+            Turn of the needle, s; None if only the speed may be kept.
 
         Raises
         ------
@@ -228,12 +228,12 @@ class _Program:
     def least(self, ways: _Ways, enough: float) -> list[RobustWeights] | None: ...
 
     def least(self, ways: _Ways, enough: float = np.inf) -> list[RobustWeights] | None:
-        """Return the best weights of every axis; None where an error is above ``enough``.
+        """Return the best weights of every axis; None if an error exceeds ``enough``.
 
         Raises
         ------
         PlanError
-            If an axis has none and ``enough`` is not given.
+            If an axis has no weights and ``enough`` is not given.
         """
         found = []
         for name, axis in zip(self._names, self.axes, strict=True):
@@ -254,8 +254,8 @@ class _Program:
         return shared if max(weights.error for weights in shared) <= enough else None
 
     def _shared(self, found: list[RobustWeights], ways: _Ways) -> list[RobustWeights]:
-        """Return weights with which the weakest axis has more room in a corner, if better."""
-        # Where two axes meet both are off: what the weaker takes of the room the others give.
+        """Return weights that give the weakest axis more room in a corner, if they are better."""
+        # At a corner of two axes both are off; the stronger axis leaves room to the weaker one.
         weakest = int(np.argmax([weights.cost for weights in found]))
         if len(found) == 1 or _good(found[weakest], ways):
             return found
@@ -285,7 +285,7 @@ class _Program:
                         samples=self._samples,
                     ),
                     near=self._near,
-                    # Where one is enough only what is cheaper can be taken in its place.
+                    # Once one suffices, only a cheaper one can replace it.
                     dearest=cheaper if enough else np.inf,
                     kept=self._answers,
                 )
@@ -300,9 +300,9 @@ class _Program:
 
 
 def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
-    """Return how long before its step a start may depart: with its run-up, and earlier.
+    """Return how long before its step a start may depart: within its run-up, and earlier.
 
-    Where none departs before its run-up the motion really stands in the corner.
+    If no start departs before its run-up, the motion really stands in the corner.
     """
     earlier = [part for k in _DEPARTURES if (part := 0.5 * k * change_s) > lead_s]
     within = [part for k in _WITHIN if (part := k * (lead_s - _STANDS_S)) > 0.0]
@@ -310,7 +310,7 @@ def _departures_s(change_s: float, lead_s: float) -> Sequence[Sequence[float]]:
 
 
 def _good(weights: RobustWeights, ways: _Ways) -> bool:
-    """Say whether the error is next to what the planned speed itself is off the wanted one."""
+    """Say whether the error is close to the difference of the planned from the wanted speed."""
     planned = max(abs(1.0 - end) for change in ways[0][0] for end in change.share)
     return weights.error < planned + _CLOSE
 
@@ -324,9 +324,10 @@ def _change(
     share: tuple[float, float] = (1.0, 1.0),
     of: float = 1.0,
 ) -> ChangeOfSpeed:
-    """Return what is asked where a load may depart ``early_s`` before the step.
+    """Return the conditions on a load that may depart ``early_s`` before the step.
 
-    The speed is there in a share ``of`` half of the time for a change, and even after all of it.
+    The load has the speed after a share ``of`` half the time for a change, and an even speed after
+    the whole time.
     """
     half_s = 0.5 * change_s
     return ChangeOfSpeed(
@@ -341,12 +342,12 @@ def _change(
 
 
 def _acting(found: Sequence[RobustWeights]) -> FloatArray:
-    """Return the weights of fine samples; one acts the later the earlier it is in its window."""
+    """Return the weights of fine samples, reversed: early weights of a window act late."""
     return denser(np.stack([weights.weights[::-1] for weights in found], axis=1), _SAMPLES)
 
 
 def _shares(job: Job) -> tuple[float, float]:
-    """Return the least and largest length of stitches that must keep it, over the wanted one."""
+    """Return the smallest and largest ratio of actual to wanted length of non-exempt stitches."""
     least, most = np.inf, -np.inf
     for move in job:
         if isinstance(move, Move) and "target_m" in move.tags and not move.tags["exempt"]:
@@ -356,7 +357,7 @@ def _shares(job: Job) -> tuple[float, float]:
 
 
 def _steps(stepped: Trajectory) -> _Steps:
-    """Read the motion once; its pieces meet with steps of speed."""
+    """Return the speed steps of a motion whose pieces meet with steps of speed, in one pass."""
     width = len(stepped.axes)
     speeds, bends, bent = np.zeros(width), np.zeros(width), False
     before = np.zeros(width)

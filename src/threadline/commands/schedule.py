@@ -1,7 +1,7 @@
-"""Job + shapers -> switch schedule: named valves on the scan of a PLC.
+"""The switch schedule of a job and its shapers: named valves on the scan of a PLC.
 
-Time stands still at a wait: rows up to its tick have taken effect, and the next tick comes once
-the input is there. What follows a wait therefore begins one tick later.
+Time stands still during a wait. Rows up to the tick of the wait have taken effect, and the next
+tick comes when the input is there. Operations after a wait therefore begin one tick later.
 """
 
 from __future__ import annotations
@@ -49,24 +49,24 @@ from threadline.jobs.operations import (
 from threadline.machine import Machine
 
 ON_OFF = "on-off"
-"""What plans of on/off machines give as their interpolation."""
+"""Name that plans of on/off machines give in place of an interpolation."""
 _SAME_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScheduledMove:
-    """A move of the schedule: where, when and how.
+    """A move of the schedule: positions, scans and levels.
 
     Parameters
     ----------
     operation, step, axis, forward
-        What moves, and in which step of the cycle.
+        Operation of the job, step of the cycle, cylinder, and direction of the move.
     begin_m, end_m
-        From where to where.
+        Positions at the start and at the end of the move, m.
     first_tick, last_tick
         Scans of the first and the last switching.
     levels
-        The levels; their ticks count from ``first_tick``.
+        Levels of the move; their ticks count from ``first_tick``.
     """
 
     operation: int
@@ -80,28 +80,29 @@ class ScheduledMove:
 
     @property
     def forward(self) -> bool:
-        """Whether the move leads away from 0."""
+        """Whether the move goes away from 0."""
         return self.end_m > self.begin_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scheduled:
-    """A schedule with what there is to know about it.
+    """A schedule with its moves, timeouts, warnings and shaping.
 
     Parameters
     ----------
     job, machine
-        The two inputs.
+        Job and machine of the schedule.
     commands
-        The schedule; its events name the steps (kind ``tool``) and the waits.
+        Switch schedule; its events name the steps (kind ``tool``) and the waits.
     moves, homings
-        Every move, and every cylinder that an operation brings home, in order.
+        All moves, and all cylinders that an operation brings home, in order.
     wait_timeouts_s
-        One for each event of kind ``wait``, in order.
+        Timeout of each event of kind ``wait``, in order, s.
     warnings
-        Distances that whole scans do not meet.
+        Distances that whole scans do not give exactly, moves without travel, and waits for a
+        switch whose piston stands near the switch point.
     shaping
-        How each cylinder was shaped; those that are not named move unshaped.
+        Shaping of each cylinder; cylinders not named move unshaped.
     """
 
     job: Job
@@ -120,48 +121,49 @@ class Scheduled:
 
     @property
     def duration_s(self) -> float:
-        """Duration of the schedule, s; a cycle takes longer where inputs come late."""
+        """Duration of the schedule, s; late inputs make a cycle longer."""
         return self.commands.duration_ticks * float(self.commands.clock.period_s)
 
     @property
     def historical(self) -> bool:
-        """Never: its limits are those of its valves, and they hold always."""
+        """False: the limits of a schedule are the limits of its valves, and always hold."""
         return False
 
     def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return what stands where other plans have an interpolation."""
+        """Return the name that takes the place of an interpolation."""
         return ON_OFF
 
     def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return how it was planned, for people."""
+        """Return words for the planning method."""
         return "switched"
 
     def told(self, options: Mapping[str, str]) -> dict[str, Any]:
-        """Return how each cylinder is shaped, where a shaper was asked for."""
+        """Return the shaping of each cylinder if a shaper was requested, else nothing."""
         if "shaper" not in options:
             return {}
         return {"shaping": {axis: shaping_told(one) for axis, one in self.shaping.items()}}
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:
-        """Return the line of each operation, 0 where it has none."""
+        """Return the line of each operation, 0 for an operation without one."""
         return {i: o.source.line for i, o in enumerate(job) if i in operations}
 
 
 def compile_schedule(
     job: Job, machine: Machine, shaping: Mapping[str, AxisShaping] | None = None
 ) -> Scheduled:
-    """Return the schedule of ``job``, each cylinder shaped as told.
+    """Return the schedule of ``job``, with each cylinder shaped by ``shaping``.
 
     Parameters
     ----------
     shaping
-        By cylinder; the others move unshaped.
+        Shaping by cylinder; other cylinders move unshaped.
 
     Raises
     ------
     PlanError
-        If a level has no valves, exceeds the unshaped one where that is forbidden, a valve would
-        switch faster than it can, or a cylinder moves before the soft-start valve has opened.
+        If no valves give a level, a level exceeds the unshaped level where that is forbidden, a
+        valve would switch faster than it can, or a cylinder moves before the soft-start valve has
+        opened.
     """
     builder = _Builder(job, machine, dict(shaping or {}))
     for index, operation in enumerate(job):
@@ -171,7 +173,7 @@ def compile_schedule(
 
 @dataclass(slots=True)
 class _Builder:
-    """Walks through the job; lives only as long as ``compile_schedule`` runs."""
+    """State of one pass through the job, during ``compile_schedule`` only."""
 
     job: Job
     machine: Machine
@@ -271,7 +273,7 @@ class _Builder:
         self.tick = max(ends)
 
     def _bring_home(self, index: int, axes: tuple[str, ...], source: Source) -> None:
-        """Bring cylinders home one after the other, from wherever they stand."""
+        """Bring cylinders home one after the other, from any position."""
         check_air(self.machine, self.state, source)
         for axis in axes:
             stage = home_stage(self.machine, axis, source.place)
@@ -334,9 +336,9 @@ class _Builder:
     def _levels(
         self, axis: str, distance: float, source: Source, how: Mapping[str, float | str]
     ) -> Levels:
-        """Return levels whose valves can follow; impulses move apart only where they must.
+        """Return levels that the valves can follow; impulses are moved apart only if necessary.
 
-        What the move list says of the move itself comes before the shaping of its cylinder.
+        A shaper or levels that the move list gives for the move replace the cylinder's shaping.
         """
         cylinder = self.machine.cylinders[axis]
         assert self.machine.plc is not None

@@ -1,7 +1,8 @@
-"""How one cylinder is brought home: slowly, until its contact says so, then pressed there.
+"""Moves of cylinders as levels of flow, their shaping, and the way of a cylinder home.
 
-It is pressed home for as long as its whole stroke takes: a contact that is stuck on, with the
-piston anywhere, sends nothing else on its way before this cylinder is home.
+A cylinder moves home slowly until its contact is on, then pressure stays on for as long as the
+whole stroke takes. A contact that is stuck on therefore starts no other cylinder before this
+cylinder is home, wherever its piston stands.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ class HomeStage:
     Parameters
     ----------
     on
-        The outputs that bring it: its valve, and the flow controls of the smallest level.
+        Outputs that move the cylinder home: its valve, and the flow controls of the smallest level.
     switch
-        The contact that is on where it starts.
+        Contact that is on at the start of the cylinder.
     late_s
-        After so long without the contact it is a fault.
+        Time without the contact after which the PLC reports a fault, s.
     pressed_s
-        How long it is pressed home behind the contact.
+        Time for which the pressure stays on after the contact, s.
     """
 
     on: tuple[str, ...]
@@ -52,7 +53,7 @@ class HomeStage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Homing:
-    """One cylinder that an operation brings home, from its first scan until it is there."""
+    """One cylinder that an operation brings home, from its first scan to its arrival."""
 
     operation: int
     axis: str
@@ -61,16 +62,16 @@ class Homing:
 
 
 def home_stage(machine: Machine, axis: str, place: Place | None = None) -> HomeStage:
-    """Return how a cylinder is brought home; its times hold all over its tolerances.
+    """Return how a cylinder is brought home; the times hold for all of its tolerances.
 
     Raises
     ------
     PlanError
-        If no contact tells that it is there, or it may not move at all.
+        If no contact shows that the cylinder is home, or its tolerances allow a speed of 0.
     """
     cylinder = machine.cylinders[axis]
     level, flows = slowest(cylinder.back)
-    # As slow as its tolerances let it be.
+    # The lowest speed within the tolerances.
     off = sum(cylinder.back.flows[flow].tolerance_si for flow in flows)
     speed = (level - off) * cylinder.speed.least
     if speed <= 0.0:
@@ -90,12 +91,12 @@ def home_stage(machine: Machine, axis: str, place: Place | None = None) -> HomeS
 
 
 def home_switch(machine: Machine, axis: str, place: Place | None = None) -> str:
-    """Return the end switch that is on where a cylinder starts, the nearest to its start.
+    """Return the end switch that is on at the start of a cylinder; of several, the nearest.
 
     Raises
     ------
     PlanError
-        If there is none.
+        If there is no such switch.
     """
     near = {
         name: contact.at.si
@@ -112,33 +113,33 @@ def home_switch(machine: Machine, axis: str, place: Place | None = None) -> str:
 
 
 def slowest(way: Way) -> tuple[float, tuple[str, ...]]:
-    """Return the smallest level above 0 of one direction, and the flow controls that make it."""
+    """Return the smallest level above 0 of one direction, and the flow controls for that level."""
     sets = {flows: level for flows, level in way.levels().items() if level > 0.0}
     flows = min(sets, key=lambda chosen: sets[chosen])
     return sets[flows], flows
 
 
 AT_ONCE = Valves(flows=(1.0,))
-"""Valves whose flow follows each command at once."""
+"""Valves whose flow follows each command immediately."""
 _LEAST_TOLERANCE = 0.005
-"""Levels closer than this are one: no flow control is set more exactly."""
+"""Levels closer than this count as equal: no flow control can be set more exactly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AxisShaping:
-    """How the moves of one cylinder are shaped.
+    """The shaping of one cylinder's moves.
 
     Parameters
     ----------
     shaper
-        Convolved with the level that switches on for the move and off at its end.
+        Shaper that is convolved with the level of the move: on at the start, off at the end.
     modes
-        What the train is judged by when it is moved onto the scan; the worst counts.
+        Modes that judge the train when its times are moved onto the scan; the worst mode counts.
     relative
-        Half width of the band of frequency that counts then; None for the band in which the exact
-        train stays within the tolerance.
+        Half width of the frequency band of this judgement. None: the band in which the exact train
+        stays within the tolerance.
     tolerance
-        Of that band.
+        Tolerance of that band.
     """
 
     shaper: Shaper
@@ -148,7 +149,7 @@ class AxisShaping:
 
 
 def shaping_words(shaping: AxisShaping | None) -> str:
-    """Return how a cylinder is shaped, and for which modes, for people."""
+    """Return words for the shaper of a cylinder and its modes."""
     if shaping is None:
         return "unshaped"
     modes = " and ".join(
@@ -158,7 +159,7 @@ def shaping_words(shaping: AxisShaping | None) -> str:
 
 
 def shaping_told(shaping: AxisShaping) -> dict[str, Any]:
-    """Return how a cylinder is shaped, and for which modes, for machines."""
+    """Return the shaper of a cylinder and its modes as JSON values."""
     modes = [
         {"frequency_hz": m.frequency_hz, "damping_ratio": m.damping_ratio} for m in shaping.modes
     ]
@@ -167,18 +168,18 @@ def shaping_told(shaping: AxisShaping) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Levels:
-    """A move as levels.
+    """A move as levels of flow.
 
     Parameters
     ----------
     ticks, levels
-        Level from each scan on, the last 0; scans from the start of the move.
+        Level from each scan on, the last level 0; scans count from the start of the move.
     wanted_m, commanded_m
-        Distance that was asked for, and the one of these whole scans.
+        Requested distance, and distance covered in whole scans, m.
     speed_m_s
-        Of level 1.
+        Speed at level 1.
     realised
-        The shaper on the scan; None for an unshaped move.
+        Shaper on the scan; None for an unshaped move.
     """
 
     ticks: tuple[int, ...]
@@ -199,13 +200,13 @@ def move_levels(
 ) -> Levels:
     """Return the levels that cover ``distance_m``, a positive length, at ``speed_m_s`` per level.
 
-    ``dwell_s`` keeps the impulses of the shaper apart. Where ``valves`` close later than they open,
-    each stretch of flow is longer than its command, and the commands are shorter.
+    ``dwell_s`` is the shortest time between impulses of the shaper. If ``valves`` close later than
+    they open, each stretch of flow is longer than its command, so the commands are made shorter.
 
     Raises
     ------
     PlanError
-        If the distance is shorter than a scan.
+        If the distance is shorter than one scan of travel.
     """
     on_scans = distance_m / (speed_m_s * tick_s)
     on = round(on_scans - valves.longer)
@@ -224,7 +225,7 @@ def move_levels(
     at, levels = _convolved(on, ticks, amplitudes)
     covered = float(on)
     if not valves.at_once:
-        # How often each valve opens is known with the command alone; it moves with its length.
+        # The command alone gives the number of openings of each valve; shift its length to fit.
         on = max(on + round(on_scans - valves.covered(at, levels)), 1)
         at, levels = _convolved(on, ticks, amplitudes)
         covered = valves.covered(at, levels)
@@ -241,7 +242,7 @@ def move_levels(
 def _convolved(
     on: int, ticks: tuple[int, ...], amplitudes: FloatArray
 ) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Return ticks and levels of ``on`` scans of level 1, convolved with impulses."""
+    """Return ticks and levels of ``on`` scans at level 1, convolved with impulses."""
     steps: dict[int, float] = {}
     for tick, amplitude in zip(ticks, amplitudes, strict=True):
         steps[tick] = steps.get(tick, 0.0) + float(amplitude)
@@ -260,12 +261,13 @@ def written_levels(
     place: Place,
     valves: Valves = AT_ONCE,
 ) -> Levels:
-    """Return the levels that a move list writes out: ``"1 for 180 ms, 0 for 60 ms, ..."``.
+    """Return the levels that a move list gives: ``"1 for 180 ms, 0 for 60 ms, ..."``.
 
     Raises
     ------
     PlanError
-        If they cannot be read, are no whole scans, or cover another distance by a scan or more.
+        If the text cannot be read, a time is not in whole scans, or the distance is off by a scan
+        or more.
     """
     example = 'Write it like levels = "1 for 180 ms, 0 for 60 ms, 1 for 290 ms".'
     ticks, levels, now = list[int](), list[float](), 0
@@ -338,7 +340,7 @@ def joined_levels(texts: Mapping[str, str]) -> str:
 
 
 def levels_by_axis(text: str) -> dict[str, str]:
-    """Return the levels of each cylinder; an empty one where the text is of the one that moves."""
+    """Return the levels of each cylinder; empty if the text is for the one moving cylinder."""
     if "=" not in text:
         return {}
     pairs = (part.split("=", 1) for part in text.split(";"))
@@ -346,7 +348,7 @@ def levels_by_axis(text: str) -> dict[str, str]:
 
 
 def levels_text(levels: Levels, tick_s: float) -> str:
-    """Return levels as a move list writes them out."""
+    """Return levels as text in the form of a move list."""
     spans = np.diff(levels.ticks)
     return ", ".join(
         f"{level:.6g} for {span * tick_s * 1e3:.9g} ms"
@@ -356,7 +358,7 @@ def levels_text(levels: Levels, tick_s: float) -> str:
 
 @lru_cache(maxsize=64)
 def _on_the_scan(shaping: AxisShaping, tick_s: float, dwell_s: float) -> Realised:
-    # The search takes seconds for long trains, and every move of a cylinder shares it.
+    # The search takes seconds for long trains, so all moves of a cylinder share its result.
     return realise(
         shaping.shaper,
         shaping.modes,
@@ -367,7 +369,7 @@ def _on_the_scan(shaping: AxisShaping, tick_s: float, dwell_s: float) -> Realise
 
 
 def valves_of(way: Way, tick_s: float) -> Valves:
-    """Return the flow controls of one sense, in scans."""
+    """Return the flow controls of one direction, with times in scans."""
     return Valves(
         flows=tuple(flow.si for flow in way.flows.values()),
         opens=way.opens_s / tick_s,
@@ -376,12 +378,12 @@ def valves_of(way: Way, tick_s: float) -> Valves:
 
 
 def open_flows(level: float, way: Way, machine: Machine, place: Place) -> tuple[str, ...]:
-    """Return the flow controls whose sum is ``level``.
+    """Return the flow controls whose flows add up to ``level``.
 
     Raises
     ------
     PlanError
-        If no set of them is, or the level is above 1 or below 0 where the machine forbids it.
+        If no set of flow controls does, or the machine forbids levels above 1 or below 0.
     """
     tolerance = max(way.level_tolerance, _LEAST_TOLERANCE)
     assert machine.plc is not None
@@ -409,7 +411,7 @@ def open_flows(level: float, way: Way, machine: Machine, place: Place) -> tuple[
 
 
 def shortest_ticks(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, ...]) -> int:
-    """Return the fewest ticks between two switchings of ``flow``."""
+    """Return the smallest number of ticks between two switchings of ``flow``."""
     opened = [flow in names for names in chosen]
     before = [False, *opened[:-1]]
     changes = [t for t, now, was in zip(ticks, opened, before, strict=True) if now != was]
@@ -419,12 +421,12 @@ def shortest_ticks(flow: str, chosen: list[tuple[str, ...]], ticks: tuple[int, .
 def table_of(
     rows: Mapping[int, tuple[Mapping[str, int], int]], outputs: tuple[str, ...]
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Return ticks, levels of all outputs and operations of the rows that change something.
+    """Return ticks, levels of all outputs, and operations of the rows with a change.
 
     Parameters
     ----------
     rows
-        By tick: what is switched, and by which operation.
+        By tick: levels of the switched outputs, and the operation that switches them.
     """
     columns = {name: i for i, name in enumerate(outputs)}
     state = np.zeros(len(columns), dtype=np.int64)

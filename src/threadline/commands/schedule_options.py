@@ -1,4 +1,4 @@
-"""From words of the command line to how the cylinders are shaped."""
+"""Shaper options of the command line and move lists, and checks of a schedule's operations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _REMEDY = 'Write it like "zv", "zv*um-2ei", "zv:3.04Hz:0.17" or "X=zv, Z=none".'
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """One shaper as it was asked for; None is the machine's own mode."""
+    """One requested shaper; a frequency of None means the machine's own mode."""
 
     kind: str
     frequency_hz: float | None
@@ -42,12 +42,12 @@ def shaping_of(
     Parameters
     ----------
     shaper
-        ``kind``, or ``kind:frequency``, then where wanted ``:damping ratio`` and ``:tolerance``;
-        joined by ``*``, which convolves: ``"zv*um-2ei"``, ``"zv:3.04Hz:0.17"``. ``"none"`` for
-        unshaped moves. ``"X=zv, Z=none"`` gives cylinders their own.
+        ``kind``, or ``kind:frequency``, optionally with ``:damping ratio`` and ``:tolerance``.
+        ``*`` joins shapers by convolution: ``"zv*um-2ei"``, ``"zv:3.04Hz:0.17"``. ``"none"``
+        leaves moves unshaped. ``"X=zv, Z=none"`` gives each cylinder its own shaper.
     mode, damping_ratio
-        Undamped frequency, like ``"3.04 Hz"``, and damping ratio of shapers that name none;
-        where one is None, it is that of the slowest mode under each cylinder with its air.
+        Undamped frequency, like ``"3.04 Hz"``, and damping ratio for shapers that give none. None:
+        the value of the slowest mode under each cylinder, with the cylinder's air.
 
     Raises
     ------
@@ -82,12 +82,12 @@ def shaping_of(
 
 
 def shaping_at(machine: Machine, text: str, place: Place) -> dict[str, AxisShaping]:
-    """Return the shaping that a move list writes for a move.
+    """Return the shaping that a move list gives for one move.
 
     Raises
     ------
     PlanError
-        If a word is unknown; with the line.
+        If a word is unknown; the error gives the line.
     """
     try:
         return shaping_of(machine, text)
@@ -96,7 +96,7 @@ def shaping_at(machine: Machine, text: str, place: Place) -> dict[str, AxisShapi
 
 
 def _by_axis(machine: Machine, text: str) -> dict[str, str]:
-    """Return the text of every cylinder's shaper."""
+    """Return the shaper text of every cylinder."""
     parts = [part.strip() for part in text.split(",")]
     named = [re.fullmatch(r"([A-Za-z])\s*=\s*(.+)", part) for part in parts]
     if len(parts) == 1 and named[0] is None:
@@ -141,17 +141,17 @@ def _number(text: str, whole: str) -> float:
 
 
 _SEEN_M = 1e-6
-_MEANT = 0.25  # of a scan: levels that are written out may cover so much less or more
+_MEANT = 0.25  # scans: allowed difference of distance for levels written out in the list
 
 
 def reads_on(contact: Contact, place_m: float) -> bool:
-    """Say whether an end switch is on with its piston at a place."""
+    """Say whether an end switch is on while its piston is at ``place_m``."""
     assert contact.at is not None
     return place_m <= contact.at.si if contact.beyond == "below" else place_m >= contact.at.si
 
 
 def check_air(machine: Machine, state: Mapping[str, int], source: Source) -> None:
-    """Refuse a move before the soft-start valve is open."""
+    """Refuse a move while the soft-start valve is closed."""
     closed = [
         name
         for name, output in machine.outputs.items()
@@ -166,7 +166,7 @@ def check_air(machine: Machine, state: Mapping[str, int], source: Source) -> Non
 
 
 def check_timeout(timeout_s: float, scan_s: float, source: Source) -> None:
-    """Refuse a wait that would be a fault before an input has been read once more."""
+    """Refuse a timeout shorter than a scan: the wait would fail before the input is read again."""
     if timeout_s < scan_s * (1.0 - 1e-9):
         raise PlanError(
             f"timeout = {timeout_s * 1e3:g} ms is shorter than a scan, {scan_s * 1e3:g} ms",
@@ -178,7 +178,7 @@ def check_timeout(timeout_s: float, scan_s: float, source: Source) -> None:
 def check_wait(
     machine: Machine, position: Mapping[str, float], name: str, value: bool, source: Source
 ) -> list[str]:
-    """Refuse a wait for an end switch whose piston stands elsewhere; warn of one at its edge."""
+    """Refuse a wait for an end switch that its piston cannot switch; warn near the switch point."""
     contact = machine.contacts[name]
     if contact.cylinder is None or contact.at is None:
         return []
@@ -209,21 +209,21 @@ def check_interlocks(
     on_its_way: Iterable[str],
     source: Source,
 ) -> None:
-    """Refuse a step in which something moves or is on that an interlock forbids there.
+    """Refuse a step in which something moves or is on although an interlock forbids it.
 
     Parameters
     ----------
     moving, on
-        Cylinders that move in the step, and outputs that are on in it.
+        Cylinders that move in the step, and outputs that are on in the step.
     before, after
-        Where every cylinder stands at its begin and at its end, m.
+        Position of every cylinder at the start and at the end of the step, m.
     on_its_way
-        Cylinders that have not come to rest since they moved, and whose arrival no wait has told.
+        Cylinders that have not come to rest since their move, and whose arrival no wait confirms.
 
     Raises
     ------
     PlanError
-        With the line, the switch and where its piston is.
+        If an interlock forbids the step; with the line, the switch and the piston's position.
     """
     told = [(f"{axis} moves", machine.cylinders[axis].needs) for axis in moving]
     told += [(f"{name} is on", machine.outputs[name].needs) for name in on]
@@ -256,10 +256,11 @@ def tell_distance(
     *,
     written: bool,
 ) -> None:
-    """Add a warning where whole scans do not meet a distance; none where they do.
+    """Add a warning if whole scans do not give the requested distance.
 
-    Levels that the list writes out itself are what it means, to a quarter of a scan: those of a
-    robust search trade a fifth of one for less ringing. Moves that miss alike share a warning.
+    Levels written out in the list may differ by a quarter of a scan, because the levels of a robust
+    search give up a fifth of a scan for less ringing. Moves with the same difference share one
+    warning.
     """
     off_m = abs(levels.commanded_m - levels.wanted_m)
     if off_m <= (_MEANT * tick_s * levels.speed_m_s if written else _SEEN_M):

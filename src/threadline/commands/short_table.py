@@ -1,4 +1,4 @@
-"""Tables that begin and end with the motion of their loads."""
+"""Tables of references that begin and end together with the motion of the loads."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from threadline.motion.timing import Trajectory, TrajectoryBlock
 from threadline.motion.timing.optimal.motion_limits import reserve_of
 
 _KEPT_TICKS = 1024
-"""Ticks at either end of a motion that are known: more than any loop of ``AxisEnds`` remembers."""
+"""Ticks kept at either end of a motion: more than any loop of ``AxisEnds`` remembers."""
 _CLOSE_S = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShortTable:
-    """What makes a table of references shorter.
+    """The changes that make a table of references shorter.
 
     Parameters
     ----------
     rows
-        Number of its rows.
+        Number of rows of the shorter table.
     begun, ended
-        (k, axes) what is added to the references from tick 0 on, and to the last up to that at
-        the end of the last row.
+        (k, axes) corrections of the references: ``begun`` from tick 0 on, ``ended`` for the last
+        references up to the end of the last row.
     ends
-        The ends of each axis of which there are any.
+        Table ends of each axis; empty for an axis without.
     """
 
     rows: int
@@ -49,7 +49,7 @@ class ShortTable:
     ends: tuple[tuple[TableEnd, ...], ...]
 
     def demands(self, whole: Sequence[Demand]) -> tuple[Demand, ...]:
-        """Return what the motion asks of each axis, with the ends of its table."""
+        """Return the demand of the motion on each axis, including the ends of the table."""
         return tuple(
             demand.at_least(max((end.volts for end in ends), default=0.0))
             for demand, ends in zip(whole, self.ends, strict=True)
@@ -57,14 +57,14 @@ class ShortTable:
 
 
 class ToldEnds:
-    """What an axis is told at the ticks next to the ends of its motion."""
+    """The inverse output of an axis at the ticks next to both ends of its motion."""
 
     def __init__(self) -> None:
         self.first = self.last = InverseOutput.none()
         self.ticks = 0
 
     def add(self, told: InverseOutput) -> None:
-        """Go on by what was told at the next ticks."""
+        """Append the inverse output of the next ticks."""
         self.ticks += len(told)
         if len(self.first) < _KEPT_TICKS:
             self.first = self.first.joined(told.part(0, _KEPT_TICKS - len(self.first)))
@@ -73,29 +73,29 @@ class ToldEnds:
 
     @property
     def moves(self) -> bool:
-        """Whether anything is told but one place."""
+        """Whether the reference changes at all."""
         return any(float(np.ptp(of.references_si)) > 0.0 for of in (self.first, self.last))
 
     def from_start(self, count: int, memory: int) -> InverseOutput:
-        """Return the first ticks, as many as the loop remembers behind the first ``count``."""
+        """Return the first ``count`` ticks, and as many more as the loop remembers."""
         told = self.first.part(0, count + memory)
         return told.held(count + memory - len(told))
 
     def to_end(self, first: int, memory: int) -> InverseOutput:
-        """Return the ticks from number ``first`` on, and as many at rest as the loop remembers."""
+        """Return the ticks from ``first`` on, then rest for as many as the loop remembers."""
         begin = len(self.last) - (self.ticks - first)
         return self.last.part(begin, len(self.last)).held(memory)
 
 
 def leads_s(machine: Machine, previews: Sequence[AxisPreview], whole_s: float) -> Iterator[float]:
-    """Yield how long loads may rest after the start of a short table, s; the least first.
+    """Yield how long loads may rest at the start of a short table, s; the shortest first.
 
-    None where a controller does not take a reference at each of its ticks, or a row is none.
+    Yields nothing unless every controller takes one reference per tick and one tick per row.
 
     Parameters
     ----------
     whole_s
-        How long they rest after that of a whole table: nothing has to be chosen anew then.
+        Rest at the start of a whole table, s: the longest rest that is tried.
     """
     step_s = float(machine.tick_clock.period_s)
     timings = [preview.timing for preview in previews]
@@ -106,7 +106,7 @@ def leads_s(machine: Machine, previews: Sequence[AxisPreview], whole_s: float) -
         for timing in timings
     ):
         return
-    # A voltage of the tick before the first would act, with half its hold, before the motion.
+    # A voltage in the tick before the first one would act, with half its hold, before the motion.
     early_s = max(timing.early_s for timing in timings) - step_s
     least = max(0, ceil(early_s / step_s - _CLOSE_S))
     yield from (step_s * k for k in range(least, round(whole_s / step_s) + 1))
@@ -122,16 +122,16 @@ def short_table(
 ) -> ShortTable | None:
     """Return the shortest table with which loads leave their motion by ``within_m`` at most.
 
-    None where there is none.
+    None if no shorter table keeps the loads within ``within_m``.
 
     Parameters
     ----------
     trajectory
-        Of the loads, at rest at its end until what swings in the inverses has decayed.
+        Motion of the loads, at rest at its end until the oscillation of the inverses has decayed.
     told
-        What the inverse of each axis makes of it.
+        Inverse output of each axis for this motion.
     planned_s
-        When the motion and what is to be waited for after it are over.
+        Instant at which the motion and the wait after the motion are over.
     """
     step_s, axes = float(machine.tick_clock.period_s), trajectory.axes
     radius_m = machine.radius_m[[machine.axis_names.index(axis) for axis in axes]]
@@ -143,7 +143,7 @@ def short_table(
     }
     ticks = max((of.ticks for of in told), default=0)
     least = ceil(planned_s / step_s - 1e-9)
-    if trajectory.moves_s[1] > planned_s - step_s:  # else it rests at its end as the job says
+    if trajectory.moves_s[1] > planned_s - step_s:  # else the job itself rests at the end
         least = max(least - EARLIEST, 2)
     count = min(CHOSEN, least // 2)
     if ticks - least + count > _KEPT_TICKS:
@@ -152,7 +152,7 @@ def short_table(
         k: end.begun(told[k].from_start(count, end.memory), count, rest_si[0, k])
         for k, end in ends.items()
     }
-    # Ends that are close to each other are off together.
+    # Ends close to each other err at the same time: their errors add up.
     close = least < 2 * count + max((end.memory for end in ends.values()), default=0)
     for rows in range(least, ticks):
         found: dict[int, tuple[TableEnd, TableEnd]] = {}
@@ -186,7 +186,7 @@ def _table(
 
 
 def shortened(references: Trajectory, table: ShortTable) -> Trajectory:
-    """Return the references of a table that is shorter, one straight piece per row."""
+    """Return the references of a shorter table, one straight piece per row."""
     return Trajectory(
         axes=references.axes, historical=True, blocks=Stream(_shortened, references, table)
     )

@@ -1,6 +1,6 @@
-"""Step tables and stitches as a set of files: binary and CSV, and a manifest with their hashes.
+"""Step tables and stitches as a set of files: binary, CSV, and a manifest with their hashes.
 
-``docs/files.md`` describes them byte by byte, so that another program can read them.
+``docs/files.md`` describes the files byte by byte for authors of other programs.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TABLES_MAGIC, STITCHES_MAGIC = b"TLSTEPT1", b"TLSTEPS1"
 def write_steps(stitched: Stitched, path: Path) -> list[Written]:
     """Write tables and stitches; return the manifest at ``path`` and the files beside it.
 
-    They are named after the manifest: ``NAME.tables.bin``, ``NAME.tables.csv``,
+    The files beside the manifest have its name: ``NAME.tables.bin``, ``NAME.tables.csv``,
     ``NAME.stitches.bin``, ``NAME.stitches.csv`` and ``NAME.events.csv``.
 
     Raises
@@ -66,7 +66,7 @@ def write_steps(stitched: Stitched, path: Path) -> list[Written]:
 
 
 def table_facts(commands: StepPlay, residual_m: FloatArray) -> tuple[str, ...]:
-    """Return what was checked of the tables: counts, intervals, ends, and what rounding leaves.
+    """Return the checked facts of the tables: counts, intervals, ends, and swing from rounding.
 
     Parameters
     ----------
@@ -76,8 +76,8 @@ def table_facts(commands: StepPlay, residual_m: FloatArray) -> tuple[str, ...]:
     Raises
     ------
     PlanError
-        If a table has another count than its length, a step without an interval, or one that is
-        due behind the window.
+        If the number of steps in a table does not match its length, a step has no interval, or a
+        step is due after the window.
     """
     library, timer_s = commands.library, float(commands.clock.period_s)
     per_unit = len(library[0]) // library[0].units
@@ -110,9 +110,9 @@ def write_t15(stitched: Stitched, path: Path) -> Written:
     Raises
     ------
     PlanError
-        If the design is in units that a card does not have.
+        If a card does not have the units of the design.
     OptionError
-        If the name ends as that of another format of designs.
+        If the file name has the ending of another design format.
     """
     unit_m = stitched.pace.tables.unit.si
     if abs(unit_m / UNIT_M - 1.0) > 1e-9 or stitched.pace.tables.longest_units > MOST:
@@ -166,7 +166,7 @@ def _manifest(stitched: Stitched, files: Iterable[Written]) -> dict[str, Any]:
 
 
 def _told(stitched: Stitched) -> FloatArray:
-    """Return (tables, A) amplitudes that the steps of each table leave in the slowest mode, m."""
+    """Return the (tables, A) amplitudes that each table's steps leave in the slowest mode, m."""
     commands, pace = stitched.commands, stitched.pace
     period_s = commands.clock.period_s
     window_s = commands.window_angle * period_s
@@ -206,7 +206,7 @@ def _tables_text(commands: StepPlay, residual_m: FloatArray) -> Iterator[bytes]:
 
 
 def _columns(commands: StepPlay) -> list[tuple[str, str]]:
-    """Return name and type of the columns of a turn."""
+    """Return name and type of each column of a turn."""
     axes = [
         column
         for axis in commands.axes

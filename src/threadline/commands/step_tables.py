@@ -1,8 +1,8 @@
-"""Tables of step intervals: one for each length of a move, cut from a motion law by its inverse.
+"""Tables of step intervals: one per length of a move, from the inverse of a motion law.
 
-Step j of n is due when the law has risen to j / n. Its time is rounded to the controller's timer
-from where it is and not from the step before, so that no error accumulates; the intervals are the
-differences of the rounded times. The last step is due at the end of the window, and never after it.
+Step j of n is due when the law has risen to j / n. The time of each step is rounded to the
+controller's timer as an absolute time, so rounding errors do not add up. The intervals are the
+differences of the rounded times. The last step is due at the end of the window, and never later.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ def step_tables(
     steps_per_unit: int,
     longest_units: int,
 ) -> tuple[StepTable, ...]:
-    """Return the tables for moves of 1, 2 ... ``longest_units`` units, of as many steps as belong.
+    """Return the tables for moves of 1, 2 ... ``longest_units`` units.
 
     Parameters
     ----------
     law
-        Monotone.
+        Motion law, monotone.
     window_s, timer_s
-        Exact: every move takes the whole window.
+        Window of a move and period of the timer, exact, s; every move takes the whole window.
     steps_per_unit
-        Steps of the drive in a unit.
+        Steps of the drive per unit.
     longest_units
-        Longest move.
+        Length of the longest move.
 
     Raises
     ------
     OptionError
-        If the law goes back.
+        If the law moves backwards.
     PlanError
         If a number is not positive, or two steps would fall into one timer period.
     """
@@ -68,7 +68,7 @@ def step_tables(
     ticks = np.rint(_due(law, steps_per_unit, longest_units) * float(ratio)).astype(np.int64)
     last = ratio.numerator // ratio.denominator
     ticks = np.minimum(ticks, last)
-    # Of all tables at once: a design has a hundred and more, and a search cuts them at each speed.
+    # One pass for all tables: a design has over a hundred, and a search cuts them at each speed.
     intervals = np.diff(ticks, prepend=0)
     intervals[begins] = ticks[begins]
     if intervals.min() < 1:
@@ -89,9 +89,9 @@ def step_tables(
 
 @lru_cache(maxsize=4)
 def _due(law: Law, steps_per_unit: int, longest_units: int) -> FloatArray:
-    """Return when each step of every table is due, of a window of 1; it may only be read.
+    """Return when each step of every table is due, as a share of the window; read-only.
 
-    A search plays one law in many windows: cutting it is most of what a plan takes.
+    A search plays one law in many windows, and cutting the law takes most of the time of a plan.
     """
     counts = steps_per_unit * np.arange(1, longest_units + 1)
     steps = np.concatenate([np.arange(1, count + 1) / count for count in counts.tolist()])
@@ -101,22 +101,22 @@ def _due(law: Law, steps_per_unit: int, longest_units: int) -> FloatArray:
 
 
 def shortest_s(table: StepTable, timer_s: Fraction) -> float:
-    """Return the shortest interval between two steps, or before the first, s."""
+    """Return the shortest interval between two steps, or before the first step, s."""
     return float(int(table.intervals.min()) * timer_s)
 
 
 def left_s(table: StepTable, timer_s: Fraction, window_s: Fraction) -> float:
-    """Return what is left of the window after the last step: less than a timer period, s."""
+    """Return the rest of the window after the last step, less than a timer period, s."""
     return float(window_s - int(table.intervals.sum()) * timer_s)
 
 
 def steps_residual_m(
     table: StepTable, timer_s: Fraction, window_s: Fraction, step_m: float, mode: FlexibleMode
 ) -> float:
-    """Return the amplitude of ``mode`` at the end of the window, steps being instantaneous.
+    """Return the amplitude of ``mode`` at the end of the window, for instantaneous steps.
 
-    A step of the base by d leaves a mode the amplitude ``d omega / omega_d`` with the phase of its
-    time; the steps of a table add up as complex numbers.
+    A step of the base by d excites a mode with the amplitude ``d omega / omega_d``, at the phase of
+    the step's time. The steps of a table add up as complex numbers.
     """
     omega = 2.0 * pi * mode.frequency_hz
     damped = omega * sqrt(1.0 - mode.damping_ratio**2)

@@ -1,9 +1,9 @@
-"""How fast a shaft may turn at each stitch, and the speeds that a spindle can follow.
+"""The speed of a shaft at each stitch, within the limits of its spindle.
 
-A turn needs time for its move, which must keep the limits of the axes and the rate of steps, and
-leave little of the frame's swing when the needle enters. It also needs time to load the next
-tables. The speed of the shaft is constant in the window of a move, so that the move is its motion
-law, and changes evenly over the rest of the turn.
+The move of a turn must keep the limits of the axes and the step rate, and leave little swing of the
+frame when the needle enters. The turn also needs time to load the next tables. In the window of a
+move the speed of the shaft is constant, so that the move follows its motion law. Over the rest of
+the turn the speed changes evenly.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from threadline.motion.shaping.law_residual import lasting_windows_s, swing
 Modes = dict[str, tuple[FlexibleMode, ...]]
 """Modes of each axis, the slowest first."""
 _ROUNDS = 200
-_SLOWER = 1.03  # by so much at a time
-_MODES = 4  # of an axis: faster ones hardly swing
+_SLOWER = 1.03  # factor on the turn per round
+_MODES = 4  # modes of an axis: faster ones hardly swing
 _BELOW = 1.0 - 1e-9
-_EVEN_TURNS, _AT_FIRST = 97, 4096  # turns that are tried, and moves that are looked at first
+_EVEN_TURNS, _AT_FIRST = 97, 4096  # number of turn times to try, and of moves to check first
 _ASIDE = (0.95, 1.0, 1.05)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Moves:
-    """What the frame does turn by turn; n turns, A axes.
+    """Moves of the frame turn by turn; n turns, A axes.
 
     Parameters
     ----------
     units
-        (n, A) int: way in units of the design.
+        (n, A) int: travel in units of the design.
     needle
         (n,) 1 where the needle enters in this turn.
     """
@@ -50,16 +50,16 @@ class Moves:
 
 
 class Pace:
-    """The time that each turn of a design needs on one machine with one law.
+    """The time of each turn of a design, on one machine with one law.
 
     Parameters
     ----------
     machine
-        With a shaft and tables.
+        Machine with a shaft and tables.
     law
-        That the tables are cut from.
+        Motion law of the tables.
     tolerance_m
-        How much swing of an axis may be left when the needle enters.
+        Largest swing of an axis allowed when the needle enters, m.
     """
 
     def __init__(self, machine: Machine, law: Law, tolerance_m: float) -> None:
@@ -70,12 +70,12 @@ class Pace:
         self.share = float(self.shaft.window_share)
         self.modes = _modes_of(machine)
         self.days = tuple(_modes_of(vary(machine, damping=factor)) for factor in DAMPING_OF_DAYS)
-        """The modes with the damping that they may have on other days."""
+        """The modes, with the dampings that they may have on other days."""
         counts = np.arange(self.tables.longest_units + 1, dtype=np.float64)
         lengths: FloatArray = self.tables.unit.si * counts
         steps = np.array([axis.counts.si for axis in machine.axes.values()])
         velocity = np.minimum(machine.velocity_limit, self.tables.step_rate.si / steps)
-        # (lengths, A) shortest windows within the limits of the axes and of the steps, s.
+        # (lengths, A) shortest windows within the limits of the axes and the step rate, s.
         self.rigid_s = np.stack(
             [
                 np.maximum(
@@ -94,16 +94,16 @@ class Pace:
         self.still_s = np.stack(
             [np.max([np.zeros(len(lengths)), *rows], axis=0) for rows in still], axis=1
         )
-        """(lengths, A) shortest windows that leave little enough swing, s."""
+        """(lengths, A) shortest windows that leave a swing within the tolerance, s."""
 
     def rigid_windows_s(self, moves: Moves) -> FloatArray:
-        """Return (n,) shortest windows within the limits of the axes and of the steps."""
+        """Return (n,) shortest windows within the limits of the axes and the step rate, s."""
         return _of_length(self.rigid_s, moves.units)
 
     def needed_turns_s(self, moves: Moves) -> FloatArray:
-        """Return (n,) the time that each turn needs, no swing being left by the one before.
+        """Return (n,) the time that each turn needs without swing from the turn before, s.
 
-        Where the needle is up the frame may swing.
+        While the needle is up, the frame may swing.
         """
         windows = self.rigid_windows_s(moves)
         still = _of_length(self.still_s, moves.units)
@@ -111,9 +111,10 @@ class Pace:
         return np.maximum(windows / self.share, self.loading_turns_s(moves))
 
     def loading_turns_s(self, moves: Moves) -> FloatArray:
-        """Return (n,) turns long enough to load the tables of the next, the shortest at least.
+        """Return (n,) turns long enough to load the tables of the next turn, s.
 
-        The first tables are there before the shaft turns.
+        No turn is shorter than the shortest turn of the shaft. The first tables are loaded before
+        the shaft turns.
         """
         loads = np.count_nonzero(moves.units[1:], axis=1) * self.tables.fetch.si
         rest = np.append(loads, 0.0) / (1.0 - self.share)
@@ -129,18 +130,18 @@ class Pace:
     def swings_m(
         self, moves: Moves, turns_s: FloatArray, modes_of: Modes | None = None
     ) -> FloatArray:
-        """Return (n,) the largest amplitude of an axis when the needle enters; 0 where it is up.
+        """Return (n,) the largest amplitude of an axis when the needle enters, m; 0 if it is up.
 
-        Turn by turn the swing that earlier moves left decays, and that of this move is added.
+        Turn by turn, the swing of earlier moves decays, and the swing of this move is added.
 
         Parameters
         ----------
         modes_of
-            Modes of each axis; those of the machine as its file says unless given.
+            Modes of each axis; None: the modes in the machine file.
         """
         windows, rests = self.share * turns_s, self.rests_s(turns_s)
         enters = (self.shaft.needle_enters.si - self.shaft.window.si) / (2.0 * pi)
-        # The first change of speed comes behind the window; over so little of it speed is even.
+        # The speed first changes after the window; the change until the needle enters is ignored.
         late = enters * turns_s
         worst = np.zeros(len(turns_s))
         for column, modes in enumerate((modes_of or self.modes).values()):
@@ -159,27 +160,27 @@ class Pace:
         return np.where(moves.needle == 1, worst, 0.0)
 
     def rests_s(self, turns_s: FloatArray) -> FloatArray:
-        """Return (n,) the rest of each turn behind its window, while the speed changes evenly."""
+        """Return (n,) the rest of each turn after its window, with evenly changing speed, s."""
         speed = 1.0 / turns_s
         following = np.append(speed[1:], speed[-1])
         return np.asarray(2.0 * (1.0 - self.share) / (speed + following))
 
     def followed(self, turns_s: FloatArray) -> FloatArray:
-        """Return (n,) turns, none shorter, whose speeds the spindle can follow.
+        """Return (n,) turns, none shorter, whose speeds the spindle can follow, s.
 
         Between two windows the square of the speed changes by at most twice the acceleration times
-        the angle: once forwards for speeding up, once backwards for slowing down in time.
+        the angle. A forward pass limits speeding up, a backward pass limits slowing down.
         """
         assert self.shaft.acceleration is not None
         most = 2.0 * (1.0 - self.share) * self.shaft.acceleration.si / (2.0 * pi)
         return np.asarray(_within(turns_s**-2.0, most) ** -0.5)
 
     def scheduled(self, moves: Moves) -> FloatArray:
-        """Return (n,) turns as short as the spindle can, each needle entering within tolerance.
+        """Return (n,) the shortest turns with each needle entering within the tolerance, s.
 
-        What earlier moves left may make a turn need more than it needs alone: it is slowed until
-        the forecast of the swing is within tolerance on any day, or the shaft turns as slowly as it
-        can.
+        Swing of earlier moves may make a turn need more time than it needs alone. Such a turn is
+        slowed until the forecast of the swing is within the tolerance on any day, or the shaft
+        turns at its slowest.
         """
         longest = self.shaft.slowest_turn.si
         wanted = np.minimum(self.needed_turns_s(moves), longest)
@@ -195,9 +196,10 @@ class Pace:
         return turns if even is None else np.full(len(turns), even)
 
     def constant_turn_s(self, moves: Moves) -> float:
-        """Return the shortest turn, the same for all, with each needle entering within tolerance.
+        """Return the shortest equal turn at which each needle enters within the tolerance, s.
 
-        By the forecast, on any day; the slowest turn of the shaft where none will do.
+        The forecast of the swing decides, on any day. If no turn suffices, the result is the
+        slowest turn of the shaft.
         """
         longest = self.shaft.slowest_turn.si
         turn = min(float(self.needed_turns_s(moves).max()), longest)
@@ -211,11 +213,12 @@ class Pace:
         return turn if even is None else even
 
     def _even_turn_s(self, moves: Moves, below_s: float) -> float | None:
-        """Return the shortest turn, the same for all and below ``below_s``, that will do; or None.
+        """Return the shortest sufficient time for all turns below ``below_s``, s; None if none is.
 
-        A law made for a mode leaves no swing after one window, but may after longer ones. The turn
-        that is taken also keeps each move alone within tolerance with its modes off by ``_ASIDE``:
-        it does not rely on the swings of two moves cancelling each other.
+        A law made for a mode leaves no swing after one window, but may leave some after longer
+        ones. At the returned time, each move alone also stays within the tolerance with its modes
+        off by the factors ``_ASIDE``, so the result does not rely on the swings of two moves
+        cancelling each other.
         """
         sewn = moves.units[moves.needle == 1]
         ways_m = np.abs(sewn).max(axis=0, initial=0) * self.tables.unit.si
@@ -248,7 +251,7 @@ def _aside(mode: FlexibleMode, ratio: float) -> FlexibleMode:
 
 
 def _modes_of(machine: Machine) -> Modes:
-    """Return the slowest modes of each axis, its motor held."""
+    """Return the slowest modes of each axis with its motor held."""
     return {
         name: tuple(
             FlexibleMode(mode.frequency_hz, mode.damping)
@@ -259,13 +262,13 @@ def _modes_of(machine: Machine) -> Modes:
 
 
 def _of_length(windows: FloatArray, units: IntArray) -> FloatArray:
-    """Return (n,) the longest of the windows of each axis; ``windows`` is (lengths, A)."""
+    """Return (n,) the longest window over the axes, from a (lengths, A) table ``windows``."""
     columns = [windows[np.abs(units[:, k]), k] for k in range(units.shape[1])]
     return np.asarray(np.max(columns, axis=0))
 
 
 def _held(squares: FloatArray, most: float) -> FloatArray:
-    """Return (n,) squares of speeds that change by ``most`` at most from turn to turn."""
+    """Return (n,) squares of speeds that change by at most ``most`` from turn to turn."""
     out = squares.copy()
     for k in range(1, len(out)):
         out[k] = min(out[k], out[k - 1] + most)
@@ -275,7 +278,7 @@ def _held(squares: FloatArray, most: float) -> FloatArray:
 
 
 def _gone_on(fresh: ComplexArray, kept: ComplexArray) -> ComplexArray:
-    """Return (n,) ``z[k] = z[k-1] kept[k] + fresh[k]``."""
+    """Return (n,) ``z`` with ``z[k] = z[k-1] kept[k] + fresh[k]``."""
     out = fresh.copy()
     for k in range(1, len(out)):
         out[k] += out[k - 1] * kept[k]

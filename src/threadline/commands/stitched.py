@@ -1,4 +1,4 @@
-"""A design -> step tables by stitches: which table each axis plays in each turn, and when."""
+"""A design as step tables by stitches: which table each axis plays in each turn, and when."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from threadline.machine import Machine
 from threadline.motion.laws import Law
 
 _IN_BLOCK = 256
-_BLOCK_S = 32.0  # of a block: samples of slow turns would leave the fast memory
-_WHOLE = 1e-3  # of a unit: a place is on the grid of the design
+_BLOCK_S = 32.0  # longest block: samples of slow turns would not fit into the fast memory
+_WHOLE = 1e-3  # units: how near a place must be to the grid of the design
 _BUDGET_S = 1e-9
-# A search plans the same job for many speeds of the shaft; how short a window may be is of none.
+# A search plans one job at many shaft speeds; the shortest windows depend on none of them.
 _PACES: Recent[tuple[Machine, Law, float], Pace] = Recent(
     4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2] == b[2]
 )
@@ -35,17 +35,18 @@ class Turns:
     Parameters
     ----------
     moves
-        What the frame does.
+        Moves of the frame.
     operation, line
-        (n,) of the job; the line is the record of the file.
+        (n,) operation of the job, and record of the file.
     stitch, block
-        (n,) numbers of the stitch, 0 while the needle is up, and of its block, both from 1.
+        (n,) numbers of the stitch and of its block, both from 1; stitch is 0 while the needle is
+        up.
     turn_s
-        (n,) planned time of each.
+        (n,) planned time of each turn.
     begin, window
-        (n,) ticks of the timer: when its window begins, and how long that is.
+        (n,) start and length of each window, in ticks of the timer.
     events
-        Of the job, at turns.
+        Events of the job, by turn.
     """
 
     moves: Moves
@@ -62,7 +63,7 @@ class Turns:
         return len(self.stitch)
 
     def name(self, turn: int) -> str:
-        """Return what a turn is called: its stitch and block."""
+        """Return the name of a turn: its block and stitch."""
         if self.stitch[turn]:
             return f"block {self.block[turn]}, stitch {self.stitch[turn]}"
         return f"block {self.block[turn]}, travel behind stitch {self.stitch[:turn].max(initial=0)}"
@@ -70,25 +71,25 @@ class Turns:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Stitched:
-    """What a design means to happen on a machine with a main shaft.
+    """The plan of a design on a machine with a main shaft.
 
     Parameters
     ----------
     job, machine, law
-        What it was made from.
+        Job, machine and motion law of the plan.
     commands
-        What the controller is given.
+        Commands for the controller.
     turns
-        Every turn, as it was planned.
+        Every planned turn.
     pace
-        The time that each turn needs, with the tolerance of the swing that it was planned for.
+        Time that each turn needs, and the swing tolerance of the plan.
     constant, given
-        Whether the shaft is told one speed, and whether that was asked for.
+        Whether the shaft turns at one speed, and whether the user gave that speed.
     alone_s
-        Time of a schedule in which each stitch is planned as if the frame were at rest before it,
-        on a spindle without inertia: a lower bound, s.
+        Lower bound of the time, s: each stitch is planned as if the frame were at rest before it,
+        on a spindle without inertia.
     slowest_s
-        Time at the constant speed that the slowest stitch needs by itself, s.
+        Time at the constant speed that the slowest stitch alone needs, s.
     """
 
     job: Job
@@ -114,12 +115,12 @@ class Stitched:
 
     @property
     def historical(self) -> bool:
-        """False: moves of a design keep the limits of the machine, or are judged by them."""
+        """False: moves of a design keep the machine's limits, or the verdict checks them."""
         return False
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What deserves a second look: nothing but what the verdict says."""
+        """Warnings of the plan: none, because the verdict reports everything."""
         return ()
 
     def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
@@ -127,7 +128,7 @@ class Stitched:
         return f"law:{self.law.name}"
 
     def planned_with(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
-        """Return how it was planned, for people."""
+        """Return words for law and speed of the plan."""
         speed = f"{60.0 / float(self.turns.turn_s.max()):.4g}"
         if np.ptp(self.turns.turn_s) > 0.0:
             fastest = 60.0 / float(self.turns.turn_s.min())
@@ -135,7 +136,7 @@ class Stitched:
         return f"{self.law.name}, {speed} stitches a minute"
 
     def told(self, options: Mapping[str, str]) -> dict[str, Any]:  # noqa: ARG002
-        """Return what the JSON of a verdict tells of the stitches."""
+        """Return the entries about stitches for the JSON of a verdict."""
         sewn = self.turns.stitch > 0
         return {
             "stitches": {
@@ -155,30 +156,30 @@ class Stitched:
 
     @property
     def frame_moves(self) -> IntArray:
-        """(n,) 1 where the frame moves from stitch to stitch, with the thread."""
+        """(n,) 1 where the frame moves from stitch to stitch, pulling the thread."""
         sewn = self.turns.stitch > 0
         follows = np.concatenate(([False], sewn[:-1]))
         return np.asarray(sewn & follows, dtype=np.int64)
 
     @property
     def longest_move_m(self) -> float:
-        """Longest way of an axis from stitch to stitch, m."""
+        """Longest travel of an axis from stitch to stitch, m."""
         ways = np.abs(self.turns.moves.units[self.frame_moves == 1])
         return float(ways.max(initial=0)) * self.pace.tables.unit.si
 
     @property
     def steps_per_unit(self) -> int:
-        """Steps of a drive in a unit of the design."""
+        """Steps of a drive per unit of the design."""
         return round(float(self.commands.steps_per_unit[0]) * self.pace.tables.unit.si)
 
     @property
     def places_m(self) -> FloatArray:
-        """(n, A) where each turn leaves the frame, m."""
+        """(n, A) position of the frame after each turn, m."""
         ways = np.cumsum(self.turns.moves.units, axis=0)
         return np.asarray(ways * self.pace.tables.unit.si + np.array(self.job.start))
 
     def lines_of(self, job: Job, operations: Collection[int]) -> dict[int, int]:  # noqa: ARG002
-        """Return the record of each operation, 0 where it has none."""
+        """Return the record of each operation, 0 for an operation without one."""
         at = {int(o): int(n) for o, n in zip(self.turns.operation, self.turns.line, strict=True)}
         return {operation: at.get(operation, 0) for operation in operations}
 
@@ -193,22 +194,22 @@ def stitch(
     job
         A design.
     machine
-        With a shaft and tables.
+        Machine with a shaft and tables.
     law
-        Of every move.
+        Motion law of every move.
     tolerance_m
-        How much swing may be left when a needle enters.
+        Largest swing allowed when a needle enters.
     turn_s
-        Time of every turn; None slows each stitch as it needs, or, where the spindle cannot change
-        its speed, turns at the highest speed at which every needle enters within the tolerance.
+        Time of every turn. None slows each stitch as much as it needs. If the spindle cannot change
+        its speed, None gives the highest speed at which every needle enters within the tolerance.
 
     Raises
     ------
     PlanError
-        If a place is between the units of the machine, the shaft does not turn at that speed, or
+        If a place is between the units of the machine, the shaft cannot turn at that speed, or the
         tables cannot be played.
     BudgetError
-        If it takes longer than the machine's budget of ticks.
+        If the design takes longer than the machine's tick budget.
     """
     pace = _PACES.of((machine, law, tolerance_m), lambda: Pace(machine, law, tolerance_m))
     shaft = pace.shaft
@@ -269,12 +270,12 @@ def stitch(
 
 
 def tables_of(machine: Machine, law: Law, window_s: Fraction) -> tuple[StepTable, ...]:
-    """Return the tables of a machine for a window, from one unit to the longest move.
+    """Return the tables of a machine for one window, from one unit to the longest move.
 
     Raises
     ------
     PlanError
-        If the steps of a unit differ between axes, or two steps fall into one period of the timer.
+        If axes differ in steps per unit, or two steps fall into one timer period.
     """
     assert machine.tables is not None
     steps = {round(axis.counts.si * machine.tables.unit.si) for axis in machine.axes.values()}
@@ -295,7 +296,7 @@ def tables_of(machine: Machine, law: Law, window_s: Fraction) -> tuple[StepTable
 
 
 def _rows(job: Job, pace: Pace) -> dict[str, Any]:
-    """Return the columns of the turns; a travel too long for one turn is divided into several."""
+    """Return the columns of the turns; a travel too long for one turn takes several turns."""
     unit, longest = pace.tables.unit.si, pace.tables.longest_units
     at: IntArray = np.zeros((1, len(job.axes)), dtype=np.int64)
     units: list[IntArray] = []

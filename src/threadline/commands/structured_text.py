@@ -1,7 +1,7 @@
-"""IEC 61131-3 structured text of a schedule: a block that plays its Petri net, scan by scan.
+"""IEC 61131-3 structured text of a schedule: a function block that plays its Petri net.
 
-Standard text only (second and third edition): no vendor's functions, every name declared and
-typed, located variables in a VAR block of their own.
+The text is standard (second and third edition): it calls no vendor functions, declares and types
+every name, and puts located variables in a VAR block of their own.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def plc_program(scheduled: Scheduled) -> PlcProgram:
     Raises
     ------
     PlanError
-        If the machine lacks an input that a program needs, a cylinder could not be brought home,
-        or the net can't be made.
+        If the machine lacks an input that a program needs, a cylinder cannot be brought home, or
+        the net cannot be built.
     """
     machine = scheduled.machine
     assert machine.plc is not None
@@ -141,7 +141,7 @@ def _of_kind(machine: Machine, kind: str) -> list[str]:
 
 
 def _dwell_ms(machine: Machine) -> int:
-    """Return the longest of the shortest times between two switchings of one valve."""
+    """Return the longest of the minimum times between two switchings of a valve, ms."""
     assert machine.plc is not None
     ways = [way for c in machine.cylinders.values() for way in (c.forward, c.back)]
     dwells_s = [machine.plc.dwell.si, *(way.least_hold_s(machine.plc) for way in ways)]
@@ -168,7 +168,7 @@ def _notes(scheduled: Scheduled, net: PetriNet) -> tuple[str, ...]:
 
 
 def _shaped(scheduled: Scheduled, axis: str) -> str:
-    """Return how the moves of a cylinder are shaped, for people."""
+    """Return words for the shaping of a cylinder's moves."""
     shaping = scheduled.shaping.get(axis)
     plain = all(move.levels.levels == (1.0, 0.0) for move in scheduled.moves if move.axis == axis)
     return shaping_words(shaping) if shaping or plain else "each move as the move list says"
@@ -215,7 +215,7 @@ def _state(words: Words, sequence: Sequence) -> Iterator[Variable]:
         yield Variable(name=name, type="BOOL", initial="FALSE")
     yield Variable(name="cause", type="INT", initial="0", note="of a stop in this scan")
     yield Variable(name="culprit", type="INT", initial="0", note="the input that it is about")
-    # TRUE at power-on: a button that is held then is no fresh press.
+    # TRUE at power-on: a button held at power-on is not a fresh press.
     for name in ("start_before", "home_before", "acknowledge_before"):
         yield Variable(name=name, type="BOOL", initial="TRUE")
     for name in words.fresh.values():
@@ -280,7 +280,7 @@ def _declaration(variable: Variable) -> str:
 
 
 def configuration_text(program: PlcProgram) -> list[str]:
-    """Return the configuration: the timed task and the program that runs in it."""
+    """Return the configuration: the timed task and the program in it."""
     return [
         f"CONFIGURATION {program.configuration}",
         f"  RESOURCE {program.resource} ON PLC",
@@ -293,7 +293,7 @@ def configuration_text(program: PlcProgram) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class StructuredText:
-    """The two texts: program units, and the configuration that not every tool imports."""
+    """Two texts: the program units, and the configuration, which some tools do not import."""
 
     units: str
     configuration: str

@@ -1,8 +1,8 @@
-"""The names of a sequence's inputs and outputs in its structured text, and times of the text.
+"""The body of a sequence's function block in structured text, with work by hand and panel texts.
 
-A jog that is held while the work by hand begins, or while a fault is acknowledged, is no fresh
-press. What has stopped, at its end or because a switch that it needs went off, stays so until the
-next press.
+A jog input held while work by hand begins, or while a fault is acknowledged, is not a fresh press.
+A jog that has stopped, at its end or because a needed switch went off, stays stopped until the next
+press.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from threadline.machine import Machine
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Words:
-    """The names that the program uses, and some of its times.
+    """Names in the program, and some of its times.
 
     Parameters
     ----------
     inputs, outputs
-        Name in the machine file to name in the program.
+        Names in the program, by name in the machine file.
     grids, enables
-        Inputs that all must be true while the machine moves.
+        Inputs that must all be true while the machine moves.
     start, acknowledge, home
         Inputs whose rising edges count.
     fresh
-        By input and value: the variable that says that the input had its other value since it last
+        By input and value: variable that is true if the input had its other value since it last
         counted.
     watchdog_ms
-        A scan that comes later than this after the one before is a fault.
+        A longer time from scan to scan is a fault.
     early_ms
-        A transition fires in the scan nearest to its time: half a scan before it already.
+        A transition fires in the scan nearest to its time, up to half a scan early.
     air_ms, dwell_ms
-        By hand: how long the air takes to come up, and the rest of the valves between two jogs.
+        Work by hand: time for the air pressure to build up, and rest of the valves between two
+        jogs.
     """
 
     inputs: Mapping[str, str]
@@ -60,7 +61,7 @@ HAND_NAMES = (
 
 
 def hand_constants(words: Words) -> Iterator[Variable]:
-    """Yield the two times of work by hand."""
+    """Yield the two times for work by hand."""
     for name, ms, note in (
         ("t_hand_air", words.air_ms, "by hand: the air is up"),
         ("t_hand_rest", words.dwell_ms, "by hand: the valves rest between two things"),
@@ -69,7 +70,7 @@ def hand_constants(words: Words) -> Iterator[Variable]:
 
 
 def hand_state() -> Iterator[Variable]:
-    """Yield the variables that ``hand_lines`` keeps from scan to scan."""
+    """Yield the variables that the lines of ``hand_lines`` keep from scan to scan."""
     for name in ("jogging", "hand_before", "hand_ready", "jog_runs"):
         yield Variable(name=name, type="BOOL", initial="FALSE")
     for name in ("jog_before", "jog_asked"):
@@ -79,7 +80,7 @@ def hand_state() -> Iterator[Variable]:
 
 
 def hand_lines(sequence: Sequence, words: Words) -> Iterator[str]:
-    """Yield the part of the body that works by hand."""
+    """Yield the part of the body for work by hand."""
     yield "(* By hand: one thing at a time, slowly, where the cycle would do it. A change of jog *)"
     yield "(* asks for it; what is held when the work by hand begins asks for nothing. *)"
     yield f"jogging := manual AND allowed AND NOT fault AND (place = {sequence.idle});"
@@ -236,9 +237,9 @@ def _clock(words: Words, sequence: Sequence) -> Iterator[str]:
 
 
 def _fresh(words: Words, sequence: Sequence) -> Iterator[str]:
-    """Yield the lines that note that an input had its other value before it counts.
+    """Yield the lines that note whether an input had its other value before it counts.
 
-    An input that a vacuum switches must have had it when the vacuum was switched on.
+    An input switched by a vacuum must have its other value when the vacuum is switched on.
     """
     for (name, value), fresh in words.fresh.items():
         word = words.inputs[name]
@@ -267,7 +268,7 @@ def _plausible(words: Words, sequence: Sequence, machine: Machine) -> Iterator[s
 
 
 def _contradictions(one: Guarded, words: Words, machine: Machine) -> Iterator[tuple[str, str, str]]:
-    """Yield condition, fault and contact of everything that cannot be."""
+    """Yield condition, fault and contact of every implausible state of a cylinder's switches."""
     switches = switches_of(machine, one.axis)
     for (begin, end), constant in one.known.items():
         at = f"({one.expect} = {constant})"
@@ -286,7 +287,7 @@ def _contradictions(one: Guarded, words: Words, machine: Machine) -> Iterator[tu
             word = words.inputs[name]
             if (first, last) == (True, False):
                 yield f"{at} AND {word} AND (elapsed >= {one.gone})", "f_stayed", name
-                # The far end has come in its time: the near one is what should be off.
+                # The far switch came in time, so the near switch is the one that should be off.
                 for far, far_said in said.items():
                     if far_said == (False, True):
                         yield f"{at} AND {word} AND {words.inputs[far]}", "f_stayed", name
@@ -348,7 +349,7 @@ def _transition(
 
 
 def _end(named: NamedPlace, words: Words, sequence: Sequence) -> Iterator[str]:
-    """Yield what the last place of a run does."""
+    """Yield the actions of the last place of a run."""
     if named in sequence.homing:
         yield f"place := {sequence.idle};"
         yield "homed := TRUE;"
@@ -372,7 +373,7 @@ def _steps(sequence: Sequence) -> Iterator[str]:
 
 
 def _interlocks(words: Words, sequence: Sequence) -> Iterator[str]:
-    """Yield what the machine file needs while something moves or is on: a fault in that scan."""
+    """Yield the interlocks of the machine file; a violation is a fault in the same scan."""
     for name, places in sequence.interlocks.items():
         where = _in_any(sequence.places, frozenset(places))
         word = words.inputs[name]
@@ -386,7 +387,7 @@ def _interlocks(words: Words, sequence: Sequence) -> Iterator[str]:
 def _runs(
     places: tuple[NamedPlace, ...], key: Callable[[NamedPlace], object]
 ) -> Iterator[tuple[NamedPlace, NamedPlace]]:
-    """Yield the first and the last of places in a row that a key makes equal."""
+    """Yield first and last of each run of consecutive places with equal keys."""
     for _, group in groupby(places, key):
         run = list(group)
         yield run[0], run[-1]
@@ -468,6 +469,6 @@ def _texts(sequence: Sequence, words: Words, machine: Machine) -> Iterator[str]:
 
 
 def _plain(text: str) -> str:
-    """Return text that a string literal of every PLC takes."""
+    """Return text as characters that a string literal of every PLC takes."""
     kept = (c if c.isascii() and (c.isalnum() or c in " _-.,") else " " for c in text[:60])
     return "".join(kept).strip()

@@ -1,4 +1,4 @@
-"""Puts what is not motion (outputs, waits, stops, dwells) on the ticks of the motion around it."""
+"""The tick table of a trajectory: counts per tick, with outputs, waits, stops and dwells."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from threadline.machine import Machine
 from threadline.motion.timing.types import Trajectory, TrajectoryBlock
 
 TICK_SLACK = 1e-6
-"""Fraction of a tick by which an instant may miss a tick and still be taken for it: the rounding
-of sums of durations must not cost a tick."""
+"""Fraction of a tick by which an instant may miss a tick and still count as that tick. Rounding of
+sums of durations must not add a tick."""
 
 
 def first_tick_from(time_s: float, clock: Clock) -> int:
-    """Return the first tick at or after ``time_s``, but for ``TICK_SLACK``."""
+    """Return the first tick at or after ``time_s``, within ``TICK_SLACK``."""
     return max(0, ceil(time_s / float(clock.period_s) - TICK_SLACK))
 
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """Operations between two moves: ``first`` is the index of the first of them.
+    """Operations between two moves; ``first`` is the index of the first operation.
 
-    Without a rest they are what happens as a move begins, which has that index.
+    A group without a rest holds the actions at the start of a move, whose index is ``first``.
     """
 
     first: int
@@ -57,18 +57,19 @@ class _Group:
 class EventPlacer:
     """Finds the tick of every event while the blocks of the trajectory pass by, in order.
 
-    The motion rests between two moves that have anything between them. The first event of such a
-    group belongs to the instant at which the rest begins, each later one to the end of the dwells
-    before it. The rest begins where the dwell of the group begins in the trajectory; failing
-    that (a shaped motion ends later and its dwell is shorter) where the next move begins, less
-    the dwells. What happens as a move begins (``Move.acts``) belongs to that instant.
+    The motion rests between two moves with other operations between them. The first event of such a
+    group happens when the rest begins. Each later event happens at the end of the dwells before it.
+    The rest begins where the dwell of the group begins in the trajectory. A shaped motion ends
+    later and its dwell is shorter, so the dwell may not be found; then the rest begins at the start
+    of the next move, less the dwells. Actions at the start of a move (``Move.acts``) happen at that
+    instant.
 
     Parameters
     ----------
     job
-        Its operations are read once, in step with the trajectory; None for no events.
+        Job, read once in step with the trajectory; None for no events.
     clock
-        On which the ticks are counted.
+        Clock of the ticks.
     """
 
     def __init__(self, job: Job | None, clock: Clock) -> None:
@@ -77,7 +78,7 @@ class EventPlacer:
         self._next = next(self._groups, None)
 
     def events_in(self, block: TrajectoryBlock) -> list[Event]:
-        """Return the events that ``block`` settles."""
+        """Return the events whose ticks ``block`` determines."""
         found: list[Event] = []
         while self._next is not None:
             begin_s = self._rest_begin_s(self._next, block)
@@ -88,7 +89,7 @@ class EventPlacer:
         return found
 
     def events_at_end(self, end_s: float) -> list[Event]:
-        """Return the events that nothing came after."""
+        """Return the events with no motion after them."""
         found: list[Event] = []
         while self._next is not None:
             found += self._place(self._next, end_s - self._next.dwell_s)
@@ -101,7 +102,7 @@ class EventPlacer:
             at = int(np.searchsorted(operation, group.first))
             return None if at == len(operation) else float(block.start_s[at])
         if group.dwell_s > 0:
-            # Operations before the first move rest at the start vertex, which has index 0.
+            # Operations before the first move rest at the start vertex, whose index is 0.
             move = max(group.first - 1, 0)
             begin, end = np.searchsorted(operation, [move, move + 1])
             length = block.duration_s[begin:end]
@@ -164,7 +165,7 @@ def _event(tick: int, index: int, operation: Operation) -> Event:
 
 
 ROWS = 1 << 16
-"""Rows of a block of the table, whatever the blocks of the trajectory are."""
+"""Rows per block of the table, for any blocks of the trajectory."""
 
 _EXACT_COUNTS = 2.0**53
 _ROUNDING_COUNTS = 1.0 + 1e-6  # two roundings of half a count each
@@ -176,38 +177,38 @@ def compile_ticks(
     """Return the counts that each axis travels in each tick.
 
     Row k is ``round(c p[k+1]) - round(c p[k])``, where p[k] is the position at tick k and c the
-    counts per unit: positions are rounded, never increments, so that the sum of any run of rows
-    is within one count of the way travelled and the sum of all is exact. A trajectory that is
-    not a whole number of ticks long comes to its end in the last row.
+    counts per unit. Positions are rounded, never increments. The sum of any run of rows is
+    therefore within one count of the travel, and the sum of all rows is exact. If the trajectory is
+    not a whole number of ticks long, its end is in the last row.
 
     Parameters
     ----------
     trajectory
         Axis positions over time, m or rad.
     machine
-        Gives clock, scales, velocity limits and tick budget.
+        Machine; gives clock, scales, velocity limits and tick budget.
     job
-        Gives the events and the hash; without it the table has none.
+        Job; gives the events and the hash. Without a job the table has neither.
     rows
-        Rows of a block of the table.
+        Rows per block of the table.
 
     Returns
     -------
     TickTable
-        Made block by block while it is read. Its columns are the axes of the machine; those that
-        the trajectory does not have stay at 0. The operation of a row is the one under way in
+        Table, built block by block during reading. Its columns are the axes of the machine; axes
+        that are not in the trajectory stay at 0. The operation of a row is the active operation in
         the middle of the tick. Events at the end of the last row are in the last block, with the
-        tick after it.
+        tick after the row.
 
     Raises
     ------
     PlanError
         If the machine lacks an axis of the trajectory.
     LimitError
-        While the table is read: if a row is above the velocity limit of its axis by more than
-        the count that rounding adds; historical trajectories are not held to it.
+        During reading, if a row exceeds the velocity limit of its axis by more than the count that
+        rounding adds. Historical trajectories are not checked.
     BudgetError
-        While the table is read: if it has more ticks than the machine file allows.
+        During reading, if the table has more ticks than the machine file allows.
     """
     for axis in trajectory.axes:
         if axis not in machine.axes:
@@ -266,11 +267,11 @@ def _blocks(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Scale:
-    """Turns positions of the trajectory's axes into counts of all axes of the machine."""
+    """Converts positions of the trajectory's axes into counts of all axes of the machine."""
 
     axes: tuple[str, ...]
     per_unit: FloatArray  # (axes,)
-    column: list[int]  # of each axis of the trajectory
+    column: list[int]  # column of each axis of the trajectory
 
     @classmethod
     def of(cls, trajectory: Trajectory, machine: Machine) -> _Scale:
@@ -281,7 +282,7 @@ class _Scale:
         )
 
     def counts(self, positions: FloatArray) -> IntArray:
-        """Return (n, machine axes) rounded positions."""
+        """Return the (n, machine axes) rounded positions."""
         exact = np.rint(positions * self.per_unit[self.column])
         far = np.abs(exact) >= _EXACT_COUNTS
         if far.any():
@@ -298,7 +299,7 @@ class _Scale:
 
 @dataclass(slots=True, kw_only=True)
 class _Table:
-    """The part of the table that is under way."""
+    """The unfinished part of the table."""
 
     scale: _Scale
     clock: Clock
@@ -306,11 +307,11 @@ class _Table:
     velocity_limit: FloatArray | None
     job: Job | None
     rows: int
-    first_tick: int = 0  # of the first row that has not been handed out
+    first_tick: int = 0  # tick of the first row not yet handed out
     buffered: int = 0
     counts: list[IntArray] = field(default_factory=list)
     operation: list[IntArray] = field(default_factory=list)
-    labelled: int = 0  # rows whose operation is known, from tick 0
+    labelled: int = 0  # number of rows with a known operation, from tick 0
     events: list[Event] = field(default_factory=list)
     position: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
@@ -336,8 +337,8 @@ class _Table:
             count = min(self.rows, max(1, int((end_s - self.clock.time_s(tick)) / period) + 2))
             times_s = self.clock.times_s(tick, count)
             inside = int(np.searchsorted(times_s, end_s))
-            # The operations reach half a tick further than the positions, so a run without a
-            # position may still have one.
+            # The operations reach half a tick further than the positions, so a run without
+            # positions may still have an operation.
             yield times_s[:inside]
             if inside < count:
                 return
@@ -353,7 +354,7 @@ class _Table:
         self.buffered += len(target)
 
     def _label(self, block: TrajectoryBlock, count: int) -> None:
-        """Note the operation in the middle of the next rows, as far as ``block`` reaches."""
+        """Record the operation in the middle of the next rows, as far as ``block`` reaches."""
         half = Clock(self.clock.name, self.clock.period_s / 2)
         middle_s = half.times_s(2 * self.labelled + 1, count, stride=2)
         middle_s = middle_s[: np.searchsorted(middle_s, block.end_s)]
@@ -378,7 +379,7 @@ class _Table:
 
     def add_events(self, events: list[Event]) -> None:
         for event in events:
-            # Only where a shaped motion left no dwell to be found can a tick have gone by.
+            # A tick can be past only if a shaped motion left no dwell to find.
             late = event.tick < self.first_tick
             self.events.append(
                 Event(
@@ -391,7 +392,7 @@ class _Table:
             )
 
     def full_blocks(self) -> Iterator[TickBlock]:
-        """Hand out full blocks; the last row stays, for ``finish`` may have to amend it."""
+        """Yield full blocks; the last row stays, because ``finish`` may have to change it."""
         while self.buffered > self.rows:
             yield self._take(self.rows, last=False)
 
@@ -440,7 +441,7 @@ class _Table:
 
 
 def place_of(job: Job | None, operation: int) -> Place | None:
-    """Return the file and line of an operation; reads the job up to it."""
+    """Return file and line of an operation; reads the job up to the operation."""
     if job is not None:
         for index, found in enumerate(job):
             if index == operation:

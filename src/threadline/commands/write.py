@@ -1,4 +1,4 @@
-"""The targets: what a plan can be written as, by name."""
+"""The targets, by name: formats in which a plan can be written."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TableWriter(Protocol):
     """Writes a tick table."""
 
     def __call__(self, table: TickTable, path: Path, needle: Beside | None = None) -> Written:
-        """Write ``table`` to ``path``; rows of a seam have the columns of ``needle``, too."""
+        """Write ``table`` to ``path``; rows of a seam also have the columns of ``needle``."""
         ...
 
 
@@ -44,11 +44,11 @@ TABLES: dict[str, TableWriter] = {
 
 
 class Timed(Protocol):
-    """What a target of moves needs of an intent."""
+    """The part of an intent that targets of moves use."""
 
     @property
     def programmed(self) -> ProgrammedPath:
-        """What the job says, at the feeds that were asked for."""
+        """Path of the job, at the requested feeds."""
         ...
 
     @property
@@ -58,31 +58,31 @@ class Timed(Protocol):
 
 
 class WrittenPlan(Protocol):
-    """What targets read of a plan; each asks for what its kind of work has."""
+    """The part of a plan that targets read; each target reads the fields of its kind of work."""
 
     @property
     def job(self) -> Job:
-        """What is to be done."""
+        """Job of the plan."""
         ...
 
     @property
     def machine(self) -> Machine:
-        """On what."""
+        """Machine of the plan."""
         ...
 
     @property
     def commands(self) -> Commands:
-        """What the controller is given."""
+        """Commands for the controller."""
         ...
 
     @property
     def feed_override(self) -> float | None:
-        """By which the feeds of the job hold; None where another was given in their place."""
+        """Factor on the feeds of the job; None if another feed replaces them."""
         ...
 
     @property
     def limits_in_full(self) -> bool:
-        """Whether it may use all of the limits of acceleration and jerk."""
+        """Whether the plan may use the full limits of acceleration and jerk."""
         ...
 
     @property
@@ -103,17 +103,17 @@ class WrittenPlan(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """What a plan can be written as.
+    """A format in which a plan can be written.
 
     Parameters
     ----------
     write
-        Writes whole files, or none.
+        Function that writes complete files, or none.
     takes_shaped
-        It can hold what a shaper or feed-forward makes of the motion.
+        Whether the target can hold a shaped motion or a motion with feed-forward.
     write_no_slower
-        Writes a program that the firmware takes no longer over than over the job as it stands, or
-        refuses to; None where no planner of a firmware runs what is written.
+        Function that writes a program for which the firmware takes no longer than for the job
+        itself, or refuses; None if no firmware planner runs the file.
     """
 
     write: Callable[[WrittenPlan, Path], list[Written]]
@@ -124,20 +124,20 @@ class Target:
 def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> Written:
     """Write the planned motion as a part program: chords with their times (G93), blended (G64).
 
-    What was a G0 has its planned time, too, and so is a G1: LinuxCNC would take its own time over a
-    G0, and the program would no longer be the plan. With a spindle or a laser on in it, it is
-    refused: HAL tells G0 and G1 apart (``motion.motion-type``), and a laser may burn in G1 alone.
+    A G0 becomes a G1 with its planned time, because LinuxCNC would choose its own time for a G0,
+    and the program would no longer match the plan. A G0 with a spindle or a laser on is refused:
+    HAL tells G0 from G1 (``motion.motion-type``), and a laser may burn in G1 only.
 
     Raises
     ------
     PlanError
-        If the job holds a word that LinuxCNC takes otherwise, or a G0 with the spindle on.
+        If LinuxCNC reads a word of the job differently, or a G0 has the spindle on.
     """
     refuse_lost(job, machine, NcStyle.LINUXCNC)
     rapids = _dark_rapids(job)
     timed = planned_job(job, trajectory, machine)
-    # The plan has already been held to the operator's normal feed; its times are not to be
-    # stretched again.
+    # The plan already respects the operator's normal feed; do not apply the feed to its times
+    # again.
     write_part_program(timed, replace(machine, operator=None), path, style=NcStyle.LINUXCNC)
     if not rapids:
         return written(path)
@@ -147,7 +147,7 @@ def write_nc(job: Job, trajectory: Trajectory, machine: Machine, path: Path) -> 
 
 
 def _dark_rapids(job: Job) -> int:
-    """Return the number of moves at G0; refuse one with the spindle on."""
+    """Return the number of moves at G0; refuse a G0 with the spindle on."""
     spindle, power, count, at = "", 1.0, 0, job.start
     for operation in job:
         acts: tuple[ToolEvent | Stop, ...] = ()
@@ -192,7 +192,7 @@ def _of_firmware(name: str) -> Target:
         )
 
     def no_slower(plan: WrittenPlan, path: Path) -> list[Written]:
-        # With a share of the limits the planned speeds are what was asked for: they stay.
+        # With a share of the limits the user asked for the planned speeds, so they stay.
         gentle = not plan.limits_in_full
         file = write_one(plan, path, slower=gentle)
         refuse_slower(name, plan.job, file.as_run_s)
@@ -212,7 +212,7 @@ TICK_TARGETS: Mapping[str, Target] = {
     ),
     **{name: _of_firmware(name) for name in BOARDS},
 }
-"""Targets of machines whose controllers take a row per tick."""
+"""Targets of machines whose controllers take one row per tick."""
 SWITCH_TARGETS: Mapping[str, Target] = {
     "plcopen": Target(write=lambda plan, path: write_plcopen(plan.scheduled, path)),
     "scl": Target(write=lambda plan, path: write_scl(plan.scheduled, path)),
@@ -223,4 +223,4 @@ STEP_TARGETS: Mapping[str, Target] = {
     "steps": Target(write=lambda plan, path: write_steps(plan.stitched, path)),
     "t15": Target(write=lambda plan, path: [write_t15(plan.stitched, path)]),
 }
-"""Targets of machines that play step tables between their stitches."""
+"""Targets of machines that play step tables between stitches."""
