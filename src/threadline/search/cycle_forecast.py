@@ -25,7 +25,7 @@ from threadline.verdict.switch_run import SwitchRun
 _BEAM = 300
 _BRANCHES = 24  # pairs of command and wait that are followed from each state
 _GRID = 0.25  # of the limit: states whose ringing differs by less count as equal
-_LONGEST_WAIT = 6  # steps: a longer one costs more than another command
+_LONGEST_WAIT = 6  # steps: a longer wait costs more than another command
 _MEASURE = "residual_vibration"
 _LESS = 0.93
 _LEAST_SEEN = 0.7  # of a period: a shorter record cannot separate amplitude from rest position

@@ -96,7 +96,7 @@ _LONGER = 3  # scans above the bound: symmetric commands of real valves take lon
 _ROUNDS = 10
 _BEAM = 200
 _LESS = 0.97
-_HOPED = 1.6  # of the limit, at first: amplitudes seldom add up in full
+_HOPED = 1.6  # first share of the limit: amplitudes seldom add up in full
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -314,8 +314,7 @@ class _Search:
         return [chosen[i] for i in range(len(moves))]
 
     def _free(self, index: int, chosen: Mapping[int, FlowCommand]) -> float:
-        """Return the scans a command may take at no cost while its operation's longest move
-        runs."""
+        """Return the scans that cost nothing because another move of the operation takes longer."""
         mine = self._base.moves[index]
         return max(
             (

@@ -27,7 +27,7 @@ from threadline.search.design_space import Space
 from threadline.verdict import Spec, Status, Verdict
 
 _ROUNDING = 1e-9
-_TERMS = 14  # of the series, for norms up to a half: 0.5^15 / 15! is below rounding
+_TERMS = 14  # terms of the series, for norms up to a half: 0.5^15 / 15! is below rounding
 
 
 def design_gains(

@@ -153,7 +153,7 @@ def _slice(
 SEED = 1994
 _ELITE = 8
 _PATIENCE = 4
-_ENOUGH = 2e-3  # relative: less than this in several rounds is no progress
+_ENOUGH = 2e-3  # relative gain: less in several rounds is no progress
 _FIRST_STEP, _STEP_DECAY = 0.15, 0.85
 _SHRINK = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98)
 TARGETS = (0.8, 0.6)

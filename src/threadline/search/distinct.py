@@ -27,8 +27,8 @@ from threadline.motion.path import programmed_path
 
 EVENLY_S = 3.0
 """Simulated time of either end of a move at its own speed."""
-_WORTH = 0.5  # of a move: where more of it is kept, it stays whole
-_LONG_MOVES_MOST_MOVES = 100_000  # of a job: such a job takes long for other reasons
+_WORTH = 0.5  # kept share above which a move stays whole
+_LONG_MOVES_MOST_MOVES = 100_000  # longer jobs take long for other reasons
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +136,7 @@ _NEAR = 2e-5
 """Differences of moves, m or rad, that count as rounding of a program's numbers: 0.001 degrees."""
 _BESIDE_S = 3.0
 """Least duration of a move's surroundings on either side, by the program's feeds."""
-_LEAST, _MOST = 4, 64  # moves on either side
+_LEAST, _MOST = 4, 64  # surrounding moves on either side
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 _DISTINCT_MOST_MOVES = 2_000_000
 _NOWHERE = Source("", 0)
@@ -189,7 +189,7 @@ def distinct_parts(job: Job, machine: Machine) -> tuple[Job, ...]:
 
 
 def moves_in(job: Job) -> int:
-    """Return how many moves a job has."""
+    """Return the number of moves of a job."""
     return sum(len(item) for item in move_runs(job) if isinstance(item, MoveRun))
 
 

@@ -14,7 +14,7 @@ from threadline.machine.variants import FARTHEST, drawn
 from threadline.search.machine_yield import MachineYield, shares_of
 from threadline.verdict.each_run import clopper_pearson
 
-_PER_PART = 2.0  # standard deviations in a tolerance
+_PER_PART = 2.0  # standard deviations per tolerance
 _RESAMPLES = 200
 
 

@@ -189,7 +189,7 @@ def fastest_job(asked: Question) -> FastestJob:
     if asked.progress is not None:
         asked.progress("looking for what repeats", 0.0)
     if until is not None:
-        until.check()  # before any file is open
+        until.check()  # checked before any file is open
     with nullcontext() if until is None else until.interrupting():
         parts = distinct_parts(job, machine)
         by_feed = ignores_limits(parts[0], machine, options)

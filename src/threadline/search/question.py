@@ -116,7 +116,7 @@ class Asked:
     searched
         Name of the searched quantity with its verb, for a message.
     takes
-        Options that only some searches take, of those that this search takes, as typed.
+        Options of this search that other searches do not take, as typed.
     span
         Reads ``--low`` and ``--high``.
     """

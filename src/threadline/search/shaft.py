@@ -25,7 +25,7 @@ _RANGE = (0.5, 1.5)
 """Ends of the tolerances of a schedule search, as shares of the residual's limit."""
 _HALVINGS = 6
 _OF_THE_SLOWEST = 0.5
-_FAR = 0.8  # of a limit
+_FAR = 0.8  # used share of a limit that counts as far within it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,8 +71,8 @@ def fastest_shaft(asked: Question) -> FastestShaft:
     """Search the constant shaft speeds, and the schedule of speeds.
 
     ``Question.low`` and ``high`` are constant speeds, stitches a second. By default the search ends
-    at the machine's highest speed. It begins at half the highest speed at which even the slowest
-    stitch alone has enough time.
+    at the machine's highest speed. It begins at half the constant speed that the slowest stitch
+    needs by itself.
 
     Raises
     ------
@@ -160,7 +160,7 @@ def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
 
 
 def _lowest_of_interest_hz(asked: Question) -> float:
-    """Return half the highest speed at which even the slowest stitch alone has enough time.
+    """Return half the constant speed that the slowest stitch needs by itself, stitches a second.
 
     Slower speeds take longest to simulate, and the search looks for the fastest.
     """

@@ -37,7 +37,7 @@ if sys.platform != "win32":
 
 FORMAT = "threadline yield 2"
 _MOST_LINE = 64 << 20
-_MOST_RUNS = 1 << 20  # of one line
+_MOST_RUNS = 1 << 20  # machines in one line
 _TEXTS = ("name", "axis", "step", "unit")
 _FLAGS = ("required", "hard", "of_plan")
 _TOLD = (*_TEXTS, "limit", *_FLAGS)
