@@ -23,7 +23,7 @@ from threadline.verdict import closing, verdict_rows
 
 
 def robust_table(robust: RobustCycle, title: str, band: float) -> Printed:
-    """Return the moves of the cycle found for a band of modes; ``band`` is its half width."""
+    """Return the moves of the cycle found for a band of modes; ``band`` is the half width."""
     header = ["step", "axis", "mm", "unshaped s", "bound s", "found s", "over the bound"]
     rows = [
         [

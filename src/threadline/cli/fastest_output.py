@@ -71,7 +71,7 @@ class SearchOutput:
         return False
 
     def _table(self) -> Printed | None:
-        """Return a table of everything in spec; None if it would be empty."""
+        """Return a table of all intervals in spec; None if it would be empty."""
         raise NotImplementedError
 
     def _lines(self) -> Iterator[str]:
@@ -263,7 +263,7 @@ class FeedOutput(SearchOutput):
         return f"F {number}" if self.of.by is FeedMode.F_WORD else f"{number} {unit}"
 
     def _judged(self) -> Iterator[str]:
-        """Yield lines on what was judged in place of the whole job, and what was left out."""
+        """Yield lines on the moves judged in place of the whole job, and the skipped shares."""
         result = self.of
         if result.parts:
             parts = "one stretch" if result.parts == 1 else f"{result.parts} stretches"

@@ -1,4 +1,4 @@
-"""Searches over the whole pipeline: the fastest motion in spec, and comparisons."""
+"""Searches for the fastest motion in spec, and comparisons of plans, over the whole pipeline."""
 
 from threadline.search.allowance import Bound, FastestJob, Rung
 from threadline.search.compare import PLACEMENT, Comparison, compare, placement_spec

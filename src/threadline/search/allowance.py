@@ -1,13 +1,14 @@
-"""What a search for the fastest plan of a job tells: every plan that it proved, and the best.
+"""Search for the fastest plan of a job within a contour allowance: all proved plans, and the best.
 
-``optimal`` plans the fastest motion within the limits that it is given. Without feed-forward one of
-them is the contour allowance: how far the loads may leave the path. Encoder counts, levels of the
-DAC and the spread from run to run add to that error, and how much is known only after a proof. So a
-few plans are proved, with larger allowances until one fails and with smaller ones until one passes.
-Near the limit it can be chance that one passes, so the answer is proved with a slightly smaller
-allowance, too: one whose neighbour fails is called alone, and a slower one is the answer.
-With feed-forward the loads follow the motion itself, and drives that are told positions have no
-loop: the share of the acceleration and jerk limits is lowered until a plan passes.
+``optimal`` plans the fastest motion within the given limits. Without feed-forward one of the limits
+is the contour allowance: the largest distance of the loads from the path. Encoder counts, DAC
+levels and the spread between runs add to the contour error, and only a proof shows how much they
+add. So the search proves a few plans: it raises the allowance until a plan fails, and lowers it
+until a plan passes. Near the limit a plan can pass by chance. So a slightly smaller allowance is
+proved, too. If the plan with the smaller allowance fails, the first plan is marked as alone, and a
+slower plan is the answer.
+With feed-forward the loads follow the motion itself, and position-controlled drives have no loop to
+lag. There the search lowers the share of the acceleration and jerk limits until a plan passes.
 """
 
 from __future__ import annotations
@@ -40,13 +41,13 @@ class Rung:
     Parameters
     ----------
     share
-        Share of the machine's acceleration and jerk limits that was used.
+        Share of the machine's acceleration and jerk limits that the plan uses.
     found
         The feeds in spec.
     duration_s
-        Duration of the job at the best of them; None where no feed passes.
+        Duration of the job at the best feed; None where no feed passes.
     contour_m
-        How far the loads were allowed to leave the path; None where the timing has no such limit.
+        Allowed distance of the loads from the path; None where the timing has no such limit.
     """
 
     share: float
@@ -56,7 +57,7 @@ class Rung:
 
     @property
     def alone(self) -> bool:
-        """Whether its neighbours are out of specification."""
+        """Whether the plans with neighbouring allowances are out of specification."""
         return self.found.fastest is not None and self.found.fastest.alone
 
 
@@ -67,9 +68,9 @@ class Bound:
     Parameters
     ----------
     within
-        Whose limits alone it keeps: ``"the axes"``, or ``"axes and drives"``.
+        Limits that the bound keeps: ``"the axes"``, or ``"axes and drives"``.
     duration_s
-        The least time within them.
+        The least time within these limits.
     """
 
     within: str
@@ -78,26 +79,26 @@ class Bound:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FastestJob:
-    """What was found: the rung with the shortest job, and all that were tried, by share.
+    """Result of a search: the rung with the shortest job, and all rungs by share of the limits.
 
     Parameters
     ----------
     bounds
         With ``optimal``: lower bounds on the time of the best plan; otherwise empty.
     left_out
-        Shares of the limits that were not searched, because even at the highest feed the job takes
-        no less time with them than with the best.
+        Shares of the limits that the search skipped, because even at the highest feed the job takes
+        no less time with them than with the best share.
     moves, judged_moves, parts
-        How many moves the job has, and how many of them in how many distinct stretches every try
-        was judged by; 0 where it was judged by all of them.
+        Number of moves of the job; number of moves that every trial was judged by, and number of
+        distinct stretches that hold them. 0 where the whole job was judged.
     cut
-        Whether tries were judged without the middles of moves that last long.
+        Whether trials were judged without the middles of long moves.
     whole
-        Whether the best plan of the whole job was judged, too, where tries were judged by less.
+        Whether the best plan of the whole job was judged, too, where trials were judged by a part.
     ended
-        Why the search stopped before its end; empty where it did not.
+        Why the search stopped early; empty where it came to its end.
     by
-        What its feeds are of.
+        Meaning of the feeds.
     """
 
     best: Rung
@@ -116,24 +117,24 @@ class FastestJob:
 LIMITS = "limits"
 """``limited_by`` of a plan that passes with the full limits of axes and drives."""
 ALLOWED = "contour"
-"""``limited_by`` of a plan that passes with the contour allowance that it was given."""
+"""``limited_by`` of a plan that passes with the given contour allowance."""
 _SHARES = (0.95, 0.9, 0.85, 0.75, 0.6, 0.4, 0.2)
 _MOST_PROOFS = 8
-_CLOSE = 1.03  # between the allowances of a plan that passes and one that fails
-_AIM = 0.97  # of a limit
+_CLOSE = 1.03  # ratio of the failing allowance to the passing one: closer, the search ends
+_AIM = 0.97  # of the limit: the next allowance aims at this share
 _LEAST_GROWTH, _MOST_GROWTH = 1.06, 1.5
 _LEAST_FALL = 0.4
-_BESIDE = 0.995  # of an allowance: its neighbour, which has to pass as well
+_BESIDE = 0.995  # of the allowance: a neighbour, which must pass as well
 _MOST_ALONE = 3
 _PLACED = ("contour_error", "turning_point_error", "progress_error")
 
 
 def fastest_allowed(asked: Question) -> FastestJob:
-    """Return the fastest plan in spec, and the least times that the limits alone would allow.
+    """Return the fastest plan in spec, and the least times within the limits alone.
 
-    The options of the question are those of ``optimal``; if they name a contour allowance, only
-    that one is tried. ``Question.high`` is a feed that caps the speed, m/s of the fastest axis;
-    None for all that the axes can do.
+    The question takes the options of ``optimal``. If they name a contour allowance, only this
+    allowance is tried. ``Question.high`` is a feed that caps the speed, m/s of the fastest axis;
+    None: no cap below the axes' own limits.
 
     Raises
     ------
@@ -158,7 +159,7 @@ def fastest_allowed(asked: Question) -> FastestJob:
         try:
             plan = plan_job(job, machine, chosen)
         except LimitError as error:
-            # The motion of loads that follow breaks a limit by what smooths it.
+            # Where loads follow the motion, the smoothing can make the plan break a limit.
             if by_contour or error.quantity == "travel":
                 raise
             return _rung(chosen, top, beyond(error, machine), None, by_contour)
@@ -183,7 +184,7 @@ def fastest_allowed(asked: Question) -> FastestJob:
 
 
 def _look_beside(rungs: dict[float, Rung], proved: Callable[[float], Rung]) -> None:
-    """Prove neighbours of the fastest plans until one of both passes; mark those alone."""
+    """Prove neighbours of the fastest plans until plan and neighbour pass; mark isolated plans."""
     for _ in range(_MOST_ALONE):
         steady = [c for c, rung in rungs.items() if rung.duration_s is not None and not rung.alone]
         if not steady:
@@ -199,12 +200,12 @@ def _look_beside(rungs: dict[float, Rung], proved: Callable[[float], Rung]) -> N
 
 
 def _short(allowance_m: float) -> float:
-    """Return an allowance of five digits: what is tried can be typed."""
+    """Return an allowance with five digits, so that a user can type the tried value."""
     return float(f"{allowance_m:.5g}")
 
 
 def options_at(asked: Question, rung: Rung) -> Options:
-    """Return the options of a plan that was proved by ``fastest_allowed``."""
+    """Return the planning options with which ``fastest_allowed`` proved a rung."""
     top = feed_range_m_s(asked.machine)[1] if asked.high is None else asked.high
     return replace(
         asked.options,
@@ -237,7 +238,7 @@ def _rung(
 
 
 def _best(rungs: Mapping[float, Rung], otherwise: str) -> Rung:
-    """Return the shortest that passes, with what forbids more; else the one that came closest."""
+    """Return the shortest rung that passes, with its limit; else the rung that came closest."""
     passed = [amount for amount, rung in rungs.items() if rung.duration_s is not None]
     if not passed:
         return min(rungs.values(), key=lambda rung: closeness(rung.found.verdict))
@@ -248,7 +249,7 @@ def _best(rungs: Mapping[float, Rung], otherwise: str) -> Rung:
 
 
 def _next_contour(rungs: Mapping[float, Rung]) -> float | None:
-    """Return the allowance to try next, None where another would gain little."""
+    """Return the next allowance to try; None where another trial would gain little."""
     passed = [c for c, rung in rungs.items() if rung.duration_s is not None]
     low = max(passed, default=0.0)
     high = min((c for c in rungs if c not in passed and c > low), default=math.inf)
@@ -263,7 +264,7 @@ def _next_contour(rungs: Mapping[float, Rung]) -> float | None:
 
 
 def _used(rung: Rung) -> float:
-    """Return the largest share of a limit of where the loads are."""
+    """Return the largest used share of the limits on load positions."""
     return max(
         (
             abs(result.measured) / result.limit
@@ -275,7 +276,7 @@ def _used(rung: Rung) -> float:
 
 
 def _next_share(rungs: Mapping[float, Rung]) -> float | None:
-    """Return the next smaller share of the limits, until one passes."""
+    """Return the next smaller share of the limits; None once a share passes, or none is left."""
     least = min(rungs)
     if rungs[least].duration_s is not None:
         return None
@@ -283,10 +284,10 @@ def _next_share(rungs: Mapping[float, Rung]) -> float | None:
 
 
 def _bounds(job: Job, machine: Machine, options: Options) -> tuple[Bound, ...]:
-    """Return the least time within the limits of the axes, and within those of the drives, too."""
+    """Return the least times within the limits of the axes, and of axes and drives."""
     freely = replace(options, feed_forward_s=None, contour_m=math.inf)
     path = plan_job(job, machine, freely).motion.path
-    # A table may end before its loads stand, by so much at most.
+    # A table may end before its loads stand; this time is the most that it can save.
     sooner_s = 0.0
     if options.timing.ends_m is not None:
         sooner_s = EARLIEST * float(machine.tick_clock.period_s)

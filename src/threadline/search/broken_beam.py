@@ -1,7 +1,7 @@
-"""Vibration of the frame of an on/off machine after a light barrier was interrupted.
+"""Vibration of an on/off machine's frame after a light barrier was interrupted.
 
-By the residues of its mode, for a move as it is scheduled and with every kind of shaper, and by the
-twin, which knows nothing of them.
+The amplitude is calculated from the residues of the frame's mode, for a scheduled move and with
+every kind of shaper. The twin simulates the same breaks independently of the residues.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ KINDS = ("zv", "zvd", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei", "negati
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BreakSweep:
-    """Vibration of the frame after a light barrier was interrupted, over the instant of that break.
+    """Vibration of the frame after a broken light barrier, over the instant of the break.
 
     Parameters
     ----------
     name
         Name of the shaper.
     times_s, ringing_m
-        (n,) instants of the break since the move began, s; (n,) amplitude of the frame once the
-        valves are shut, m.
+        (n,) instants of the break since the move began, s; (n,) amplitude of the frame after the
+        valves shut, m.
     over_level
         Largest excess of the command's level over 1 or below 0.
     """
@@ -44,15 +44,15 @@ class BreakSweep:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BrokenBeam:
-    """What rings after a broken beam: of the longest move, and with every kind of shaper.
+    """Vibration after a broken beam: for the longest move, and with every kind of shaper.
 
     Parameters
     ----------
     sweeps
-        First the move as it is scheduled, then a full stroke, unshaped and with every shaper.
+        First the scheduled move, then a full stroke, unshaped and with every shaper.
     instants_s, simulated_m
-        (n,) instants at which the valves shut, since the move as scheduled began; (n,) amplitude of
-        the frame on the simulated machine.
+        (n,) instants at which the valves shut, s since the scheduled move began; (n,) amplitude of
+        the frame on the simulated machine, m.
     """
 
     sweeps: tuple[BreakSweep, ...]
@@ -61,7 +61,7 @@ class BrokenBeam:
 
 
 def broken_beam(scheduled: Scheduled) -> BrokenBeam | None:
-    """Return what a broken beam leaves in the longest move; None where no cylinder moves."""
+    """Return the vibration after a break in the longest move; None where no cylinder moves."""
     # Every cylinder starts retracted, so its first move is forward.
     forward = [move for move in scheduled.moves if move.forward]
     if not forward:
@@ -76,14 +76,14 @@ def broken_beam(scheduled: Scheduled) -> BrokenBeam | None:
 
 
 def train_of(kind: str, mode: FlexibleMode) -> Shaper:
-    """Return the shaper that ``kind`` names for ``mode``: kinds joined by ``*``, or ``none``."""
+    """Return the shaper named ``kind`` for ``mode``: kinds joined by ``*``, or ``none``."""
     if kind == "none":
         return UNSHAPED
     return convolve(*(design(word, mode) for word in kind.split("*")))
 
 
 def level_steps(shaper: Shaper, on_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return times, s, and heights of the steps of a shaped move that is on for ``on_s``."""
+    """Return times, s, and heights of the level steps of a shaped move with on-time ``on_s``."""
     times = np.concatenate((shaper.times_s, shaper.times_s + on_s))
     heights = np.concatenate((shaper.amplitudes, -shaper.amplitudes))
     order = np.argsort(times, kind="stable")
@@ -91,10 +91,10 @@ def level_steps(shaper: Shaper, on_s: float) -> tuple[FloatArray, FloatArray]:
 
 
 def break_sweep(name: str, shaper: Shaper, on_s: float, ringing: StepRinging) -> BreakSweep:
-    """Return the vibration after a break at each millisecond of a move that is on for ``on_s``.
+    """Return the vibration after a break at each millisecond of a move with on-time ``on_s``.
 
-    All valves shut at the break. The vibration is the sum of that of every step of the level before
-    the break, each decayed since, and of the step of the level down to 0.
+    All valves shut at the break. The vibration is a sum of terms: each level step before the break
+    adds its decayed vibration, and the step of the level down to 0 adds its own.
     """
     return sweep_of_steps(name, *level_steps(shaper, on_s), ringing)
 
@@ -114,7 +114,7 @@ def sweep_of_steps(
 
 
 def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
-    """Return a sweep of the full stroke for the unshaped move and for each kind of shaper."""
+    """Return sweeps of the full stroke: the unshaped move, and one for each kind of shaper."""
     cylinder = machine.cylinders[axis]
     on_s, ringing = cylinder.stroke.si / cylinder.speed.si, step_ringing(machine, axis)
     mode = FlexibleMode(*flow_mode(machine, axis))
@@ -124,9 +124,9 @@ def break_sweeps(machine: Machine, axis: str = "X") -> list[BreakSweep]:
 def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) -> FloatArray:
     """Return the simulated amplitude, (n,) m, if the valves shut n ``scans`` after a move began.
 
-    The move is simulated alone, from the start of the stroke, and a light barrier is interrupted
-    half a scan before the valves shut. Amplitudes are those at the instant at which the valves
-    shut: a sine is fitted to the frame's motion after lag and dead time, and extrapolated back.
+    The move is simulated alone, from the start of the stroke. A light barrier is interrupted half a
+    scan before the valves shut. Each amplitude refers to the instant at which the valves shut: a
+    sine is fitted to the frame's motion after lag and dead time, and extrapolated back.
     """
     machine, commands = scheduled.machine, scheduled.commands
     cylinder, pole = machine.cylinders[move.axis], step_ringing(machine, move.axis).pole
@@ -155,7 +155,7 @@ def break_on_twin(scheduled: Scheduled, move: ScheduledMove, scans: IntArray) ->
 def move_sweep(
     scheduled: Scheduled, move: ScheduledMove, breaks: int = 8
 ) -> tuple[BreakSweep, tuple[FloatArray, FloatArray]]:
-    """Return the sweep of a scheduled move, and times, s, and amplitudes, m, of the simulation."""
+    """Return the sweep of a scheduled move; and times, s, and amplitudes, m, from the twin."""
     period_s = float(scheduled.commands.clock.period_s)
     steps = np.array(move.levels.ticks, dtype=np.float64) * period_s
     heights = np.diff(move.levels.levels, prepend=0.0)

@@ -1,7 +1,7 @@
-"""How the fastest way to do a job is searched, by what paces the job.
+"""The search for the fastest way to do a job, chosen by the pace of the job.
 
 The command line and ``import threadline as tl`` both ask a ``Question`` and get an ``Answer``; each
-tells it in its own way.
+presents the answer in its own way.
 """
 
 from __future__ import annotations
@@ -58,39 +58,39 @@ from threadline.verdict import Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Answer:
-    """What a search found, of whatever kind.
+    """Result of a search of any kind.
 
     Parameters
     ----------
     asked
         The question.
     best, unit
-        The best pace or the shortest duration, None where nothing is in spec, and its unit.
+        The best pace or the shortest duration, and its unit; None where nothing is in spec.
     duration_s
-        How long the job takes at the best; None where nothing is in spec, or it is not known.
+        Duration of the job at the best pace; None where nothing is in spec, or it is not known.
     intervals
-        All that is in spec, the fastest first.
+        All intervals in spec, the fastest first.
     limited_by
-        The criterion that forbids more.
+        Criterion that fails just beyond the best.
     verdict
-        At the best, or where the search came closest.
+        Verdict at the best pace, or at the trial that came closest.
     tried
-        How many plans were.
+        Number of plans that were tried.
     searched
-        What was searched, in words.
+        Name of the searched quantity.
     of
-        The result of the search with every try.
+        The result of the search with every trial.
     words
-        The planning options that the search found; None where nothing is in spec, or where only a
-        move list can say it.
+        Planning options of the best plan; None where nothing is in spec, or where only a move list
+        can state the plan.
     plan
-        Plans the best; where nothing is in spec, what the question says.
+        Plans the best; where nothing is in spec, plans the question's own options.
     over_band
-        The cycle for a band of modes, where one was asked for.
+        The cycle for a band of modes; None where no band was asked for.
     certainty
-        What it costs to hold at the ends of the tolerances, where that was asked for.
+        Speed lost by passing at the ends of the tolerances; None where this was not asked for.
     mismatch
-        What was found on machines at the ends of the tolerances, where that was asked for.
+        Results on machines at the ends of the tolerances; None where they were not asked for.
     """
 
     asked: Question
@@ -111,14 +111,14 @@ class Answer:
 
     @property
     def passed(self) -> bool:
-        """Whether something is in spec, all over the band where one was asked for."""
+        """Whether a plan is in spec, and passes all over the band where a band was asked for."""
         if self.over_band is not None:
             return self.over_band.job is not None
         return self.best is not None
 
     @property
     def again(self) -> dict[str, Any] | None:
-        """The options of ``prove`` that plan the best, by word; None where none do."""
+        """Options of ``prove`` that plan the best, by word; None where no options can."""
         return (
             None
             if self.words is None or self.over_band is not None
@@ -127,7 +127,7 @@ class Answer:
 
 
 def job_words(found: FastestJob) -> dict[str, str] | None:
-    """Return the options that plan the best of a search by feed, or by allowance."""
+    """Return the planning options of the best plan of a search by feed, or by allowance."""
     best = found.best
     if best.found.best is None:
         return None
@@ -141,7 +141,7 @@ def job_words(found: FastestJob) -> dict[str, str] | None:
 
 
 def shaft_words(found: FastestShaft) -> dict[str, str] | None:
-    """Return the option that plans the best of a design: a swing, or a constant speed."""
+    """Return the planning option of the best plan of a design: a swing, or a constant speed."""
     if found.duration_s is None:
         return None
     if found.by_schedule:
@@ -151,7 +151,7 @@ def shaft_words(found: FastestShaft) -> dict[str, str] | None:
 
 
 def cycle_words(found: FastestCycle) -> dict[str, str] | None:
-    """Return the option that plans the shortest cycle; None where only a move list can say it."""
+    """Return the planning option of the shortest cycle; None where it needs a move list."""
     if found.job is None:
         return None
     overlaps = cycle_s(found.base) < cycle_s(found.unshaped)
@@ -268,20 +268,20 @@ def _alone(cycle_s: float | None) -> tuple[Interval, ...]:
 
 
 def speeds(found: Fastest) -> Found:
-    """Return what a search for a pace found, as one on another machine tells it."""
+    """Return the result of a pace search in the form of a search on another machine."""
     return found.best, found.intervals, found.limited_by
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Search:
-    """The search for the fastest way to do jobs of one pace.
+    """The search for the fastest way to do jobs with one kind of pace.
 
     Parameters
     ----------
     find
         Answers a question.
     again
-        Returns, of a question and its answer, the search on another machine that runs the plans.
+        Takes a question and its answer; returns the search on another machine that runs the plans.
     """
 
     find: Callable[[Question], Answer]
@@ -299,13 +299,13 @@ SEARCHES: Mapping[str, Search] = {
 
 
 def answered(asked: Question) -> Answer:
-    """Answer a question, with the searches on other machines that it asks for.
+    """Answer a question, and run the searches on other machines that the question asks for.
 
     Raises
     ------
     OptionError
-        If no number has a tolerance where its ends are asked for, or the time was over before a
-        plan was judged.
+        If ends of tolerances are asked for and no number has a tolerance, or the time was over
+        before a plan was judged.
     """
     search = SEARCHES[searched_as(asked.job, asked.options)]
     with with_answer():
@@ -318,7 +318,7 @@ def answered(asked: Question) -> Answer:
 
 
 def _certainty(found: Answer, search: Search) -> Certainty | None:
-    """Search once more for the machine of the file alone; None where no ends were asked for."""
+    """Search again for the file's machine alone; None where no tolerance ends were asked for."""
     asked = found.asked
     others = asked.trials.others(asked.actual or asked.machine)
     if not others:

@@ -1,4 +1,4 @@
-"""The same job with several interpolations, feeds and shapers, and the fastest of each."""
+"""Comparison of one job with several interpolations, feeds and shapers, and the fastest feeds."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ PLACEMENT = ("contour_error", "turning_point_error")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """What was compared.
+    """Result of a comparison.
 
     Parameters
     ----------
     proofs
-        One per interpolation, feed and shaper, interpolations outermost.
+        One proof per interpolation, feed and shaper, interpolations outermost.
     fastest
-        Per interpolation: the fastest job within the placement criteria alone, which is how the
-        1994 experiment was judged; empty when it was not asked for.
+        Per interpolation: the fastest job within the placement criteria alone, as in the 1994
+        experiment; empty when the fastest feeds were not asked for.
     refused
-        Shapers that the machine cannot follow, each with why.
+        Shapers that the machine cannot follow, each with the reason.
     as_run_s
-        Per proof, how long the planner of the machine's own firmware takes over the program that
-        is written of it; None where there is no such program.
+        Per proof: duration of the written program under the planner of the machine's own firmware;
+        None where there is no such program.
     """
 
     proofs: tuple[Proof, ...]
@@ -50,7 +50,7 @@ class Comparison:
 
 
 def placement_spec(spec: Spec) -> Spec:
-    """Return ``spec`` with its placement criteria only; every other is reported, not limited."""
+    """Return ``spec`` with limits on placement criteria only; the others are reported."""
     criteria = tuple(
         criterion if criterion.name in PLACEMENT else replace(criterion, limit=None, required=False)
         for criterion in spec.criteria
@@ -68,22 +68,22 @@ def compare(
     progress: Progress | None = None,
     trials: Trials = NOMINAL,
 ) -> Comparison:
-    """Prove ``job`` as each of ``planned``; find the fastest feed of each interpolation.
+    """Prove ``job`` with each of ``planned``; find the fastest feed of each interpolation.
 
-    A job that is paced by switchings or by a shaft has no feed to search, and a machine without
-    dynamics none within criteria of placement.
+    A job paced by switchings or by a shaft has no feed to search. A machine without dynamics has no
+    placement criteria to search within.
 
     Parameters
     ----------
     planned
-        How each is planned, interpolations outermost.
+        Planning options of each proof, interpolations outermost.
     trials
-        Which runs each is judged by.
+        Runs that each plan is judged by.
 
     Raises
     ------
     PlanError
-        If a plan without a shaper fails, or those of all shapers do.
+        If a plan without a shaper fails, or the plans with all shapers fail.
     """
     check_machine(machine)
     planned = list(dict.fromkeys(one.on(machine) for one in planned))
@@ -136,10 +136,10 @@ def compare(
 
 
 def as_run_s(plan: Plan) -> float | None:
-    """Return how long the machine's own firmware takes over the program that a plan becomes.
+    """Return the duration of a plan's written program under the machine's own firmware.
 
-    None where the machine file names no planner, and where the plan is not written so: one with a
-    shaper or feed-forward, or with words that are lost.
+    None where the machine file names no planner, and where the program cannot state the plan: a
+    plan with a shaper or feed-forward, or with words that the program loses.
     """
     planner = plan.machine.planner
     if planner is None or planner.kind not in kind_of(plan.machine).targets:
@@ -151,7 +151,7 @@ def as_run_s(plan: Plan) -> float | None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "program"
         try:
-            # In a context of its own the file is there at once, and no output of the command.
+            # In a context of its own the file is written at once, and the command prints nothing.
             written = Context().run(kind_of(plan.machine).targets[planner.kind].write, plan, file)
         except PlanError:
             return None

@@ -1,8 +1,9 @@
 """The shortest cycle of an on/off machine in spec: the command of every move, and the waits.
 
-Cycles are proposed by a closed form of the vibration that commands leave, and run on the twin. What
-the twin measures beyond the closed form (a piston that runs into its stop, friction, air that is
-not linear) is added to the forecast of the next round, so that a handful of simulations suffice.
+A closed form of the vibration after each command proposes cycles, and the twin runs them. The twin
+also shows effects beyond the closed form: a piston that runs into its stop, friction, nonlinear
+air. The forecast of the next round includes the measured difference, so that a handful of
+simulations suffice.
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ _ROUNDS = 14
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FastestCycle:
-    """What a search found.
+    """Result of a cycle search.
 
     Parameters
     ----------
     job
-        The job with the commands and waits of the fastest; None where no cycle is in spec.
+        The job with the commands and waits of the fastest cycle; None where no cycle is in spec.
     proof
-        Proof of that job; where no cycle is in spec, of the one that came closest.
+        Proof of this job; where no cycle is in spec, proof of the cycle that came closest.
     unshaped
-        Proof of the job as it is, without a shaper.
+        Proof of the given job without a shaper.
     base
-        Proof of the unshaped job in which moves overlap where the list allows it.
+        Proof of the unshaped job with overlapping moves where the list allows overlap.
     moves
         Every move, in order.
     limited_by
-        What fails in the next faster cycle that was tried; ``"range"`` where none was.
+        Criterion that fails in the next faster trial; ``"range"`` where no faster cycle was tried.
     tried
-        Cycles that the twin ran.
+        Number of cycles that the twin ran.
     """
 
     job: Job | None
@@ -62,7 +63,7 @@ class FastestCycle:
 
 
 def cycle_s(proof: Proof) -> float:
-    """Return how long the cycle of a proof took, as it was simulated where that was measured."""
+    """Return the cycle time of a proof: simulated where it was measured, else planned."""
     found = [r.measured for r in proof.verdict.results if r.name == "cycle_time"]
     return found[0] if found and found[0] is not None else proof.plan.duration_s
 
@@ -70,15 +71,15 @@ def cycle_s(proof: Proof) -> float:
 def fastest_cycle(asked: Question) -> FastestCycle:
     """Search commands and waits of every move together; the shortest cycle in spec wins.
 
-    The job is a move list. Shapers and levels that it gives to its moves are replaced; rests and
-    what must not overlap are kept. The specification's limits of the residual vibration lead the
-    search; the twin is judged by all of it. The job as it is, without a shaper, is judged however
-    short the time is.
+    The job is a move list. The search replaces the shapers and levels of the moves. Rests and
+    overlap rules are kept. The limits on the residual vibration guide the search; the twin is
+    judged by the whole specification. The given job without a shaper is judged even if the time is
+    short.
 
     Raises
     ------
     PlanError, RecordingError
-        If the machine cannot do the job even without a shaper, or does not come to its end.
+        If the machine cannot do the job even without a shaper, or does not finish it.
     """
     machine, spec, until = asked.machine, asked.spec, asked.until
 
@@ -118,9 +119,9 @@ def fastest_cycle(asked: Question) -> FastestCycle:
             try:
                 proof = proved(chosen)
             except (PlanError, RecordingError):
-                continue  # its valves cannot, or an input that it waits for never comes
+                continue  # impossible command, or an awaited input that never comes
             if proof.verdict.passed:
-                # What was learned from it may show a way to a shorter one.
+                # The corrected forecast may find a shorter cycle.
                 best = chosen, proof, cycle
             else:
                 limited_by = _failing(proof)

@@ -1,4 +1,4 @@
-"""Cycles of an on/off machine side by side: unshaped, shaped, and what searches found."""
+"""Cycles of an on/off machine side by side: unshaped, shaped, and found by searches."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from threadline.search.paced import Question
 from threadline.verdict import Verdict
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd", "um-ei", "um-2ei", "zv*um-2ei")
-"""Shapers that are compared, each for all moves and designed for the machine's own modes."""
+"""Compared shapers, each for all moves and designed for the machine's own modes."""
 
 
 AS_LISTED = "unshaped, as listed"
@@ -22,18 +22,18 @@ AS_LISTED = "unshaped, as listed"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BesideRow:
-    """One cycle.
+    """One cycle of the comparison.
 
     Parameters
     ----------
     name
-        What its moves are commanded with.
+        Name of the moves' commands.
     cycle_s
-        Its duration on the machine as its file says.
+        Duration of the cycle on the machine of the file.
     worst_m, passed
-        Largest residual vibration of that machine in one run, and whether it is in spec.
+        Largest residual vibration of the file's machine in one run, and whether it is in spec.
     over_m, over_passed
-        The same of all machines of the band; None without one.
+        Residual vibration and verdict over all machines of the band; None without a band.
     """
 
     name: str
@@ -47,12 +47,12 @@ class BesideRow:
 def cycles_beside(
     asked: Question, found: FastestCycle, robust: RobustCycle | None
 ) -> tuple[BesideRow, ...]:
-    """Return rows for the cycle unshaped, with one shaper for every move, and as it was found.
+    """Return rows for the unshaped cycle, for one shaper on every move, and for the found cycles.
 
-    All rows but the first overlap moves where the list allows it. Of the shapers that of the
-    shortest cycle in spec on the machine as its file says is shown, and with a band also that of
-    the shortest cycle in spec on all machines of the band; where none is in spec, the one with the
-    least vibration.
+    All rows but the first overlap moves where the list allows it. The shaper row shows the shaper
+    with the shortest cycle in spec on the machine of the file. With a band another row shows the
+    shaper with the shortest cycle in spec on all machines of the band. Where no shaper is in spec,
+    the row shows the shaper with the least vibration.
     """
     machine, spec, progress = asked.machine, asked.spec, asked.progress
     machines = () if asked.band is None else band_machines(machine, asked.band)
@@ -66,7 +66,7 @@ def cycles_beside(
             proof = prove_plan(plan, spec, None, NOMINAL, asked.actual)
             over = over_band(plan, spec, machines)
         except (PlanError, RecordingError):
-            continue  # its valves cannot make that command, or the cycle comes to no end
+            continue  # the valves cannot make the command, or the cycle never ends
         rows[name] = _row(name, cycle_s(proof), proof.verdict, over)
     listed = found.unshaped
     shown = [

@@ -1,4 +1,4 @@
-"""Proposes the next cycle to try, by a forecast of the vibration that the twin corrects."""
+"""Forecast of the vibration that proposes the next cycle to try, corrected by the twin."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from threadline.verdict import Spec
 from threadline.verdict.switch_run import SwitchRun
 
 _BEAM = 300
-_BRANCHES = 24  # commands and waits that are followed behind each state
-_GRID = 0.25  # of the limit: states that ring alike to that are one
-_LONGEST_WAIT = 6  # steps: a longer one costs more than another command
+_BRANCHES = 24  # pairs of command and wait that are followed from each state
+_GRID = 0.25  # of the limit: states whose ringing differs by less count as equal
+_LONGEST_WAIT = 6  # steps: a longer wait costs more than another command
 _MEASURE = "residual_vibration"
 _LESS = 0.93
-_LEAST_SEEN = 0.7  # of a period: less does not tell amplitude and rest apart
-_BY_SPEED = 0.05  # of a period: less does not tell place and speed
+_LEAST_SEEN = 0.7  # of a period: a shorter record cannot separate amplitude from rest position
+_BY_SPEED = 0.05  # of a period: a shorter record cannot separate place from speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MoveChoice:
-    """What was chosen for a move, beside what it is measured against.
+    """The chosen command and wait of a move, with durations to compare.
 
     Parameters
     ----------
     step, axis, distance_m, job_line
-        Of the move.
+        Step, axis, distance and line of the move.
     how
         A shaper's text, ``none``, or levels as a move list writes them.
     command_s, wait_s
-        Duration of its command, and how long is waited before it.
+        Duration of the command, and of the wait before it.
     unshaped_s, time_optimal_s
-        Of the unshaped command, and of the shortest one that leaves nothing ringing.
+        Durations of the unshaped command, and of the shortest command that leaves no ringing.
     """
 
     step: str
@@ -76,20 +76,20 @@ class _State:
     commands: tuple[LevelCommand, ...] = ()
     waits: tuple[int, ...] = ()
     left: tuple[complex, ...] = ()
-    lasts: int = 0  # scans of the operation so far, rest included: several cylinders may move in it
+    lasts: int = 0  # scans so far of the operation, which may move several cylinders; with rest
 
 
 class CycleForecast:
-    """The forecast of one search, corrected after each cycle that the twin has run.
+    """The forecast of one search, corrected after each cycle that the twin runs.
 
     Parameters
     ----------
     machine
-        The one that commands are made for.
+        The machine that commands are made for.
     unshaped
         The job without a shaper.
     actual
-        The machine that runs the cycles, on which what a command leaves ringing is forecast.
+        The machine that runs the cycles; the forecast uses its modes.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class CycleForecast:
         self._limits = [self._limit(spec, move) for move in base.moves]
         self._share = dict.fromkeys(axes, 1.0)
         self._bias: list[complex] = [0j] * len(base.moves)
-        # A correction for one command (its piston hits a stop) need not hold for other durations.
+        # A correction for one command (its piston hits a stop) need not hold for another duration.
         self._own: list[dict[int, complex]] = [{} for _ in base.moves]
         self._rests = self._rest_scans(job)
         self._with_before = [
@@ -132,7 +132,7 @@ class CycleForecast:
         return {axis: complex(np.exp(pole * self._scan_s)) for axis, pole in poles.items()}
 
     def _limit(self, spec: Spec, move: ScheduledMove) -> float:
-        """Return how much may ring after a move, in units of a full step."""
+        """Return the allowed ringing after a move, in units of a full step."""
         own = [
             c.limit
             for c in spec.criteria
@@ -142,7 +142,7 @@ class CycleForecast:
         return min(own, default=np.inf) / abs(self._ringing[move.axis].amplitude_m)
 
     def _rest_scans(self, job: Job) -> list[int]:
-        """Return how many scans the list waits after the last switching of each move."""
+        """Return the rest after the last switching of each move, in scans."""
         tags = {i: o.tags for i, o in enumerate(job) if isinstance(o, Move)}
         rests_s = [
             float(
@@ -155,7 +155,7 @@ class CycleForecast:
         return [max(1, math.ceil(rest_s / self._scan_s - 1e-9)) for rest_s in rests_s]
 
     def next(self) -> Cycle | None:
-        """Return the shortest cycle whose forecast is within the limits and was not tried."""
+        """Return the shortest untried cycle whose forecast is within the limits."""
         states = [_State(0, dict.fromkeys(self._turn, 0j))]
         for index, move in enumerate(self._base.moves):
             states = _kept(
@@ -170,11 +170,12 @@ class CycleForecast:
         return None
 
     def _after(self, state: _State, index: int, move: ScheduledMove) -> list[_State]:
-        """Return the states that may follow: every command after every wait, within the limit."""
+        """Return the possible next states: every command after every wait, within the limit."""
         axis, sign = move.axis, 1.0 if move.forward else -1.0
         before = state.commands[-1].scans if state.commands else 0
         along = self._with_before[index]
-        # From the last switching of the move before: it is behind, or both set out together.
+        # ``pause`` counts from the last switching of the previous move; both moves may start
+        # together.
         pause = -before if along else self._pauses[index] + state.lasts - before
         so_far = state.lasts if along else 0
         most = self._share[axis] * self._limits[index]
@@ -210,9 +211,9 @@ class CycleForecast:
         return found
 
     def _between(self, run: SwitchRun, waits: Sequence[int]) -> list[int]:
-        """Return the scans from the end of each operation to the next that moves, without waits.
+        """Return the scans between each operation's end and the next moving operation, less waits.
 
-        They are not those of the schedule where the list waits for a piston that is on its way.
+        Measured times differ from the schedule where the list waits for a moving piston.
         """
         pauses, ends = [0], list[int]()
         for index, move in enumerate(run.moves):
@@ -224,7 +225,7 @@ class CycleForecast:
         return pauses
 
     def learn(self, cycle: Cycle, proof: Proof) -> None:
-        """Correct the forecast by what the twin measured; if it agrees already, aim for less."""
+        """Correct the forecast by the twin's measurement; if both agree, lower the limit."""
         run = SwitchRun(proof.recording, proof.plan)
         self._pauses = self._between(run, cycle.waits)
         known: dict[str, tuple[float, complex]] = {}
@@ -265,7 +266,7 @@ class CycleForecast:
         if end_s < begin_s - 1e-9:
             return None
         known = end_s - begin_s < _LEAST_SEEN * period_s
-        if known:  # it rings about the place at which it stood before the cycle
+        if known:  # short record: the rest position from before the cycle is used
             begin_s = min(begin_s, end_s - _BY_SPEED * period_s)
         inside = (frame[0] >= begin_s) & (frame[0] <= end_s)
         time_s = frame[0][inside] - (move.end_s + cylinder.delay.si)
@@ -305,7 +306,7 @@ class CycleForecast:
         return levels_text(levels, self._scan_s)
 
     def told(self, cycle: Cycle | None) -> tuple[MoveChoice, ...]:
-        """Return every move with what was chosen for it; as it is unshaped without a cycle."""
+        """Return every move with its chosen command and wait; without a cycle, as unshaped."""
         lines = self._base.lines_of(self._job, {m.operation for m in self._base.moves})
         optimal: dict[tuple[str, bool, int], float] = {}
         rows = []
@@ -335,7 +336,7 @@ class CycleForecast:
 
 
 def _kept(states: list[_State], limits: Mapping[str, float]) -> list[_State]:
-    """Return the cheapest states, of those that ring alike only the cheapest."""
+    """Return the cheapest states; among states with equal ringing only the cheapest is kept."""
     seen: dict[tuple[int, ...], _State] = {}
     for state in sorted(states, key=lambda s: (s.cost, sum(map(abs, s.ringing.values())))):
         place: tuple[int, ...] = ()

@@ -1,9 +1,10 @@
-"""Machines all over a band of modes, and what each of them makes of a cycle.
+"""The shortest cycle that is in spec on machines all over a band of modes.
 
-Each move gets the shortest command that its flow controls can make and that rings little enough at
-every frequency of the band. What earlier moves left ringing counts with its full amplitude, because
-its phase is another at each frequency. The twin then runs the cycle on machines all over the band,
-and where it finds more than the closed form did, less is left to the move that it comes from.
+Each move gets the shortest command that its flow controls can make and whose ringing is small
+enough at every frequency of the band. The ringing of earlier moves counts with its full amplitude,
+because its phase differs at each frequency. The twin then runs the cycle on machines all over the
+band. Where the twin rings more than the closed form says, the search lowers the allowed ringing of
+the move that causes it.
 """
 
 from __future__ import annotations
@@ -41,14 +42,14 @@ MEASURE = "residual_vibration"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BandRun:
-    """What one machine of the band made of a cycle.
+    """Result of one machine of the band.
 
     Parameters
     ----------
     relative
-        By how much its modes are off, -0.2 ... 0.2 for instance.
+        Relative deviation of its modes, for example -0.2 ... 0.2.
     verdict
-        Of one run.
+        Verdict of one run.
     """
 
     relative: float
@@ -62,7 +63,7 @@ class BandRun:
 
 
 def band_machines(machine: Machine, band: float) -> tuple[tuple[float, Machine], ...]:
-    """Return the machines of ``band_of``, each with by how much its modes are off.
+    """Return the machines of ``band_of``, each with the relative deviation of its modes.
 
     Raises
     ------
@@ -76,11 +77,11 @@ def band_machines(machine: Machine, band: float) -> tuple[tuple[float, Machine],
 def over_band(
     plan: Plan, spec: Spec, machines: Sequence[tuple[float, Machine]]
 ) -> tuple[BandRun, ...]:
-    """Return what each machine of a band makes of a plan, in one run each."""
+    """Return the verdict of each machine of a band on a plan, from one run each."""
     return tuple(
         BandRun(
             relative=part,
-            # Amplitudes that follow from place and speed go by the mode of the machine that ran.
+            # Amplitudes from place and speed depend on the mode of the machine that ran.
             verdict=Judge(replace(plan, machine=one), spec).verdict([simulate(plan.commands, one)]),
         )
         for part, one in machines
@@ -88,14 +89,14 @@ def over_band(
 
 
 _SHARES = (1.0, 0.9, 0.8, 0.65, 0.5)
-"""Shares of the limit that a command of a move may use alone: earlier moves may use up the rest."""
-_FREQUENCIES = 33  # of the band in the closed form
+"""Shares of the limit for a command alone: ringing of earlier moves may use up the rest."""
+_FREQUENCIES = 33  # frequencies of the band in the closed form
 _LONGEST_PERIODS = 1.5
-_LONGER = 3  # scans over the bound, for symmetric commands that valves can make
+_LONGER = 3  # scans above the bound: symmetric commands of real valves take longer
 _ROUNDS = 10
 _BEAM = 200
 _LESS = 0.97
-_HOPED = 1.6  # of the limit, at first: amplitudes seldom add up in full
+_HOPED = 1.6  # first share of the limit: amplitudes seldom add up in full
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,12 +106,13 @@ class RobustMove:
     Parameters
     ----------
     step, axis, distance_m, job_line
-        Of the move.
+        Step, axis, distance and line of the move.
     levels
-        As a move list writes them.
+        Levels as text of a move list.
     command_s, unshaped_s, bound_s
-        Duration of the command, of the unshaped one, and of the shortest that any valves could
-        make on that scan: levels free between 0 and 1, this move alone, the whole limit its own.
+        Durations of the chosen command, of the unshaped command, and of the shortest command that
+        ideal valves could make in whole scans: levels free between 0 and 1, the move alone, the
+        whole limit for it.
     """
 
     step: str
@@ -125,14 +127,14 @@ class RobustMove:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobustCycle:
-    """What a search found.
+    """Result of a search over a band.
 
     Parameters
     ----------
     job
-        The job with its commands; None where no cycle in spec all over the band was found.
+        The job with its commands; None where no cycle is in spec all over the band.
     proof
-        Of the machine as its file says; of the last cycle that was tried where none was found.
+        Proof on the machine of the file; where no cycle was found, proof of the last trial.
     over
         The same cycle on each machine of the band.
     moves
@@ -140,7 +142,7 @@ class RobustCycle:
     frequencies_hz
         Per cylinder the lowest and the highest frequency of its mode.
     tried
-        Cycles that the twin ran.
+        Number of cycles that the twin ran.
     """
 
     job: Job | None
@@ -152,28 +154,28 @@ class RobustCycle:
 
     @property
     def cycle_s(self) -> float | None:
-        """Duration of the cycle; None where none in spec all over the band was found."""
+        """Duration of the cycle; None where no cycle is in spec all over the band."""
         return None if self.job is None else cycle_s(self.proof)
 
 
 def robust_cycle(asked: Question, band: float) -> RobustCycle:
     """Search the shortest cycle that is in spec on every machine of the band.
 
-    Its trials are of the machine as its file says, besides one run of each machine of the band.
-    Where the time is over, the cycle that is tried then is the last.
+    The trials use the machine of the file. In addition, each machine of the band makes one run. If
+    the time ends, the cycle being tried is the last.
 
     Parameters
     ----------
     band
-        Half its width, of the frequency: 0.2 for +-20 %.
+        Half width of the band, as a share of the frequency: 0.2 for +-20 %.
 
     Raises
     ------
     OptionError
         If the band has no width, or the specification limits no vibration.
     PlanError
-        If the machine cannot do the job even unshaped, or no command of its valves rings little
-        enough.
+        If the machine cannot do the job even unshaped, or every command of its valves rings too
+        much.
     """
     machine, spec, progress, until = asked.machine, asked.spec, asked.progress, asked.until
     machines = band_machines(machine, band)
@@ -206,7 +208,7 @@ def robust_cycle(asked: Question, band: float) -> RobustCycle:
 
 
 class _Search:
-    """One search of ``robust_cycle``: the commands of each move, and how much each may ring."""
+    """One search of ``robust_cycle``: commands and allowed ringing of each move."""
 
     def __init__(self, job: Job, asked: Question, band: float, plain: Plan) -> None:
         machine, progress = asked.machine, asked.progress
@@ -275,7 +277,7 @@ class _Search:
         )
 
     def _commands(self, index: int) -> tuple[int, list[FlowCommand]]:
-        """Return the bound in scans, and a command for each share of the limit that has one."""
+        """Return the bound in scans, and a command for each share of the limit that allows one."""
         move = self._base.moves[index]
         turn = complex(self._turns[move.axis][0])
         longest = move.levels.ticks[-1] + int(_LONGEST_PERIODS * 2.0 * np.pi / np.angle(turn))
@@ -283,7 +285,7 @@ class _Search:
         bound = least = None
         for share in _SHARES:
             wanted = self._flow_move(index, share)
-            # What rings less is no shorter: no fewer scans than the share before has to be tried.
+            # Less ringing takes at least as long: start from the scans of the share before.
             least = least_scans(wanted, longest, 1 if least is None else least)
             bound = least if bound is None else bound
             if least is None:
@@ -305,14 +307,14 @@ class _Search:
         """Return for every move the shortest command that keeps the limits in closed form."""
         moves = self._base.moves
         chosen: dict[int, FlowCommand] = {}
-        for _ in range(2):  # again: an operation is as long as the longest of its moves
+        for _ in range(2):  # twice: an operation is as long as its longest move
             for axis in self._turns:
                 own = [i for i, move in enumerate(moves) if move.axis == axis]
                 chosen.update(zip(own, self._next_of(axis, own, chosen), strict=True))
         return [chosen[i] for i in range(len(moves))]
 
     def _free(self, index: int, chosen: Mapping[int, FlowCommand]) -> float:
-        """Return how many scans a command may take while another of its operation takes longer."""
+        """Return the scans that cost nothing because another move of the operation takes longer."""
         mine = self._base.moves[index]
         return max(
             (
@@ -337,7 +339,7 @@ class _Search:
                     elapsed = move.first_tick - last + command.scans
                     decayed = ringing * np.abs(self._turns[axis]) ** elapsed
                     rings = decayed + np.abs(may.left(command.ticks, command.levels))
-                    # Where nothing is within the limit, what is least beyond it comes first.
+                    # Where no command is within the limit, the least excess comes first.
                     over = max(float((rings / may.most).max()) - 1.0, 0.0)
                     takes = max(command.scans, free) + 1e3 * over
                     after.append((cost + takes, rings, (*before, command)))
@@ -346,7 +348,7 @@ class _Search:
         return states[0][2]
 
     def by_step(self) -> list[Criterion]:
-        """Return the limits of the specification for every step alone, for the search to see."""
+        """Return the limits of the specification for every step alone, to guide the search."""
         return [
             replace(criterion, axis=axis, step=step, required=False)
             for criterion in self._spec.criteria
@@ -358,7 +360,7 @@ class _Search:
         ]
 
     def learn(self, runs: Sequence[BandRun]) -> bool:
-        """Lower the share of moves after which a machine rings too much; say if a run failed."""
+        """Lower the share of moves with too much ringing; return whether a run failed."""
         worst: dict[int, float] = {}
         for run in runs:
             for result in run.verdict.results:
@@ -373,7 +375,7 @@ class _Search:
         return any(not run.verdict.passed for run in runs)
 
     def _move_behind(self, axis: str, step: str) -> int | None:
-        """Return the last move of a cylinder in a step, or before it."""
+        """Return the last move of a cylinder in a step or before it."""
         if step not in self._steps:
             return None
         until = self._steps.index(step)
@@ -385,7 +387,7 @@ class _Search:
         return own[-1] if own else None
 
     def tighten(self) -> None:
-        """Lower the share of every move: the band was in spec, but a repeated run was not."""
+        """Lower the share of every move, because the band passed and a repeated run failed."""
         self._share = [share * _LESS for share in self._share]
 
     def job_of(self, chosen: Sequence[FlowCommand]) -> Job:
@@ -401,7 +403,7 @@ class _Search:
         return levels_text(levels, self._scan_s)
 
     def told(self, chosen: Sequence[FlowCommand]) -> tuple[RobustMove, ...]:
-        """Return every move with its command and what it is measured against."""
+        """Return every move with its command and durations to compare."""
         lines = self._base.lines_of(self._job, {m.operation for m in self._base.moves})
         return tuple(
             RobustMove(

@@ -1,4 +1,4 @@
-"""What a search for the smallest change brings: machines that were tried, and the one proved."""
+"""Search for the smallest change that meets a specification: tried machines and a proved one."""
 
 from __future__ import annotations
 
@@ -45,19 +45,20 @@ class Candidate:
     Parameters
     ----------
     factors
-        By parameter.
+        Factor of each parameter, by name.
     cost
         Weighted sum of |ln factor|.
     ratio, nominal
-        Worst measured over limit: of all the runs that it was tried in, and of one.
+        Worst ratio of measured to limit: over all runs of the candidate, and in one run.
     binding
-        The criterion that uses most of its limit.
+        Criterion that uses the largest share of its limit.
     crossover_hz, phase_margin_deg
-        What its filters were designed for; None where they weren't.
+        Crossover and phase margin that the filters were designed for; None without designed
+        filters.
     acceleration
-        Share of the machine's acceleration.
+        Share of the machine's acceleration that is used.
     smoothing_s
-        Of feed-forward; None without it.
+        Width of the feed-forward smoothing; None without feed-forward.
     delay_s
         Needle delay; None without stitches.
     """
@@ -81,16 +82,16 @@ class Found:
     Parameters
     ----------
     candidate
-        As it was proved.
+        The candidate as it was proved.
     machine, spec
-        With the numbers of the design and its needle delay.
+        Machine with the numbers of the design; specification with its needle delay.
     numbers
-        Those that differ from the machine as it was: path to SI value.
+        Numbers that differ from the original machine: path to SI value.
     verdict
-        Of the machine, at the level that was asked for.
+        Verdict on the machine, at the requested level.
     corners
-        Of one run of each machine at the corners of the tolerances of the parameters; None where
-        they were not asked for, or the machine itself is out of specification.
+        Verdict over one run of each machine at the corners of the parameter tolerances; None where
+        corners were not asked for, or the machine itself is out of specification.
     """
 
     candidate: Candidate
@@ -102,38 +103,38 @@ class Found:
 
     @property
     def passed(self) -> bool:
-        """Whether the machine is in specification, and every corner that was asked for."""
+        """Whether the machine, and every corner that was asked for, is in specification."""
         return self.verdict.passed and (self.corners is None or self.corners.passed)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DesignResult:
-    """What a search for the smallest change brought.
+    """Result of a search for the smallest change.
 
     Parameters
     ----------
     machine, job
-        As they were.
+        The original machine, and the job read for it.
     found
-        None where no change within the bounds meets the specification.
+        The proved design; None where no change within the bounds meets the specification.
     pareto
-        Cost against margin, the cheapest first.
+        Candidates by cost against margin, the cheapest first.
     known
         The best settings of each known answer, by its title.
     as_built
-        The machine as it is, with the best settings.
+        The original machine with the best settings.
     region
-        What is in spec around the design, in two of its parameters; None with fewer than two.
+        Candidates in spec around the design, over two parameters; None with fewer than two.
     nearest
         The candidate that came nearest to the specification.
     simulated
-        Machines simulated in the search.
+        Number of machines simulated in the search.
     level
-        At which the design was asked for.
+        Level at which the design was asked for.
     screened
-        The runs of which ``Candidate.ratio`` is the worst, in words.
+        Runs over which ``Candidate.ratio`` is the worst, in words.
     refused
-        Why candidates that the search took for good were not, when they were proved.
+        Why the proof refused candidates that the search accepted.
     """
 
     machine: Machine
@@ -164,24 +165,24 @@ _RETRIED = 8  # settings of a known answer that are tried over the tolerances
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wanted:
-    """What a design must hold for, and how it is searched.
+    """Requirements on a design, and options of its search.
 
     Parameters
     ----------
     trials
-        The runs that prove it: its level. Candidates are tried in so many runs, too. Where other
-        machines within the tolerances of the file are asked for, or a yield of them, these are
-        left to the proof: of the candidates that trade cost for margin the cheapest is taken that
-        passes it.
+        The runs that prove the design: its level. The search tries candidates in as many runs.
+        Other machines within the file's tolerances, or a yield, are left to the proof: the proof
+        tries candidates along the trade of cost for margin, and the cheapest that passes is the
+        design.
     corners
-        Whether it must hold at every corner of the tolerances of the parameters, too.
+        Whether the design must hold at every corner of the parameter tolerances, too.
     plotted
-        Two parameters for the region; those that cost most when None.
+        Two parameters for the region; None: the two that cost most.
     smoothing_s
-        Widths of the smoothing that feed-forward is tried with: the commands then go through the
-        exact inverse of each candidate instead of through filters designed for it. Empty for none.
+        Widths of the feed-forward smoothing to try: the commands then go through the exact inverse
+        of each candidate, and no filters are designed for it. Empty for no feed-forward.
     effort
-        How long to search; as long as the kind of machine allows when None.
+        Effort of the search; None: as much as the kind of machine allows.
     """
 
     trials: Trials = REPEATED
@@ -202,12 +203,12 @@ def design(
     wanted: Wanted = _BY_DEFAULT,
     progress: Progress | None = None,
 ) -> DesignResult:
-    """Search the smallest change to ``machine`` with which a job is in ``spec``.
+    """Search the smallest change to ``machine`` that brings a job into ``spec``.
 
     Raises
     ------
     MachineError, JobError, PlanError, OptionError
-        If the input is wrong, or the machine as it is cannot be told to do the job.
+        If the input is wrong, or no commands can be made for the original machine.
     """
     trials, corners, smoothing_s = wanted.trials, wanted.corners, wanted.smoothing_s
     check_dynamics("what a change of its parts would do", machine)
@@ -242,7 +243,7 @@ def design(
     nearest = _nearest(space, tried)
     centre = tried.points[nearest] if found is None else _point(space, found)
     level = int(tried.level[nearest]) if found is None else _level(space, found.candidate)
-    # Beyond the limit other runs were not tried.
+    # Candidates beyond the limit were not tried in other runs.
     front = pareto(space, tried, 1.0 + 1e-9 if evaluator.others.asked else 1.5)
     used = np.abs(tried.points[front[tried.ratio[front] <= 1.0], : space.parameters])
     region = region_of(
@@ -275,26 +276,26 @@ def design(
 
 
 def _nearest(space: Space, tried: Tried) -> int:
-    """Return the cheapest that is in spec, else the one with the least ratio."""
+    """Return the cheapest candidate in spec, else the candidate with the least ratio."""
     good = _cheapest_first(space, tried)
     return int(good[0]) if len(good) else int(np.argmin(tried.ratio))
 
 
 def _cheapest_first(space: Space, tried: Tried) -> IntArray:
-    """Return those in spec, the cheapest first, of equal cost that with most margin.
+    """Return the candidates in spec, the cheapest first; at equal cost, the most margin first.
 
-    Settings cost nothing: where some alone are enough, many candidates cost the same.
+    Settings cost nothing: where settings alone are enough, many candidates cost the same.
     """
     good = np.flatnonzero(tried.ratio <= 1.0)
     return np.asarray(good[np.lexsort((tried.ratio[good], space.cost(tried.points[good])))])
 
 
 def _best_of(space: Space, evaluator: Evaluator, tried: Tried, parameters: FloatArray) -> Candidate:
-    """Return the best of those tried that have these parameters, whatever their settings."""
+    """Return the best tried candidate that has these parameters, with any settings."""
     same = np.abs(tried.points[:, : space.parameters] - parameters).max(axis=1) < 1e-9
     own = tried.taken(np.flatnonzero(same))
     if evaluator.others.asked:
-        # The first sample tried no other runs of candidates that are in spec in one but expensive.
+        # The first sample skipped the other runs of expensive candidates that pass one run.
         points = with_settings(space, parameters, evaluator.effort.settings_log2)
         for level in range(len(space.levels)):
             levels = np.full(len(points), level, dtype=np.int64)
@@ -341,9 +342,9 @@ def _proved(
     refused: list[str] = []
     order = _cheapest_first(space, tried)
     if trials.machines or trials != trials.alone:
-        # Many cost nearly the same, and would all be as far from passing.
+        # Many candidates cost nearly the same; if one fails, all of them fail by about as much.
         order = pareto(space, tried, 1.0 + 1e-9)
-        # Evenly, from the cheapest to the one of most margin, which passes if any does.
+        # Spread evenly, from the cheapest to the largest margin, which passes if any passes.
         most = min(len(order), _MOST_PROOFS)
         order = order[np.linspace(0, len(order) - 1, most).round().astype(int)]
     for index in order[:_MOST_PROOFS]:
@@ -367,7 +368,7 @@ def _proved(
 
 
 def _rounded(space: Space, point: FloatArray) -> FloatArray:
-    """Return the point with factors, crossover and phase margin of three digits."""
+    """Return the point with three digits of the factors, the crossover and the phase margin."""
     rounded = point.copy()
     count = space.parameters
     logs = [*range(count), *([count] if space.designs_gains else [])]
@@ -387,12 +388,12 @@ def _prove(
     trials: Trials,
     corners: bool,
 ) -> Found:
-    """Prove one candidate, and its corners where they are asked for, by the whole pipeline.
+    """Prove one candidate by the whole pipeline, and its corners where they are asked for.
 
     Raises
     ------
     PlanError
-        If a loop is unstable, or the machine cannot be told to do the job.
+        If a loop is unstable, or no commands can be made for the machine.
     """
     machine = space.machine
     gains = {k: float(v[0]) for k, v in evaluator.gains(point[None])[0].items()}
@@ -425,7 +426,7 @@ def _prove(
 def _at_corners(
     space: Space, plan: Plan, redesigned: Machine, spec: Spec, point: FloatArray
 ) -> Verdict:
-    """Judge one run of each machine at the corners of the tolerances of the parameters."""
+    """Judge one run of each machine at the corners of the parameter tolerances."""
     recordings = []
     for corner in space.corners(point[None]):
         off = {k: float(v[0]) for k, v in space.numbers(corner[None]).items()}
@@ -436,7 +437,7 @@ def _at_corners(
 
 
 def with_delay(spec: Spec, delay_s: float | None) -> Spec:
-    """Return ``spec`` with the needle set to another delay."""
+    """Return ``spec`` with another needle delay."""
     if delay_s is None:
         return spec
     return replace(

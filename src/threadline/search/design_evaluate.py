@@ -1,4 +1,4 @@
-"""Lead filters for many candidates at once, each from its own exact frequency response."""
+"""Evaluation of many candidates at once; lead filters come from exact frequency responses."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from threadline.search.design_space import Space
 from threadline.verdict import Spec, Status, Verdict
 
 _ROUNDING = 1e-9
-_TERMS = 14  # of the series, for norms up to a half: 0.5^15 / 15! is below rounding
+_TERMS = 14  # terms of the series, for norms up to a half: 0.5^15 / 15! is below rounding
 
 
 def design_gains(
     space: Space, points: FloatArray
 ) -> tuple[dict[str, FloatArray], NDArray[np.bool_]]:
-    """Return the lead filters of candidates, and which of them have one.
+    """Return the lead filters of candidates, and which candidates have one.
 
     Parameters
     ----------
     points
-        (n, dims): the crossover and phase margin wanted are their last two coordinates.
+        (n, dims): the last two coordinates are the wanted crossover and phase margin.
 
     Returns
     -------
     tuple
-        Path of each controller's number to its (n,) values, and an (n,) mask, False where more
-        lead is needed than a filter has. A loop that has more phase than asked without any lead
-        keeps it: its zero stays as far out as the chip allows.
+        Path of each controller number to its (n,) values, and an (n,) mask, False where a filter
+        cannot give enough lead. A loop with enough phase without lead keeps its phase: the zero
+        stays as far out as the chip allows.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def design_gains(
         period = float(machine.clock(controller.clock).period_s)
         response = sampled_response(piece, values, omega, period)
         gain, zero = lead_from_response(response, omega, margin_deg, period)
-        # Enough phase without any lead: the zero goes as far out as it can.
+        # The phase is enough without lead: the zero goes as far out as the chip allows.
         ample = ~(zero <= COEFFICIENT_HIGH) & (lead_deg(response, margin_deg) <= 0.0)
         zero = np.where(ample | (zero < COEFFICIENT_LOW), COEFFICIENT_LOW, zero)
         z = np.exp(1j * omega * period)
@@ -92,15 +92,15 @@ def sampled_response(
 ) -> ComplexArray:
     """Return (n,) the response of each variant of a piece at its own frequency, counts per volt.
 
-    The same as ``SampledPlant.response`` of each: a held output behind a dead time of ``d T + f``
-    delivers the older value for ``f`` of each tick and the newer for the rest.
+    Equals ``SampledPlant.response`` of each variant: a held output behind a dead time of
+    ``d T + f`` delivers the older value for ``f`` of each tick and the newer value for the rest.
 
     Parameters
     ----------
     piece
-        With one controller.
+        A piece with one controller.
     omega_rad_s
-        (n,) one for each variant.
+        (n,) one frequency for each variant.
     """
     machine, n = values.machine, len(piece.states)
     rates = working_rates(piece.base, piece.elements)
@@ -128,8 +128,8 @@ def sampled_response(
 def _exponentials(matrices: FloatArray) -> FloatArray:
     """Return the exponentials of (n, m, m) matrices: halved until small, summed, squared back.
 
-    All of them at once: scipy's takes them one by one, through a threaded library that makes
-    thousands of small matrices wait for each other.
+    All matrices are handled at once. scipy's function handles one at a time, through a threaded
+    library in which thousands of small matrices wait for each other.
     """
     norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
     halvings = max(int(np.ceil(np.log2(max(norm, 0.5)))) + 1, 0)
@@ -144,7 +144,7 @@ def _exponentials(matrices: FloatArray) -> FloatArray:
 
 
 NO_COMMANDS = "no commands"
-"""The criterion of a candidate that cannot be planned for, or that never ends the job."""
+"""Criterion name of a candidate that cannot be planned for, or that never ends the job."""
 
 
 class AloneProofs:
@@ -153,11 +153,11 @@ class AloneProofs:
     Parameters
     ----------
     read
-        Reads the job for a machine.
+        Reads the job for a given machine.
     spec, options
-        How well the machine shall do it, and how it is planned.
+        Specification and planning options of the job.
     repeats
-        Runs of a candidate that is in specification in the first.
+        Number of runs of a candidate that passes the first run.
     """
 
     def __init__(
@@ -167,12 +167,12 @@ class AloneProofs:
         self.simulated = 0
 
     def used(self, machine: Machine, beyond: float) -> tuple[float, float, str]:
-        """Return the share of its limits that a machine uses in one run and at worst, and of which.
+        """Return the used share of a machine's limits in one run and at worst, and the criterion.
 
         Parameters
         ----------
         beyond
-            Further runs are tried where the share in one is at most this.
+            Further runs follow where the share in the first run is at most this.
         """
         try:
             plan = plan_job(self._read(machine), machine, self._options)
@@ -189,10 +189,10 @@ class AloneProofs:
 
 
 def share_used(verdict: Verdict) -> tuple[float, str]:
-    """Return the largest share of a limit that is used, at most 1000, and the criterion.
+    """Return the largest used share of a limit, at most 1000, and its criterion.
 
-    The machine's own limits count where they are broken alone: a plan is made to use them. What is
-    not proven for another reason than a limit counts as 1000.
+    The machine's own limits count only where they are broken, because plans use them fully. A
+    verdict that fails without a broken limit counts as 1000.
     """
     shares = {
         f"{r.name} {r.axis}".strip(): min(r.measured / r.limit, HOPELESS) if r.limit > 0.0
@@ -211,18 +211,19 @@ def share_used(verdict: Verdict) -> tuple[float, str]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effort:
-    """How long to search.
+    """Effort of a search.
 
     Parameters
     ----------
     sample_log2, settings_log2
-        Candidates of the first sample at each level, and of settings alone, as powers of 2.
+        Number of candidates of the first sample at each level, and of settings alone, as powers of
+        2.
     proposals, rounds
-        Of the search for the least change.
+        Proposals per round, and rounds, of the search for the least change.
     trade_rounds
-        Of the search for the least change with more margin.
+        Rounds of the search for the least change with more margin.
     side
-        Of the grid on which the region is drawn; 0 for none.
+        Side of the region's grid; 0 for no region.
     """
 
     sample_log2: int = 8
@@ -235,7 +236,7 @@ class Effort:
 
 THOROUGH = Effort()
 FEW = Effort(sample_log2=4, proposals=10, rounds=8, trade_rounds=0, side=0)
-"""For candidates with commands of their own, each of which takes a second or two."""
+"""Effort for candidates with commands of their own: each takes a second or two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -247,16 +248,16 @@ class Tried:
     points
         (n, dims) as in the space.
     level
-        (n,) which share of the acceleration.
+        (n,) index of the share of the acceleration.
     ratio
-        (n,) worst measured over limit, at the best needle delay; over other runs and machines
-        where they are asked for and it is in spec without them. At most 1 is in spec.
+        (n,) worst ratio of measured to limit, at the best needle delay. It includes other runs and
+        machines where they are asked for and the first run is in spec. At most 1 is in spec.
     nominal
-        (n,) the same of one run.
+        (n,) the ratio of the first run.
     delay
-        (n,) which needle delay is the best.
+        (n,) index of the best needle delay.
     binding
-        (n,) criterion that uses most of its limit.
+        (n,) criterion that uses the largest share of its limit.
     """
 
     points: FloatArray
@@ -270,7 +271,7 @@ class Tried:
         return len(self.ratio)
 
     def taken(self, index: IntArray) -> Tried:
-        """Return some of them."""
+        """Return the candidates at ``index``."""
         return Tried(
             points=self.points[index],
             level=self.level[index],
@@ -281,7 +282,7 @@ class Tried:
         )
 
     def join(self, other: Tried) -> Tried:
-        """Return both."""
+        """Return the candidates of both, these first."""
         return Tried(
             points=np.concatenate([self.points, other.points]),
             level=np.concatenate([self.level, other.level]),
@@ -295,18 +296,18 @@ class Tried:
 class Evaluator:
     """Plans a job once for each share of the acceleration, then judges candidates in batches.
 
-    Machines that are not simulated side by side are planned for and proved one by one.
+    Machines that cannot be simulated in batches are planned for and proved one by one.
 
     Parameters
     ----------
     space
-        What may be changed.
+        The parameters and settings that may be changed.
     read
-        Reads the job for a machine.
+        Reads the job for a given machine.
     spec, options
-        How well the machine shall do it, and how it is planned.
+        Specification and planning options of the job.
     others
-        In which other runs and machines a candidate must hold; in none when None.
+        Other runs and machines that a candidate must hold in; None for no others.
     """
 
     def __init__(
@@ -327,12 +328,12 @@ class Evaluator:
         if space.ahead:
             return
         if space.alone:
-            plan_job(read(space.machine), space.machine, options)  # which may refuse it
+            plan_job(read(space.machine), space.machine, options)  # may refuse the machine
             self._alone = AloneProofs(read, spec, options, self.others.repeats)
             return
         judges = []
         for share in space.levels:
-            # The reader of a seam asks the machine for its acceleration: it is read anew.
+            # The seam reader uses the machine's acceleration, so the job is read again.
             machine = with_numbers(space.machine, space.slower(share))
             plan = plan_job(read(machine), machine, options)
             judges.append(design_judge(plan, machine, spec, space.delays_s))
@@ -353,9 +354,9 @@ class Evaluator:
         Parameters
         ----------
         points, level
-            (n, dims) and (n,).
+            (n, dims) points and (n,) levels.
         beyond
-            Other runs and machines are tried of those whose nominal ratio is at most this.
+            Other runs and machines are tried for candidates with a nominal ratio of at most this.
         """
         if self.space.ahead:
             return self._ahead(points, level, beyond)
@@ -373,19 +374,19 @@ class Evaluator:
         return joined.taken(back)
 
     def gains(self, points: FloatArray) -> tuple[dict[str, FloatArray], np.ndarray]:
-        """Return the filters of candidates and which of them have one."""
+        """Return the filters of candidates, and which candidates have one."""
         if not self.space.designs_gains:
             return {}, np.ones(len(points), dtype=np.bool_)
         return design_gains(self.space, points)
 
     def options_at(self, level: int) -> Options:
-        """Return how candidates of a level are planned, once their numbers are the machine's."""
+        """Return the planning options of a level, for a machine with a candidate's numbers."""
         if not self.space.ahead:
             return self._options
         width_s = self.space.levels[level]
         if self._options.robust_share is None:
             return replace(self._options, feed_forward_s=width_s)
-        # Of a robust plan the smoothing is the time in which the speed may change.
+        # In a robust plan the smoothing width is the time in which the speed may change.
         return replace(self._options, feed_forward_s=parse_width_s(FEED_FORWARD), change_s=width_s)
 
     def _one_by_one(
@@ -408,7 +409,7 @@ class Evaluator:
         )
 
     def _ahead(self, points: FloatArray, level: IntArray, beyond: float) -> Tried:
-        """Plan every candidate through its own inverse, then judge it."""
+        """Plan every candidate through its own inverse, then judge the plan."""
         count = len(points)
         ratio = np.full(count, HOPELESS)
         nominal = ratio.copy()
@@ -465,7 +466,7 @@ class Evaluator:
         numbers: Mapping[str, FloatArray],
         beyond: float,
     ) -> tuple[Ratios, Ratios]:
-        """Return what (n, dims) candidates use of the limits in the first run, and at worst."""
+        """Return the used limits of (n, dims) candidates in the first run, and at worst."""
         first = judge.ratios(numbers)
         worst, simulated = self.others.worst(judge, points, numbers, first, beyond)
         self.simulated += len(points) + simulated

@@ -1,4 +1,4 @@
-"""A design as files: a machine based on the one that was redesigned, and its specification."""
+"""A design as files: a machine file based on the redesigned machine, and its specification."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _SPEC_SUFFIX = ".spec.toml"
 
 
 def spec_file(machine_file: Path) -> Path:
-    """Return where the specification of a machine file is looked for: beside it."""
+    """Return the path of the specification that belongs to a machine file: beside the file."""
     return machine_file.with_suffix(_SPEC_SUFFIX)
 
 
 def write_design(result: DesignResult, found: Found, file: Path) -> list[Path]:
-    """Write the machine, and beside it the specification with its needle delay.
+    """Write the machine file, and beside it the specification with the needle delay.
 
     Parameters
     ----------
     file
-        The machine's, ending in ``.toml``; its specification ends in ``.spec.toml``.
+        Path of the machine file, ending in ``.toml``; the specification ends in ``.spec.toml``.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def write_design(result: DesignResult, found: Found, file: Path) -> list[Path]:
 
 
 def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
-    """Return the machine file of a design, based on the machine that was redesigned."""
+    """Return the machine file of a design, based on the redesigned machine."""
     machine = result.machine
     texts = {
         path: quantity_text(number_at(machine, path), value)
@@ -71,7 +71,7 @@ def machine_toml(result: DesignResult, found: Found, folder: Path) -> str:
 
 
 def quantity_text(old: Quantity, value: float) -> str:
-    """Return a number as a machine file has it, with the old one's share of tolerance."""
+    """Return a number as text of a machine file, with the old number's share of tolerance."""
     spread = "exact"
     if old.tolerance_si and old.si:
         spread = f"+- {100.0 * abs(old.tolerance_si / old.si):.6g} %"
@@ -81,7 +81,7 @@ def quantity_text(old: Quantity, value: float) -> str:
 
 
 def _base(machine: Machine, folder: Path) -> str:
-    """Return the machine's reference as seen from another folder."""
+    """Return the reference to the base machine as seen from another folder."""
     name, overlays = split_reference(machine.reference)
     if not name.endswith(".toml"):
         return machine.reference
@@ -89,7 +89,7 @@ def _base(machine: Machine, folder: Path) -> str:
 
 
 def spec_toml(spec: Spec, machine: Machine) -> str:
-    """Return a specification as its file."""
+    """Return a specification as text of its file."""
     lines = [f"name = {toml_string(spec.name)}", f'lag = "{spec.lag_s!r} s"']
     given = {(c.name, c.axis) for c in spec.criteria if not c.hard}
     for criterion in spec.criteria:
@@ -105,7 +105,7 @@ def spec_toml(spec: Spec, machine: Machine) -> str:
             moved = machine.axes.get(criterion.axis)
             unit = kind.unit("linear" if moved is None else moved.kind)
             limit = f"{criterion.limit!r} {unit}"
-            if not unit and criterion.limit > 1.0:  # more than the whole: only with its unit
+            if not unit and criterion.limit > 1.0:  # more than 100 %: readable only with its unit
                 limit = f"{100.0 * criterion.limit!r} %"
             lines.append(f"limit = {toml_string(limit.strip())}")
         if criterion.required:

@@ -1,4 +1,4 @@
-"""How much of every limit the candidates of a redesign use: the judge of many runs, in ratios."""
+"""Shares of every limit that the candidates of a redesign use, judged over many runs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from threadline.verdict.registry import MEASURES
 
 SETTLE_S = 0.25
 HOPELESS = 1e3
-"""The ratio of a variant that cannot be planned, simulated or measured; no ratio is larger."""
+"""Ratio of a variant that cannot be planned, simulated or measured; the largest ratio."""
 
 _LENGTH = "stitch_length_error"
 _SEAM = "seam_error"
@@ -30,16 +30,17 @@ _SEAM = "seam_error"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ratios:
-    """How much of each limit candidates use; n candidates, D needle delays.
+    """Used shares of the limits; n candidates, D needle delays.
 
     Parameters
     ----------
     names
         Names of the criteria other than the stitch length.
     others
-        (n, criteria) measured over limit.
+        (n, criteria) ratio of measured to limit.
     length
-        (n, D) the same of the stitch length for each delay; None where it isn't asked for.
+        (n, D) ratio of the stitch length for each delay; None where the stitch length isn't asked
+        for.
     """
 
     names: tuple[str, ...]
@@ -47,7 +48,7 @@ class Ratios:
     length: FloatArray | None
 
     def worst_of(self, count: int) -> Ratios:
-        """Return the worst of every ``count`` consecutive ones (the corners of a candidate)."""
+        """Return the worst of every ``count`` consecutive candidates (a candidate's corners)."""
         length = None
         if self.length is not None:
             length = self.length.reshape(-1, count, self.length.shape[1]).max(axis=1)
@@ -58,12 +59,12 @@ class Ratios:
         )
 
     def taken(self, index: IntArray) -> Ratios:
-        """Return those of some candidates."""
+        """Return the ratios of some candidates."""
         length = None if self.length is None else self.length[index]
         return replace(self, others=self.others[index], length=length)
 
     def worse_at(self, index: IntArray, other: Ratios) -> Ratios:
-        """Return these, of the candidates at ``index`` the worse of these and ``other``."""
+        """Return these ratios; at ``index``, the worse of these and ``other``."""
         worse = self.taken(index).worse(other)
         others = self.others.copy()
         others[index] = worse.others
@@ -73,14 +74,14 @@ class Ratios:
         return replace(self, others=others, length=length)
 
     def worse(self, other: Ratios) -> Ratios:
-        """Return the worse of two, candidate by candidate."""
+        """Return the worse of two ratios, candidate by candidate."""
         length = None
         if self.length is not None and other.length is not None:
             length = np.maximum(self.length, other.length)
         return Ratios(names=self.names, others=np.maximum(self.others, other.others), length=length)
 
     def best(self) -> tuple[FloatArray, np.ndarray]:
-        """Return (n,) the worst ratio at the best delay, and (n,) which delay that is."""
+        """Return (n,) the worst ratio at the best delay, and (n,) the index of the best delay."""
         rest = self.others.max(axis=1, initial=0.0)
         if self.length is None:
             return rest, np.zeros(len(rest), dtype=np.int64)
@@ -88,7 +89,7 @@ class Ratios:
         return np.maximum(rest, self.length[np.arange(len(rest)), at]), at
 
     def binding(self, index: int) -> str:
-        """Return the criterion that a candidate uses most of."""
+        """Return the criterion that uses the largest share of its limit in a candidate."""
         rest = self.others[index].max(initial=0.0)
         if self.length is not None and self.length[index].min() >= rest:
             return _LENGTH
@@ -102,14 +103,15 @@ class DesignJudge:
     Parameters
     ----------
     runs
-        Judges them, by every criterion with a limit; by that of the stitch length once for each
+        Judges the variants by every criterion with a limit, and by the stitch length once for each
         needle delay.
     others
         Criteria other than the stitch length.
     length
-        That of the stitch length, for each of ``delays_s``; none where it is not asked for.
+        Criteria of the stitch length, one for each of ``delays_s``; empty where it is not asked
+        for.
     delays_s
-        (D,) needle delays; what the specification says where there are none.
+        (D,) needle delays; the specification's own delay where no delays are tried.
     """
 
     runs: RunsJudge
@@ -125,12 +127,12 @@ class DesignJudge:
     def ratios(
         self, variants: Mapping[str, FloatArray], phases: FloatArray | None = None
     ) -> Ratios:
-        """Return how much of each limit variants use; 1000 where there is no answer.
+        """Return the used share of each limit by variant; 1000 where there is no answer.
 
         Parameters
         ----------
         phases
-            (V, axes) where between two counts each encoder stands; 0.5 when None.
+            (V, axes) place of each encoder between two counts; 0.5 when None.
         """
         found = self.runs.judged(variants, phases)
         by_delay = [row for row in found.rows if row.name == _LENGTH]
@@ -146,9 +148,9 @@ class DesignJudge:
 
 
 def _used(criterion: Criterion, found: EachRun) -> FloatArray:
-    """Return (runs,) the largest share of a limit that any of the axes it is asked of uses.
+    """Return (runs,) the largest used share of a limit over the axes of a criterion.
 
-    An axis that the job does not move uses nothing.
+    An axis that the job does not move uses no share.
     """
     shares = [
         np.zeros(found.runs),
@@ -162,7 +164,7 @@ def _used(criterion: Criterion, found: EachRun) -> FloatArray:
 
 
 def _share(values: FloatArray, limit: float | None) -> FloatArray:
-    """Return values over a limit; what was not measured uses nothing of it."""
+    """Return values over a limit; a value that was not measured uses 0 of the limit."""
     assert limit is not None
     known = np.nan_to_num(values, nan=0.0, posinf=np.inf)
     if limit <= 0.0:
@@ -176,7 +178,7 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
     Parameters
     ----------
     delays_s
-        (D,) needle delays to try; empty for the one of the specification.
+        (D,) needle delays to try; empty for the specification's delay.
     """
     kept = kept_in_memory(replace(plan, machine=machine))
     asked = tuple(c for c in spec.criteria if _is_asked(c, kept))
@@ -201,9 +203,9 @@ def design_judge(plan: Plan, machine: Machine, spec: Spec, delays_s: FloatArray)
 
 
 def _is_asked(criterion: Criterion, plan: Plan) -> bool:
-    """Say whether a criterion tells one machine from another.
+    """Return whether a criterion can differ between machines.
 
-    What the drawing adds to the contour is the same for every machine: the proof asks for it.
+    The drawing's part of the contour error is the same for every machine; the proof checks it.
     """
     if criterion.name == _SEAM or criterion.limit is None:
         return False
@@ -221,11 +223,11 @@ class OtherRuns:
     Parameters
     ----------
     space
-        What may be changed.
+        The parameters and settings that may be changed.
     repeats
-        Runs of each candidate in all, those that ``prove`` draws.
+        Number of runs of each candidate in all, as ``prove`` draws them.
     corners
-        Whether every corner of the tolerances of the space counts, too; one run of each.
+        Whether every corner of the space's tolerances counts, too, with one run each.
     """
 
     space: Space
@@ -234,27 +236,27 @@ class OtherRuns:
 
     @classmethod
     def of(cls, space: Space, trials: Trials, *, corners: bool = False) -> OtherRuns:
-        """Return the runs with which candidates are screened for a proof by ``trials``.
+        """Return the runs that screen candidates for a proof by ``trials``.
 
-        Machines within the tolerances of the whole file are left to the proof: the corners of what
-        may be changed stand for them here.
+        Machines within the tolerances of the whole file are left to the proof. Here the corners of
+        the changeable parameters represent them.
         """
         every = trials.machines > 0 and trials.wished is None
         return cls(
             space=space,
             repeats=trials.repeats,
-            # One by one they would take hours: they are left to the proof, too.
+            # One by one the corners would take hours: they are left to the proof, too.
             corners=(corners or every) and space.corner_count > 1 and not space.alone,
         )
 
     @property
     def asked(self) -> bool:
-        """Whether there are any."""
+        """Whether there are any further runs."""
         return self.repeats > 1 or self.corners
 
     @property
     def words(self) -> str:
-        """What a ratio is the worst of."""
+        """Runs and corners over which a ratio is the worst, in words."""
         runs = "1 run" if self.repeats == 1 else f"{self.repeats} runs"
         if not self.corners:
             return runs
@@ -263,19 +265,19 @@ class OtherRuns:
     def worst(
         self, judge: DesignJudge, points: FloatArray, numbers: _Numbers, own: Ratios, beyond: float
     ) -> tuple[Ratios, int]:
-        """Return the worst ratios of (n, dims) candidates, and how many machines were simulated.
+        """Return the worst ratios of (n, dims) candidates, and the number of simulated machines.
 
-        Those with the extremes of friction and supply come first: a candidate that is out of
-        specification there, by more than ``beyond``, is not tried any further.
+        Runs with the extremes of friction and supply come first. A candidate whose ratio exceeds
+        ``beyond`` there is not tried in further runs.
 
         Parameters
         ----------
         numbers
-            Path to (n,) values, those of the candidates' filters among them.
+            Path to (n,) values, with the numbers of the candidates' filters.
         own
-            Of the first runs.
+            Ratios of the first runs.
         beyond
-            Candidates with a larger ratio are left alone.
+            Candidates with a larger ratio are not tried.
         """
         simulated, found = 0, own
         for days in self._turns(len(judge.axes)):
@@ -294,7 +296,7 @@ class OtherRuns:
         return found, simulated
 
     def _turns(self, axes: int) -> Iterator[Days | None]:
-        """Yield runs that are tried together; None for the corners."""
+        """Yield groups of runs that are tried together; None for the corners."""
         if self.repeats > 1:
             days = drawn_days(self.repeats, axes, np.random.default_rng(REPEAT_SEED))
             yield from _hardest_first(days)
@@ -303,13 +305,13 @@ class OtherRuns:
 
     def _off(self, points: FloatArray, numbers: _Numbers) -> dict[str, FloatArray]:
         """Return the numbers of every corner of candidates, candidate by candidate."""
-        # All corners get the filters of the machine as drawn: nobody knows at which it is.
+        # All corners get the filters of the nominal machine: nobody knows the actual corner.
         same = {k: np.repeat(v, self.space.corner_count) for k, v in numbers.items()}
         return same | self.space.numbers(self.space.corners(points))
 
 
 def _hardest_first(days: Days) -> Iterator[Days]:
-    """Yield the runs beyond the first: those of extreme friction and supply, then the others."""
+    """Yield the runs beyond the first: extremes of friction and supply, then the others."""
     others: IntArray = np.arange(1, len(days))
     friction, supply = days.friction[others], days.supply[others]
     ends = [friction.argmin(), friction.argmax(), supply.argmin(), supply.argmax()]
@@ -321,7 +323,7 @@ def _hardest_first(days: Days) -> Iterator[Days]:
 
 
 def _on_days(machine: Machine, numbers: _Numbers, days: Days) -> dict[str, FloatArray]:
-    """Return the numbers of candidates on each of some days, candidate by candidate."""
+    """Return the numbers of candidates on each day of ``days``, candidate by candidate."""
     count = len(next(iter(numbers.values())))
     found = {k: np.repeat(v, len(days)) for k, v in numbers.items()}
     for path, values in varied_numbers(machine, days.friction, days.supply).items():

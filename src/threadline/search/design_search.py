@@ -1,4 +1,4 @@
-"""The region in spec around a design, in two of its parameters."""
+"""Search for the least change, and the region in spec around a design in two parameters."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ class Region:
     Parameters
     ----------
     names
-        Of the parameters on the abscissa and the ordinate.
+        Names of the parameters on the abscissa and the ordinate.
     factors
-        (m,) of each.
+        (m,) factors of each parameter.
     found
-        (m, m) ratio without tolerances, at the best of some settings, the other parameters those
-        of the design; ordinate first.
+        (m, m) ratio without tolerances, at the best of some settings, with the other parameters as
+        in the design; ordinate first.
     unchanged
-        (m, m) the same with the other parameters as the machine is.
+        (m, m) ratio with the other parameters as in the original machine.
     others
-        The other parameters of the design that differ from the machine's: name to factor.
+        The other parameters of the design that differ from the machine: name to factor.
     """
 
     names: tuple[str, str]
@@ -56,11 +56,11 @@ def region_of(
     Parameters
     ----------
     centre, level
-        (dims,) the design, and its share of the acceleration.
+        (dims,) point of the design, and the index of its share of the acceleration.
     usage
-        (P,) how much each parameter is changed elsewhere (along the Pareto set).
+        (P,) typical change of each parameter along the Pareto set, times its weight.
     plotted
-        Two parameters; those that cost most at ``centre``, then those most used, when None.
+        Two parameters; None: first those that cost most at ``centre``, then those most used.
     """
     names = plotted or _important(space, centre, usage)
     if names is None or not evaluator.effort.side:
@@ -97,7 +97,7 @@ def region_of(
 def _line(low: float, high: float, centre: float, side: int) -> FloatArray:
     """Return about ``side`` values from low to high, with the centre and two between it and 0.
 
-    What is in spec begins near the design: there the grid is finer.
+    The edge of the region lies near the design, so the grid is finer there.
     """
     near = [centre, 0.5 * centre, 1.5 * centre, 0.0]
     inside = [value for value in near if low <= value <= high]
@@ -143,7 +143,7 @@ def _slice(
             tries.append(np.clip(other, space.low, space.high))
     best = np.full(across.size, np.inf)
     for k, points in enumerate(tries):
-        # Whether it is in spec as drawn: corners of tolerances would take too long.
+        # Judged without tolerances: their corners would take too long.
         found = evaluator.tried(points, np.full(len(points), level), beyond=-1.0)
         best = np.minimum(best, found.nominal)
         report((k + 1) / len(tries))
@@ -153,19 +153,19 @@ def _slice(
 SEED = 1994
 _ELITE = 8
 _PATIENCE = 4
-_ENOUGH = 2e-3  # relative: less than this in several rounds is no progress
+_ENOUGH = 2e-3  # relative gain: less in several rounds is no progress
 _FIRST_STEP, _STEP_DECAY = 0.15, 0.85
 _SHRINK = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98)
 TARGETS = (0.8, 0.6)
-"""Ratios for which the least change is looked for too: the Pareto set."""
+"""Further ratios for which the least change is searched, for the Pareto set."""
 
 Report = Callable[[float], None]
 
 
 def first_sample(space: Space, evaluator: Evaluator, report: Report) -> Tried:
-    """Return a Sobol sample of the whole space at every level, and of the settings alone.
+    """Return a Sobol sample of the whole space at every level, and samples of the settings alone.
 
-    The settings alone: of the machine as it is and of each known answer.
+    The samples of the settings keep the parameters of the original machine, or of a known answer.
     """
     from scipy.stats import qmc
 
@@ -188,7 +188,7 @@ def first_sample(space: Space, evaluator: Evaluator, report: Report) -> Tried:
     assert found is not None
     if not evaluator.others.asked:
         return found
-    # Other runs of the cheapest only; what is in spec in one and was not tried in them is left out.
+    # Only the cheapest are tried in other runs; untried candidates in spec are left out.
     good = np.flatnonzero(found.nominal <= 1.0)
     cheap = good[np.argsort(space.cost(found.points[good]), kind="stable")][: effort.proposals]
     out = found.taken(np.flatnonzero(found.nominal > 1.0))
@@ -223,12 +223,12 @@ def least_change(
     *,
     target: float = 1.0,
 ) -> Tried:
-    """Return all candidates tried, with those of a search for the least cost at a ratio.
+    """Return all tried candidates, with the candidates of a search for the least cost at a ratio.
 
     Parameters
     ----------
     tried
-        To start from.
+        Candidates to start from.
     target
         Largest ratio of measured to limit.
     """
@@ -260,7 +260,7 @@ def _least(space: Space, tried: Tried, target: float) -> float:
 
 
 def _elite(space: Space, tried: Tried, target: float) -> IntArray:
-    """Return the cheapest that meet the target, and the nearest to it that are cheaper still."""
+    """Return the cheapest candidates that meet the target, and the nearest cheaper ones."""
     cost = space.cost(tried.points)
     good = np.flatnonzero(tried.ratio <= target)
     chosen = good[np.argsort(cost[good], kind="stable")][:_ELITE]
@@ -282,8 +282,8 @@ def _proposals(
 ) -> tuple[FloatArray, IntArray]:
     """Return candidates about the elite: shrunk towards no change, and moved at random.
 
-    The least of a sum of magnitudes often leaves some numbers as they are, so that moves often
-    end exactly there.
+    The least sum of magnitudes often leaves some numbers unchanged, so a shrunk coordinate often
+    ends exactly at no change.
     """
     count, span = space.parameters, space.high - space.low
     points: list[FloatArray] = []
@@ -298,7 +298,7 @@ def _proposals(
         for k in np.flatnonzero(own[:count]).tolist():
             alone = np.repeat(own[None], len(_SHRINK), axis=0)
             alone[:, k] *= _SHRINK
-            # What one number gives up another may have to make good.
+            # If one number changes less, another may have to change more.
             alone[:, count:] += (
                 step * span[count:] * random.standard_normal((len(_SHRINK), len(span) - count))
             )
@@ -325,7 +325,7 @@ def pareto(space: Space, tried: Tried, most: float, apart: float = 0.05) -> IntA
     most
         Largest ratio of interest.
     apart
-        Of several whose ratios lie in the same interval of this width the cheapest is kept.
+        Width of intervals of the ratio; each interval keeps its cheapest candidate.
     """
     cost = space.cost(tried.points)
     order = np.lexsort((tried.ratio, cost))

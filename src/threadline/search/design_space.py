@@ -1,4 +1,4 @@
-"""The space that a redesign is searched in: factors on numbers of the machine, and settings."""
+"""The space of a redesign: factors on numbers of the machine, and settings."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ _SAME = 1e-9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Space:
-    """What may be changed, as coordinates.
+    """Changeable parameters and settings as coordinates.
 
-    A point has the logarithm of a factor for each of P parameters, then, where filters are
-    designed, the logarithm of the crossover in Hz and the phase margin in degrees.
+    A point holds the logarithm of a factor for each of P parameters. Where filters are designed,
+    the logarithm of the crossover in Hz and the phase margin in degrees follow.
 
     Parameters
     ----------
     machine
-        As it is.
+        The original machine.
     names, weights
-        (P,) of the parameters.
+        (P,) names and weights of the parameters.
     paths
-        Per parameter the numbers of the machine that it scales.
+        Per parameter, the numbers of the machine that it scales.
     low, high
         (P + 0 or 2,) bounds of a point.
     tolerance
-        (P,) share by which each may be off.
+        (P,) tolerance of each parameter, as a share.
     levels
-        Shares of the acceleration that are tried; with ``ahead`` the widths of the smoothing, s.
+        Shares of the acceleration to try; with ``ahead`` the smoothing widths, s.
     ahead
         Whether the commands go through the exact inverse of each candidate: feed-forward.
     alone
         Whether candidates are planned for and proved one by one.
     delays_s
-        (D,) needle delays that are tried; empty where they are the specification's.
+        (D,) needle delays to try; empty where the specification gives the delay.
     """
 
     machine: Machine
@@ -90,7 +90,7 @@ class Space:
         }
 
     def slower(self, share: float) -> dict[str, float]:
-        """Return the numbers of a machine with a share of its acceleration and jerk."""
+        """Return the limits of a machine with a share of its acceleration and jerk, by path."""
         if share == 1.0:
             return {}
         names = ("acceleration", "deceleration", "jerk")
@@ -105,7 +105,7 @@ class Space:
         return {path: limit.si * share for path, limit in told.items() if limit is not None}
 
     def corners(self, points: FloatArray) -> FloatArray:
-        """Return (n * C, dims) the corners of the tolerances of (n, dims) points, in turn."""
+        """Return (n * C, dims) the tolerance corners of (n, dims) points, point by point."""
         loose = np.flatnonzero(self.tolerance > 0)
         if not len(loose):
             return points
@@ -116,23 +116,23 @@ class Space:
 
     @property
     def corner_count(self) -> int:
-        """How many corners a point has."""
+        """Number of corners of a point."""
         return 1 << int((self.tolerance > 0).sum())
 
 
 def design_space(machine: Machine, smoothing_s: tuple[float, ...] = ()) -> Space:
-    """Return what the machine's ``[design]`` table allows.
+    """Return the space that the machine's ``[design]`` table allows.
 
     Parameters
     ----------
     smoothing_s
-        Widths of the smoothing that feed-forward is tried with; its filters stay as they are and
-        the needle goes down when the command says. Empty for none.
+        Widths of the feed-forward smoothing to try. With feed-forward the machine's filters stay
+        unchanged, and the needle goes down at the commanded time. Empty for no feed-forward.
 
     Raises
     ------
     MachineError
-        If it has none, or it names numbers that this machine does not have.
+        If the machine has no ``[design]`` table, or the table names numbers that it does not have.
     """
     if machine.design is None:
         raise MachineError(
@@ -207,12 +207,12 @@ def _bounds(machine: Machine, name: str, parameter: DesignParameter) -> tuple[fl
 
 
 def _check_settings(machine: Machine, design: Design) -> None:
-    """Refuse settings of what the machine does not have.
+    """Refuse settings for parts that the machine does not have.
 
     Raises
     ------
     MachineError
-        If there is no axis whose acceleration could be less, or no lead filter to design.
+        If no axis has an acceleration to reduce, or there is no lead filter to design.
     """
     settings = design.settings
     if settings.acceleration is not None and not machine.axes:

@@ -1,13 +1,13 @@
-"""Long moves of a job without their middles, which a search need not watch to their end.
+"""Shorter jobs that stand for a long one: no middles of long moves, no repeated stretches.
 
-A hoop layer is one move of hundreds of turns at a constant speed. Once the machine runs evenly it
-does the same again and again, until it brakes: its beginning and its end tell all of it. Each is
-kept for as long as it takes to come to the speed and to leave it again, and some seconds more.
+A hoop layer is one move of hundreds of turns at a constant speed. Once the machine runs evenly, its
+motion repeats until it brakes, so the beginning and the end of the move suffice. A search keeps
+each end for the time of the speed change, and for some seconds more.
 
-A winding program repeats its circuits, each turned on by some degrees of the mandrel. What a
-machine makes of a move depends on the moves shortly before it and on those that its planner sees
-behind it, and not on how far a mandrel has turned. So a move whose surroundings were met before
-tells nothing new.
+A winding program repeats its circuits, each turned by some degrees of the mandrel. The machine's
+motion in a move depends on the moves shortly before it, and on the later moves that the planner
+looks ahead to. It does not depend on the mandrel's total turns. So a move with surroundings that
+occurred before gives no new result.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from threadline.machine import Machine
 from threadline.motion.path import programmed_path
 
 EVENLY_S = 3.0
-"""How long either end of a move is watched at its own speed."""
-_WORTH = 0.5  # of a move: where more of it is kept, it stays whole
-_LONG_MOVES_MOST_MOVES = 100_000  # of a job: it takes long for other reasons
+"""Simulated time of either end of a move at its own speed."""
+_WORTH = 0.5  # kept share above which a move stays whole
+_LONG_MOVES_MOST_MOVES = 100_000  # longer jobs take long for other reasons
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,9 +40,9 @@ class LongMoves:
     job, machine
         The job, and the machine that does it.
     items
-        Its operations, moves in runs; none where it is not cut.
+        Operations of the job, with its moves in runs; empty where the job is not cut.
     way
-        (n, axes) of its moves.
+        (n, axes) travel of each move.
     """
 
     job: Job
@@ -54,8 +54,8 @@ class LongMoves:
     def of(cls, job: Job, machine: Machine) -> LongMoves:
         """Read a job once.
 
-        It is not cut where a mandrel's radius changes on the way, where it holds more than a
-        hundred thousand moves, and where its speed is not that of feeds.
+        A job is not cut if a mandrel's radius changes on the way, if it holds more than a hundred
+        thousand moves, or if feeds do not set its speed.
         """
         nothing = cls(job, machine, (), np.zeros((0, len(job.axes))))
         if job.paced_by != "feed" or machine.local_radii(job.axes) is not None:
@@ -73,15 +73,16 @@ class LongMoves:
     def without_middles(self, feed: Feed, share: float) -> tuple[Job, Machine]:
         """Return the job with its long moves cut short, and the machine that it is judged on.
 
-        What follows a cut lies back by what is left out, so that nothing stops that would go on.
-        Where that leads out of the travel, the machine is given back without ends of travel.
+        Targets behind a cut are shifted back by the travel left out, so that the motion stays
+        continuous. If a shifted target leaves the travel, the machine is returned without ends of
+        travel.
 
         Parameters
         ----------
         feed
-            Of every move but the rapid ones.
+            Feed of every move but the rapid ones.
         share
-            Of the limits of acceleration and jerk that is used.
+            Share of the acceleration and jerk limits that is used.
         """
         whole = self.job, self.machine
         if not len(self.way):
@@ -107,7 +108,7 @@ class LongMoves:
         return whole if self.machine.inputs else (job, _without_ends(self.machine))
 
     def _kept(self, feed: Feed, share: float) -> FloatArray:
-        """Return (n,) the share of each move that is kept at either end; 1 of short ones."""
+        """Return (n,) the share of each move that is kept at either end; 1 for short moves."""
         machine, axes = self.machine, self.job.axes
         column = [machine.axis_names.index(axis) for axis in axes]
         path = programmed_path(self.job, machine, feed)
@@ -123,7 +124,7 @@ class LongMoves:
 
 
 def _without_ends(machine: Machine) -> Machine:
-    """Return a machine that no axis comes to an end of."""
+    """Return the machine with endless axes."""
     axes = {
         name: replace(axis, travel=None, stroke=None, endless=True)
         for name, axis in machine.axes.items()
@@ -134,8 +135,8 @@ def _without_ends(machine: Machine) -> Machine:
 _NEAR = 2e-5
 """Differences of moves, m or rad, that count as rounding of a program's numbers: 0.001 degrees."""
 _BESIDE_S = 3.0
-"""How long the surroundings of a move are at least, by the feeds of the program."""
-_LEAST, _MOST = 4, 64  # moves on either side
+"""Least duration of a move's surroundings on either side, by the program's feeds."""
+_LEAST, _MOST = 4, 64  # surrounding moves on either side
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
 _DISTINCT_MOST_MOVES = 2_000_000
 _NOWHERE = Source("", 0)
@@ -143,7 +144,7 @@ _NOWHERE = Source("", 0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moves:
-    """The moves of a job as arrays, and what else stands before each of them.
+    """The moves of a job as arrays, and the other operations before each move.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ class _Moves:
     code
         (n, k) whole numbers; equal rows are equal moves.
     before
-        By the number of a move, n included, the operations that stand before it.
+        By the index of a move, n included: the operations that stand before it.
     """
 
     ends: FloatArray
@@ -162,10 +163,10 @@ class _Moves:
 
 
 def distinct_parts(job: Job, machine: Machine) -> tuple[Job, ...]:
-    """Return jobs that hold every stretch of ``job`` that is not met before, with what is beside.
+    """Return jobs that hold every new stretch of ``job``, each with its surroundings.
 
-    ``job`` itself is the only one where most of it is new, where it holds more than two million
-    moves, and where its speed is not that of feeds.
+    ``job`` itself is returned if most of it is new, if it holds more than two million moves, or if
+    feeds do not set its speed.
     """
     if job.paced_by != "feed":
         return (job,)
@@ -188,7 +189,7 @@ def distinct_parts(job: Job, machine: Machine) -> tuple[Job, ...]:
 
 
 def moves_in(job: Job) -> int:
-    """Return how many moves a job has."""
+    """Return the number of moves of a job."""
     return sum(len(item) for item in move_runs(job) if isinstance(item, MoveRun))
 
 
@@ -225,12 +226,12 @@ def _read(job: Job, machine: Machine) -> _Moves | None:
 
 
 def _clustered(values: FloatArray) -> IntArray:
-    """Return (n,) a number for each value: the same for values that differ by roundings alone."""
+    """Return (n,) a number for each value; values that differ only by rounding share a number."""
     order = np.argsort(values, kind="stable")
     ascending = values[order]
     gap = np.diff(ascending, prepend=ascending[0]) > _NEAR
     group = np.cumsum(gap)
-    # A chain of near values may be long: where it is, its parts are told apart by their place.
+    # A chain of near values may be long: a long chain is split by place.
     first = ascending[np.flatnonzero(np.concatenate([[True], gap[1:]]))]
     place = np.floor((ascending - first[group]) / (4.0 * _NEAR)).astype(np.int64)
     number = np.cumsum(gap | (np.diff(place, prepend=0) != 0))
@@ -240,7 +241,7 @@ def _clustered(values: FloatArray) -> IntArray:
 
 
 def _beside(job: Job, machine: Machine, count: int) -> int:
-    """Return how many moves on either side of one are its surroundings."""
+    """Return the number of moves on either side that form a move's surroundings."""
     took_s: list[FloatArray] = []
     for block in programmed_path(job, machine):
         took_s.append(block.nominal_s[block.nominal_s > 0.0])
@@ -250,13 +251,13 @@ def _beside(job: Job, machine: Machine, count: int) -> int:
 
 
 def _new(code: IntArray, beside: int) -> NDArray[np.bool_]:
-    """Return (n,) whether the surroundings of a move come here for the first time."""
+    """Return (n,) whether the surroundings of a move occur for the first time."""
     with np.errstate(over="ignore"):
         own = np.zeros(len(code), dtype=np.uint64)
         for column in code.T:
             own = (own ^ (column.astype(np.uint64) + _FACTOR)) * _FACTOR
             own ^= own >> np.uint64(29)
-        # Beyond the ends of the job there is nothing, which is met nowhere else.
+        # Positions beyond the ends of the job get codes of their own, which occur only once.
         outer = np.arange(1, beside + 1, dtype=np.uint64)
         long = np.concatenate([outer, own, outer + np.uint64(beside)])
         around = np.zeros(len(code), dtype=np.uint64)
@@ -270,7 +271,7 @@ def _new(code: IntArray, beside: int) -> NDArray[np.bool_]:
 
 
 def _dilated(new: NDArray[np.bool_], beside: int) -> NDArray[np.bool_]:
-    """Return (n,) whether a move is new or within ``beside`` of one that is."""
+    """Return (n,) whether a move is new or within ``beside`` of a new move."""
     count = np.concatenate([[0], np.cumsum(new)])
     at = np.arange(len(new))
     low, high = np.maximum(at - beside, 0), np.minimum(at + beside + 1, len(new))
@@ -278,7 +279,7 @@ def _dilated(new: NDArray[np.bool_], beside: int) -> NDArray[np.bool_]:
 
 
 def _part(read: _Moves, first: int, stop: int) -> Iterator[Operation | MoveRun]:
-    """Yield the moves from ``first`` up to ``stop``, with what stands between them."""
+    """Yield the moves from ``first`` up to ``stop``, with the operations between them."""
     at = 0
     for run in read.moves:
         begin, end = max(first - at, 0), min(stop - at, len(run))
@@ -290,7 +291,7 @@ def _part(read: _Moves, first: int, stop: int) -> Iterator[Operation | MoveRun]:
 
 
 def _cut(run: MoveRun, begin: int, end: int) -> MoveRun:
-    """Return some of the moves of a run."""
+    """Return the moves of a run from ``begin`` up to ``end``."""
     feeds = [(max(at - begin, 0), feed) for at, feed in run.feeds if at < end]
     ahead = [index for index, (at, _) in enumerate(feeds) if at == 0][-1]
     return replace(

@@ -1,8 +1,8 @@
-"""Experiments on the simulated machine, as one would do them on the real one.
+"""Experiments on the simulated machine, done as on a real machine.
 
-A stepped sine through the closed, quantised loop gives the motor's speed per volt, and from it
-the actuator's natural frequency, damping and dead time; runs at constant speed give its gain;
-position steps show from which size on the current is limited.
+A stepped sine through the closed, quantised loop gives the motor's speed per volt. The actuator's
+natural frequency, damping and dead time follow from it. Runs at constant speed give the gain.
+Position steps show the size from which the current is limited.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _SATURATED = 1.0 - 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sweep:
-    """Speed of the motor per volt of the controller, measured.
+    """Measured speed of the motor per volt of the controller.
 
     Parameters
     ----------
     frequency_hz
-        (k,).
+        (k,) frequencies.
     response
         (k,) complex, axis units per second per volt.
     """
@@ -52,7 +52,7 @@ class Identified:
     gain
         Axis units per second per volt, at zero frequency.
     natural_rad_s, damping, delay_s
-        From magnitude (the first two) and phase (the dead time).
+        Natural frequency and damping from the magnitude, dead time from the phase.
     """
 
     gain: float
@@ -68,19 +68,19 @@ class StepRun:
     Parameters
     ----------
     size_si
-        In axis units.
+        Size of the step, in axis units.
     peak_current_a
         Largest magnitude of the current.
     saturated
-        Whether it reached the amplifier's limit.
+        Whether the current reached the amplifier's limit.
     rise_s
-        From 10 to 90 % at the sensor.
+        Rise time from 10 to 90 % at the sensor.
     overshoot, load_overshoot
-        Shares of the step, at the sensor and of the load.
+        Overshoot at the sensor and of the load, as shares of the step.
     load_si
-        Where the load came to rest.
+        Rest position of the load.
     time_s
-        (k,).
+        (k,) times.
     share, load_share
         (k,) positions of the sensor and of the load as shares of the step.
     current_a
@@ -101,7 +101,7 @@ class StepRun:
 
 
 def at_filter_rate(machine: Machine) -> Machine:
-    """Return ``machine`` with references as fast as its controllers, as a generator gives them."""
+    """Return ``machine`` with reference ticks as fast as its controllers, as a generator does."""
     return dataclasses.replace(
         machine,
         controllers={
@@ -114,20 +114,20 @@ def at_filter_rate(machine: Machine) -> Machine:
 def stepped_sine(
     machine: Machine, axis: str, frequency_hz: FloatArray, amplitude_counts: float = 40.0
 ) -> Sweep:
-    """Return the response measured by one sine after the other through the closed loop.
+    """Return the response measured by one sine after another through the closed loop.
 
     Parameters
     ----------
     frequency_hz
-        (k,) below a quarter of the reference tick's rate.
+        (k,) frequencies below a quarter of the reference tick's rate.
     amplitude_counts
-        Of the reference.
+        Amplitude of the reference.
 
     Raises
     ------
     OptionError
-        If a frequency is too high, or references are slower than the controller, whose volts
-        could then not be seen (``at_filter_rate`` speeds them up).
+        If a frequency is too high, or references are slower than the controller, so that its volts
+        cannot be observed (``at_filter_rate`` speeds the references up).
     """
     index = _axis(machine, axis)
     controller = machine.controller_of(axis)
@@ -156,7 +156,7 @@ def stepped_sine(
         kept = slice(first + int(_SETTLE_SHARE * (last - first)), last)
         omega = 2 * np.pi * float(hertz)
         moved = _phasor(measured[kept], omega * tick)
-        # A sample is what was held over the tick before it: centred half a tick earlier.
+        # A sample is the value held over the previous tick: its centre is half a tick earlier.
         held = _phasor(volts[kept], omega * tick) * np.exp(0.5j * omega * tick)
         held *= np.sinc(0.5 * omega * tick / np.pi)
         answers.append(1j * omega * moved / held)
@@ -168,8 +168,8 @@ def stepped_sine(
 def identify(sweep: Sweep) -> Identified:
     """Return the second-order actuator with dead time that fits a sweep best.
 
-    Magnitude gives gain, natural frequency and damping; the phase that is left over, which must
-    fall in proportion to the frequency, gives the dead time.
+    The magnitude gives gain, natural frequency and damping. The remaining phase, which falls in
+    proportion to the frequency, gives the dead time.
     """
     from scipy.optimize import least_squares
 
@@ -206,7 +206,7 @@ def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: flo
     Raises
     ------
     OptionError
-        If the speed is zero or there is no such axis.
+        If the speed is zero, or the axis does not exist.
     """
     index = _axis(machine, axis)
     if speed_si == 0:
@@ -224,7 +224,7 @@ def constant_speed_gain(machine: Machine, axis: str, speed_si: float, run_s: flo
 
 
 def position_step(machine: Machine, axis: str, size_si: float, run_s: float = 0.8) -> StepRun:
-    """Return what a position step of ``size_si`` (axis units) does."""
+    """Return the response to a position step of ``size_si`` (axis units)."""
     index = _axis(machine, axis)
     counts = round(size_si * machine.axes[axis].counts.si)
     if counts == 0:
@@ -266,7 +266,7 @@ def _axis(machine: Machine, axis: str) -> int:
 
 
 def _simulate(machine: Machine, index: int, position: IntArray) -> Recording:
-    """Simulate references in counts from rest; the other axes stand still."""
+    """Simulate references in counts from rest, with the other axes at rest."""
     counts = np.zeros((len(position), len(machine.axes)), dtype=np.int64)
     counts[:, index] = np.diff(position, prepend=0)
     commands = TickTable(
@@ -288,7 +288,7 @@ def _simulate(machine: Machine, index: int, position: IntArray) -> Recording:
 
 
 def _phasor(values: FloatArray, angle: float) -> complex:
-    """Return the complex amplitude of a sine in ``values``, offset and drift fitted along."""
+    """Return the complex amplitude of a sine in ``values``; offset and drift are fitted, too."""
     turns = angle * np.arange(len(values))
     ramp = np.linspace(-1.0, 1.0, len(values))
     basis = np.stack([np.cos(turns), -np.sin(turns), np.ones(len(values)), ramp], axis=1)
@@ -301,27 +301,27 @@ _HIGHEST_HZ = 200.0
 _SWEEP_COUNTS = 60.0
 _RUN_RAD_S = 20.0
 _STEPS_EIGHTH_PI = (1, 2, 3, 4, 5, 6, 8, 16, 32, 64, -2, -3, -4, -6)
-"""Steps in both senses, because a belt that falls slack answers differently in each."""
+"""Steps in both directions: a belt that falls slack answers differently in each."""
 _RUN_S = 0.8
 _LONG_RUN_S = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Campaign:
-    """What the experiments on an axis found, in terms of its motor's shaft.
+    """Results of the experiments on an axis, in terms of its motor's shaft.
 
     Parameters
     ----------
     axis
-        Its name.
+        Name of the axis.
     gain
         Speed per volt at constant speed, rad/s/V.
     delay_s
         Dead time from the phase of the sweep.
     fitted
-        Second-order actuator, where nothing but the motor is on the axis; its gain in rad/s/V.
+        Second-order actuator, where the motor alone is on the axis; its gain in rad/s/V.
     steps
-        Size in rad of the motor and what came of it.
+        Step sizes in rad of the motor, each with its result.
     """
 
     axis: str
@@ -332,7 +332,7 @@ class Campaign:
 
     @property
     def saturates_from_rad(self) -> float | None:
-        """Smallest step tried that reached the current limit."""
+        """Smallest tried step that reached the current limit."""
         return min((abs(size) for size, run in self.steps if run.saturated), default=None)
 
     def as_json(self) -> dict[str, Any]:
@@ -396,7 +396,7 @@ def run_experiments(machine: Machine, axis: str) -> Campaign:
     Raises
     ------
     OptionError
-        If a step of an eighth of pi at the motor is less than a count of the encoder.
+        If a step of an eighth of pi at the motor is less than an encoder count.
     """
     rates = rigid_motion(machine, axis)
     drive = machine.drive_of(axis)

@@ -1,9 +1,9 @@
 """The fastest feed that stays in spec.
 
-Passing is not monotone in speed: a loop that rings at one feed can be quiet at a higher one. So
-the whole range is scanned first, from above, then finer about every change between pass and fail,
-where a margin is so thin that the rounding of times to whole ticks decides, and then the edges of
-every interval that passes are refined.
+Passing is not monotone in speed: a loop that rings at one feed can be quiet at a higher feed. So
+the search first scans the whole range, from above. Then it scans more finely about every change
+between pass and fail, because thin margins there depend on the rounding of times to whole ticks. At
+last it refines the edges of every interval that passes.
 """
 
 from __future__ import annotations
@@ -35,29 +35,31 @@ from threadline.search.until import HaltError, Until
 from threadline.verdict import Verdict
 
 EDGE_RELATIVE = 2e-3
-_ENOUGH = 4  # feeds of a scan
+_ENOUGH = 4  # feeds in a row that must pass to end a scan from above
 _UNDER_WAY = 0.98
-"""Of a search that is not over, whatever was expected of it."""
+"""Largest reported progress of an unfinished search, even if it takes longer than expected."""
 RANGE = "range"
-"""What limits a search that ended before anything failed."""
+"""``limited_by`` of a search that reached the end of its range before any feed failed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
-    """How closely a search looks: the resolution of its answer.
+    """Resolution of a search.
 
     Parameters
     ----------
     points
-        Feeds in the scan. An interval narrower than the spacing can be missed.
+        Number of feeds in the scan. The search can miss an interval narrower than the spacing.
     near
-        Feeds tried within each gap of the scan between pass and fail, and in the gaps beside it.
+        Number of feeds tried within each gap of the scan between pass and fail, and in the gaps
+        beside it.
     edge
-        Edges are refined until pass and fail are this close, relative to the feed.
+        Relative distance of pass and fail down to which edges are refined.
     every
-        Whether every interval is looked into that closely, or the fastest alone, and feeds near its
-        upper edge. The scan then goes down from above only until a few feeds in a row pass; what it
-        meets on the way is as the scan and the bisection of edges have it.
+        Whether every interval is examined closely. If not, only the fastest interval and feeds near
+        its upper edge are examined closely; the scan then goes down from above until a few feeds in
+        a row pass. Slower intervals that this scan meets come from the scan and the bisection of
+        edges alone.
     """
 
     points: int = 48
@@ -68,40 +70,40 @@ class Grid:
 
 PLAIN: Grid = Grid()
 FINE: Grid = Grid(near=16)
-"""Of a search whose answer is told."""
+"""Resolution of a search whose answer is printed."""
 COARSE: Grid = Grid(points=12, edge=5e-3)
-"""Of one of many searches."""
+"""Resolution of one of many searches."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fastest:
-    """What a search found.
+    """Result of a search.
 
     Parameters
     ----------
     intervals
-        Every interval found, the fastest first; empty when no feed passes.
+        Every found interval, the fastest first; empty when no feed passes.
     limited_by
-        The criterion that fails just above the fastest interval, ``"range"`` when the search
-        ended first; when nothing passes, the one that fails where the search came closest.
+        Criterion that fails just above the fastest interval; ``"range"`` when the range ends first.
+        When no feed passes: the criterion that fails at the trial that came closest.
     verdict
-        At the best feed; when nothing passes, where the search came closest.
+        Verdict at the best feed; when no feed passes, at the trial that came closest.
     tried
-        Number of feeds tried.
+        Number of tried feeds.
     step, near_step
-        Relative distance of neighbouring feeds in the scan, and near the edges of intervals. A
-        narrower interval can be missed.
+        Relative distance of neighbouring feeds in the scan, and near the edges of intervals. The
+        search can miss a narrower interval.
     low
-        Where the scan began: whether feeds below it pass is not known.
+        Lowest feed of the scan; feeds below it are unknown.
     edge
         Relative distance of pass and fail at the edges of intervals.
     complete
-        Whether the search came to its end. Where it did not, intervals reach from one feed that
-        was tried to another, and nothing is known of what lies between.
+        Whether the search came to its end. If not, intervals reach from one tried feed to another,
+        and the feeds between them are unknown.
     every
-        Whether every interval was looked into as closely as the fastest.
+        Whether every interval was examined as closely as the fastest.
     forbidden
-        When nothing passes: every criterion that forbids feeds, and which.
+        When no feed passes: every criterion that forbids feeds, and the feeds it forbids.
     """
 
     intervals: tuple[Interval, ...]
@@ -118,27 +120,27 @@ class Fastest:
 
     @property
     def fastest(self) -> Interval | None:
-        """The fastest interval; a feed that passes alone only where no others pass."""
+        """The fastest interval; an isolated feed only where no wider interval passes."""
         return _first(self.intervals) if self.intervals else None
 
     @property
     def best(self) -> float | None:
-        """The highest feed that was tried and passed, and not alone where others pass."""
+        """The highest tried feed that passed; an isolated feed only where no others passed."""
         return None if self.fastest is None else self.fastest.high
 
     @property
     def alone(self) -> tuple[float, ...]:
-        """Feeds that pass while those right beside them fail, the highest first."""
+        """Isolated feeds, which pass while their close neighbours fail, the highest first."""
         return tuple(interval.high for interval in self.intervals if interval.alone)
 
 
 def check_range(low: float, high: float, unit: str) -> None:
-    """Refuse a range of feeds without one to try.
+    """Refuse a range that contains no feed to try.
 
     Raises
     ------
     OptionError
-        If the lowest is not above 0 and below the highest, or that is infinite.
+        If the lowest feed is not above 0 and below the highest, or the highest is infinite.
     """
     if not 0.0 < low < high < math.inf:
         raise OptionError(
@@ -164,14 +166,14 @@ def find_fastest(
     judged
         Returns the verdict at a feed.
     low, high
-        Ends of the scan, ``0 < low < high``; evenly spaced on a logarithmic scale, because what
-        limits a machine scales with powers of its speed.
+        Ends of the scan, ``0 < low < high``. Feeds are evenly spaced on a logarithmic scale,
+        because the load on a machine's limits grows with powers of its speed.
     until
-        When the search has to come to an answer. With it, an interrupt ends the search and not the
-        program, once a feed was judged.
+        Deadline of the search. With a deadline, an interrupt ends the search and not the program,
+        once a feed was judged.
     seen
-        Verdicts by feed that an earlier search of the same range has come to: they are not asked
-        for again, and count as tried. Those that this search comes to are added.
+        Verdicts by feed from an earlier search of the same range. They are not judged again, and
+        count as tried. The search adds its own verdicts.
 
     Raises
     ------
@@ -187,7 +189,7 @@ def find_fastest(
     seen = {} if seen is None else seen
     an_edge = float(np.log2(np.log(high / low) / points / edge_relative + 1.0))
     inside = INSIDE if near else 0
-    expected = points + 6.0 * near + 2.0 * an_edge + inside  # as if there were one interval
+    expected = points + 6.0 * near + 2.0 * an_edge + inside  # for one interval
     told = 0.0
 
     def verdict_at(feed: float) -> Verdict:
@@ -245,7 +247,7 @@ def find_fastest(
     if not grid.every:
         steps["low"] = min(seen)
     best = _first(intervals).high
-    # A feed that passes alone may lie between the best and the first that fails.
+    # An isolated feed that passes may lie between the best and the first that fails.
     above = [feed for feed in seen if feed > best and not seen[feed].passed]
     limited_by = worst_criterion(seen[min(above)])[0] if above else RANGE
     return Fastest(
@@ -259,7 +261,7 @@ def find_fastest(
 
 
 def _between_tried(seen: Mapping[float, Verdict]) -> list[Interval]:
-    """Return the stretches of feeds of which every one that was tried passes, the lowest first."""
+    """Return the intervals in which every tried feed passes, the lowest first."""
     intervals: list[Interval] = []
     below = False
     for feed in sorted(seen):
@@ -280,7 +282,7 @@ def _searched(
 ) -> list[Interval]:
     """Return every interval that passes, the lowest first.
 
-    ``expects`` is told how many edges between pass and fail are refined, once that is known.
+    ``expects`` is called with the number of edges to refine, once it is known.
     """
     points, near, edge_relative = grid.points, grid.near, grid.edge
     feeds = _spaced(*span, points)
@@ -306,11 +308,11 @@ def _searched_from_above(
     grid: Grid,
     expects: Callable[[int], None],
 ) -> list[Interval]:
-    """Return the intervals that pass, the lowest first, the fastest of them looked into.
+    """Return the intervals that pass, the lowest first; only the fastest is examined closely.
 
-    The scan goes down until some feeds in a row pass. Feeds are tried near the upper edge of the
-    fastest interval, and inside it; where nothing of it holds but feeds that pass alone, the next
-    one below is looked into, and where no interval holds, all of them are.
+    The scan goes down until some feeds in a row pass. Then feeds are tried near the upper edge of
+    the fastest interval, and inside it. If only isolated feeds of this interval pass, the next
+    interval below is examined. If no interval remains, the whole range is searched.
     """
     points, near, edge_relative = grid.points, grid.near, grid.edge
     scan = _down_to_passing(verdict_at, _spaced(*span, points))
@@ -336,7 +338,7 @@ def _searched_from_above(
 
 
 def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
-    """Return the highest feeds, down to so many in a row that pass; all where none do."""
+    """Return the highest feeds, down to ``_ENOUGH`` in a row that pass; all feeds where none do."""
     passing = 0
     for at in range(len(feeds) - 1, -1, -1):
         passing = passing + 1 if verdict_at(feeds[at]).passed else 0
@@ -346,10 +348,10 @@ def _down_to_passing(verdict_at: Judged, feeds: list[float]) -> list[float]:
 
 
 def _passes(verdict_at: Judged, feeds: Sequence[float]) -> list[bool]:
-    """Return whether each feed passes. The highest is tried first.
+    """Return whether each feed passes. The highest feed is tried first.
 
-    It takes the least time to simulate, and what fails is seen at once: so a search that is ended
-    early has the highest of the feeds that pass, and has not spent its time on the slow ones.
+    A high feed takes the least time to simulate, and a failing feed shows at once. So a search that
+    ends early has the highest of the passing feeds, and has spent no time on slow feeds.
     """
     return [verdict_at(feed).passed for feed in reversed(feeds)][::-1]
 
@@ -375,18 +377,18 @@ def _bounded(
 
 
 def _first(intervals: Sequence[Interval]) -> Interval:
-    """Return the first interval; one feed alone only where there are no others."""
+    """Return the first interval; an isolated feed only where there are no wider intervals."""
     return min(intervals, key=lambda interval: interval.alone)
 
 
 def _about(passes: Sequence[bool]) -> set[int]:
-    """Return the gaps where pass turns to fail, and those beside, each by the feed below."""
+    """Return the gaps between pass and fail, and gaps beside them, by index of the lower feed."""
     changes = (gap for gap, (a, b) in enumerate(pairwise(passes)) if a != b)
     return {beside for gap in changes for beside in (gap - 1, gap, gap + 1)}
 
 
 def _finer(feeds: Sequence[float], gaps: Collection[int], near: int) -> list[float]:
-    """Return ``feeds`` with ``near`` more in each of some gaps."""
+    """Return ``feeds`` with ``near`` more feeds in each gap of ``gaps``."""
     finer = []
     for gap, feed in enumerate(feeds):
         finer.append(feed)
@@ -396,7 +398,7 @@ def _finer(feeds: Sequence[float], gaps: Collection[int], near: int) -> list[flo
 
 
 def _spaced(low: float, high: float, points: int) -> list[float]:
-    """Return feeds evenly spaced on a logarithmic scale, those between the ends short to type."""
+    """Return feeds evenly spaced on a logarithmic scale; the inner feeds have few digits."""
     share = (high / low) ** (1.0 / (points - 1)) - 1.0
     inner = [typeable(float(f), share * float(f)) for f in np.geomspace(low, high, points)[1:-1]]
     return [low, *inner, high]

@@ -1,4 +1,4 @@
-"""The fastest feed of a job, and the needle speeds of a seam, searched over the whole pipeline."""
+"""The fastest feed of a job, and the fastest needle speed of a seam, over the whole pipeline."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from threadline.verdict import Verdict
 
 
 def searched_by(job: Job, machine: Machine) -> FeedMode:
-    """Return what a search for a feed varies.
+    """Return the feed mode that a search varies.
 
-    Where a program has feeds that differ it is their override, which keeps their ratios; else F as
-    the job has it, or the speed of the fastest axis. An operator whose machine has a normal feed
-    sets one for all moves, and no override.
+    For a program with several feeds it is the override, which keeps the ratios of the feeds.
+    Otherwise it is the job's F word, or the speed of the fastest axis. On a machine with a normal
+    feed the operator sets one feed for all moves, so no override is searched.
     """
     named = job.feed_rule.partition(":")[0]
     if named not in RULES:
@@ -52,11 +52,12 @@ def _feeds_differ(job: Job) -> bool:
 
 
 def search_range(job: Job, machine: Machine, by: FeedMode) -> tuple[float, float]:
-    """Return the feeds between which a search makes sense, of what ``by`` says.
+    """Return the useful feed range of a search, in the unit of ``by``.
 
-    Those of ``feed_range_m_s``. Of an override: up to where the moves that the program wants the
-    fastest are as fast as their axes can be, 1 at least, because beyond that slower ones alone
-    become faster and ratios are lost; from where these moves make a count per tick.
+    The range is the result of ``feed_range_m_s``, except for an override. The highest override
+    brings the fastest programmed moves to their axes' limits, and is at least 1: beyond it only
+    slower moves get faster, and the ratios are lost. At the lowest override these moves make one
+    count per tick.
     """
     if by is not FeedMode.OVERRIDE:
         return feed_range_m_s(machine, by, job.feed_rule)
@@ -87,19 +88,19 @@ def search_range(job: Job, machine: Machine, by: FeedMode) -> tuple[float, float
 def feed_range_m_s(
     machine: Machine, by: FeedMode = FeedMode.FASTEST_AXIS, rule: str = ""
 ) -> tuple[float, float]:
-    """Return the feeds between which a search makes sense, m/s of the fastest axis.
+    """Return the useful feed range of a search, m/s of the fastest axis.
 
-    From one count per tick of the coarsest axis, below which a reference stands still between
-    ticks, to the highest velocity limit at the tool. With ``by`` of F words, of F by ``rule``,
-    ``Job.feed_rule``: from the F at which the coarsest axis alone makes a count per tick, to that
-    at which all axes are as fast as they can be.
+    The lowest feed moves the coarsest axis by one count per tick; below it a reference stands still
+    between ticks. The highest feed is the highest velocity limit at the tool. For ``by`` F words,
+    the range is in F by ``rule``, ``Job.feed_rule``: from the F at which the coarsest axis alone
+    moves by a count per tick, to the F at which all axes reach their velocity limits.
     """
     tick_s = float(machine.tick_clock.period_s)
     speeds = np.stack([1.0 / machine.counts_per_unit / tick_s, machine.velocity_limit])
     if by is FeedMode.F_WORD:
         axes = machine.axis_names
         unit = as_f_words(1.0, rule)
-        # How much F a speed of each axis alone is: what a way of a second takes at F 1.
+        # F for the speed of each axis alone: the time at F 1 for the distance of one second.
         alone = feed_time_s(np.diag(speeds[0]), unit, axes, machine)
         together = feed_time_s(speeds[1:], unit, axes, machine)
         each = feed_time_s(np.diag(speeds[1]), unit, axes, machine)
@@ -110,11 +111,11 @@ def feed_range_m_s(
 
 
 _SAME = 1e-3
-"""Speeds that differ by a smaller share are the same one."""
+"""Speeds that differ by a smaller share count as equal."""
 
 
 def _typed(feed: float, towards: Callable[[float], int]) -> float:
-    """Return a feed of six digits within the range: what a search ends with can be typed."""
+    """Return a feed of six digits within the range, so that a user can type the search's ends."""
     digits = 5 - math.floor(math.log10(feed))
     return float(f"{towards(feed * 10.0**digits)}e{-digits}")
 
@@ -127,16 +128,16 @@ def fastest_feed(
 ) -> Fastest:
     """Return every interval of feed (m/s of the fastest axis) at which a job stays in spec.
 
-    Where loads follow, a feed at which the smoothed motion breaks a limit of the machine is out of
-    spec. ``Question.by`` is what the feed is of: the fastest axis unless given, or F words, by the
-    job's rule for them; or an override, a share of the programmed feeds.
+    Where loads follow the motion, a feed whose smoothed motion breaks a limit of the machine is out
+    of spec. ``Question.by`` is the feed mode: the fastest axis by default; F words, by the job's
+    feed rule; or an override, a share of the programmed feeds.
 
     Parameters
     ----------
     grid, seen
-        As ``fastest_paced`` takes them.
+        As in ``fastest_paced``.
     parts
-        Jobs that are judged in the place of this one: its distinct stretches.
+        Jobs that are judged in place of this job: its distinct stretches.
     """
     machine, options = asked.machine, asked.options
     by = FeedMode.FASTEST_AXIS if asked.by is None else asked.by
@@ -149,7 +150,7 @@ def fastest_feed(
 
         return planned_at
 
-    # Where one of the shortest shows already that a feed fails, the others need no simulation.
+    # If one of the shortest stretches fails at a feed, the others need no simulation.
     shortest_first = sorted(parts, key=moves_in) if len(parts) > 1 else parts or (asked.job,)
     low, high = asked.low, asked.high
     if low is None or high is None:
@@ -159,7 +160,7 @@ def fastest_feed(
         high=high,
         unit=feed_unit(by) or "times the feeds",
         planned_at=[planner(LongMoves.of(part, machine)) for part in shortest_first],
-        # What is programmed outside the travel is so at every feed.
+        # A move programmed outside the travel is outside at every feed.
         is_verdict=lambda e: options.following is Following.LOAD and e.quantity != "travel",
     )
     return fastest_paced(asked, paced, grid, seen)
@@ -170,14 +171,14 @@ def feed_unit(by: FeedMode) -> str:
     return "" if by is FeedMode.OVERRIDE else "m/s"
 
 
-_SLOWEST = 0.025  # of the highest needle speed: where a search begins
+_SLOWEST = 0.025  # of the highest needle speed: lowest speed of a search
 
 
 def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
-    """Return the needle speeds between which a search makes sense, stitches a second.
+    """Return the useful range of needle speeds of a search, stitches a second.
 
-    Up to where the slower axis moves its shortest wanted stitch at its velocity limit, and from the
-    lowest speed on of a needle that follows the head.
+    At the highest speed the slower axis makes its shortest wanted stitch at its velocity limit. The
+    lowest speed is the lowest of a needle that follows the head.
 
     Raises
     ------
@@ -196,8 +197,9 @@ def needle_range_hz(job: Job, machine: Machine) -> tuple[float, float]:
 def fastest_needle(asked: Question, grid: Grid = FINE) -> Fastest:
     """Return every interval of needle speed (stitches a second) at which a seam is in spec.
 
-    The seam is read anew at each speed, so that its stitches are placed for it; every contour is
-    sewn at the same speed. A speed at which the plan breaks a limit of the machine is out of spec.
+    The seam is read again at each speed, so that its stitches are placed for this speed. Every
+    contour is sewn at the same speed. A speed at which the plan breaks a machine limit is out of
+    spec.
 
     Raises
     ------

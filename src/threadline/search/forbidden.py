@@ -1,4 +1,4 @@
-"""Intervals of feeds that pass, and what forbids the others."""
+"""Intervals of feeds that pass, and the criteria that forbid the other feeds."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from threadline.verdict import Status, Verdict
 
 Judged = Callable[[float], Verdict]
 INSIDE = 16
-"""Feeds that are tried inside an interval before it is believed."""
+"""Number of feeds tried inside an interval before it is accepted."""
 _THIN = 0.96
-"""What is used of the tightest limit where a feed right beside may use more than all of it."""
+"""Used share of the tightest limit above which a close neighbour may exceed the limit."""
 _BESIDE = (-47, -29, -16, -7, -3, -1, 1, 3, 7, 16, 29, 47)
-"""Feeds that are tried beside such a one, in parts of ``_JUMP``."""
+"""Neighbours that are tried beside such a feed, in multiples of ``_JUMP``."""
 _JUMP = 2e-4
-"""Relative distance of feeds whose times round to other ticks."""
+"""Relative distance of feeds with different rounding of times to ticks."""
 _LOOKS = 2
-"""How many of the tightest feeds of an interval are looked beside."""
+"""Number of the tightest feeds of an interval whose neighbours are tried."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -27,13 +27,15 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 class Interval:
     """A range of feeds that pass; SI or counts per tick, as searched.
 
-    Both ends were tried, and, where the search looks near its edges, feeds all over it.
+    Both ends were tried. Where the search examines its edges closely, feeds all over the range were
+    tried, too.
 
     Parameters
     ----------
     alone
-        Whether it is one feed, whose neighbours on both sides, no farther than edges are refined,
-        are out of specification: a chance of how times round to whole ticks.
+        Whether the interval is one isolated feed: its neighbours on both sides, within the
+        refinement of edges, are out of specification. Such a feed passes by chance of the rounding
+        of times to whole ticks.
     """
 
     low: float
@@ -42,9 +44,9 @@ class Interval:
 
 
 def typeable(feed: float, gap: float) -> float:
-    """Return ``feed`` with as few digits as move it by a hundredth of ``gap`` at the most.
+    """Return ``feed`` with as few digits as change it by at most a hundredth of ``gap``.
 
-    The shortened feed is the one that is tried: typed on a command line it gives the same plan.
+    The shortened feed itself is tried, so a user who types it gets the same plan.
     """
     for digits in range(4, 16):
         short = float(f"{feed:.{digits}g}")
@@ -67,14 +69,14 @@ def refined(verdict_at: Judged, passing: float, failing: float, edge_relative: f
 def held_parts(
     verdict_at: Judged, seen: Mapping[float, Verdict], interval: Interval, edge_relative: float
 ) -> list[Interval]:
-    """Return the parts of an interval in which every feed that was looked at passes.
+    """Return the parts of an interval in which every tried feed passes.
 
-    Between two feeds that pass, one may fail: where a margin is thin, the rounding of times to
-    whole ticks decides. So an interval is looked into at feeds spread evenly, by the golden ratio,
-    and cut about each that fails; of a part narrower than an edge, but at an end of the search, its
-    highest feed is left, alone. Where a margin is thin, what is used of a limit jumps by a
-    hundredth or two from one feed to one 0.02 % beside it: so the tightest feeds of what is left
-    are looked beside, too.
+    A feed between two passing feeds may fail: where a margin is thin, the result depends on the
+    rounding of times to whole ticks. So feeds spread evenly by the golden ratio are tried inside
+    the interval, and the interval is cut about each feed that fails. A part narrower than an edge
+    is reduced to its highest feed, alone, unless it lies at an end of the search. Where a margin is
+    thin, the used share of a limit jumps by a hundredth or two between feeds 0.02 % apart. So the
+    neighbours of the tightest feeds of the remaining parts are tried, too.
     """
     parts, found = [interval], []
     while parts:
@@ -109,7 +111,7 @@ def held_parts(
 def _beside_tightest(
     verdict_at: Judged, seen: Mapping[float, Verdict], part: Interval
 ) -> float | None:
-    """Return a feed that fails right beside one of the tightest of an interval; None: none does."""
+    """Return a failing feed right beside one of an interval's tightest feeds; None without one."""
     looked: set[float] = set()
     for _ in range(_LOOKS):
         uses = {f: used(seen[f]) for f in seen if part.low <= f <= part.high and f not in looked}
@@ -126,7 +128,7 @@ def _beside_tightest(
 
 
 def used(verdict: Verdict) -> float:
-    """Return the share of the tightest limit that is used; 0 where none was measured."""
+    """Return the used share of the tightest limit; 0 where no criterion was measured."""
     worst = verdict.tightest
     if worst is None or worst.measured is None or not worst.limit:
         return 0.0
@@ -140,14 +142,14 @@ class Forbidden:
     Parameters
     ----------
     name
-        Of the criterion that fails there by the largest factor, of those that were judged.
+        Name of the criterion that fails at these feeds by the largest factor.
     low, high
-        The lowest and the highest of these feeds; others between them may fail by another.
+        The lowest and the highest of these feeds; other criteria may forbid feeds between them.
     feeds
-        How many were tried.
+        Number of tried feeds that the criterion forbids.
     repeated
-        How many of them pass in the one run of the machine as its file says, and fail over the runs
-        and machines that were asked for.
+        Number of these feeds that pass in one run of the file's machine, and fail over the
+        requested runs and machines.
     """
 
     name: str
@@ -158,7 +160,7 @@ class Forbidden:
 
 
 def forbidden(seen: Mapping[float, Verdict]) -> tuple[Forbidden, ...]:
-    """Return what forbids the feeds that fail, the criterion that forbids the slowest first."""
+    """Return the criteria that forbid feeds, the criterion of the slowest feeds first."""
     by_name: defaultdict[str, list[float]] = defaultdict(list)
     for feed in sorted(seen):
         if not seen[feed].passed:
@@ -176,7 +178,7 @@ def forbidden(seen: Mapping[float, Verdict]) -> tuple[Forbidden, ...]:
 
 
 def joined(found: Iterable[Forbidden]) -> tuple[Forbidden, ...]:
-    """Return what several searches of the same feeds were forbidden, each criterion once."""
+    """Return the criteria of several searches over the same feeds, each criterion once."""
     by_name: dict[str, Forbidden] = {}
     for one in found:
         other = by_name.get(one.name)
@@ -195,15 +197,15 @@ def joined(found: Iterable[Forbidden]) -> tuple[Forbidden, ...]:
 
 
 def closest_of(verdicts: Iterable[Verdict]) -> Verdict:
-    """Return the verdict of where a search without a feed in specification came closest."""
+    """Return the verdict that came closest to passing."""
     return min(verdicts, key=closeness)
 
 
 def closeness(verdict: Verdict) -> tuple[bool, float]:
-    """Return what the closest of verdicts that fail has least of.
+    """Return the sort key of verdicts that fail; the closest verdict has the smallest key.
 
-    One that fails in the first run already was judged by that alone, and may exceed by more what
-    only many runs show. So it is farther than any that comes through one run.
+    A verdict that fails in the first run has no further runs, and these could exceed limits by
+    more. So such a verdict ranks behind every verdict that passes its first run.
     """
     return not _beyond_one_run(verdict), worst_criterion(verdict)[1]
 
@@ -215,8 +217,8 @@ def _beyond_one_run(verdict: Verdict) -> bool:
 def worst_criterion(verdict: Verdict) -> tuple[str, float]:
     """Return the criterion that exceeds its limit by the largest factor, and the factor.
 
-    A required criterion that was not measured, or one whose limit is zero, exceeds it by
-    infinitely much, but is named only when no other fails.
+    The factor is infinite if a required criterion was not measured, or a criterion with limit zero
+    fails. Such a criterion is named only if no other fails.
     """
     worst, factor, unbounded = "", 0.0, ""
     for result in verdict.results:

@@ -1,4 +1,4 @@
-"""Which numbers a result depends on: Sobol indices over the tolerances of a machine."""
+"""The influence of a machine's numbers on a result: Sobol indices over its tolerances."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from threadline.machine.variants import FARTHEST, drawn
 from threadline.search.machine_yield import MachineYield, shares_of
 from threadline.verdict.each_run import clopper_pearson
 
-_PER_PART = 2.0  # standard deviations in a tolerance
+_PER_PART = 2.0  # standard deviations per tolerance
 _RESAMPLES = 200
 
 
@@ -25,9 +25,9 @@ class Influence:
     Parameters
     ----------
     first, total
-        (n,) first-order index of each number, and its total index with all interactions.
+        (n,) first-order index of each number, and total index with all interactions.
     first_interval, total_interval
-        (2, n) ends of their 95 % confidence intervals, by bootstrap. Of a number without influence
+        (2, n) ends of their 95 % confidence intervals, by bootstrap. For a number without influence
         both ends are the index itself.
     """
 
@@ -38,7 +38,7 @@ class Influence:
 
 
 def judgements(numbers: int, samples: int) -> int:
-    """Return for how many machines ``influence`` asks."""
+    """Return the number of machines that ``influence`` judges."""
     return (numbers + 2) * samples
 
 
@@ -50,12 +50,12 @@ def influence(
     Parameters
     ----------
     result
-        (k, n) parts of the tolerances to (k,) values.
+        Takes (k, n) parts of the tolerances; returns (k,) values.
     normal
-        (n,) whether a number is distributed normally, cut off at 3 standard deviations; else
-        uniformly over its tolerance.
+        (n,) whether a number is distributed normally, cut off at 3 standard deviations; otherwise
+        it is distributed uniformly over its tolerance.
     samples
-        A power of 2; ``judgements`` tells how many results are asked for.
+        A power of 2; ``judgements`` returns the number of results that it needs.
     """
     from scipy.stats import DegenerateDataWarning, bootstrap, sobol_indices, truncnorm, uniform
 
@@ -78,10 +78,10 @@ def influence(
         method=cast(Any, shares),
     )
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
-        # A number that does nothing has the same share in every sample, and no spread.
+        # A number without influence has the same share in every sample, and no spread.
         warnings.simplefilter("ignore", DegenerateDataWarning)
         found = np.nan_to_num(_shares(*values)[:, 0], nan=0.0, posinf=0.0, neginf=0.0)
-        # That of scipy's own result takes no generator: its ends differ from call to call.
+        # The bootstrap of scipy's result takes no generator: its ends differ between calls.
         spread = bootstrap(
             [np.arange(samples)],
             lambda of: _shares(*(value[..., of] for value in values))[:, 0],
@@ -97,9 +97,9 @@ def influence(
 def _shares(a: FloatArray, b: FloatArray, exchanged: FloatArray) -> FloatArray:
     """Return (2, s, n) first-order and total indices of s results.
 
-    Of values at (s, k) samples A and B, less their mean, and at (n, s, k) samples A with one of n
-    numbers from B: lines (b) and (f) of table 2 in Saltelli and others, "Variance based sensitivity
-    analysis of model output", Computer Physics Communications 181, 2010, 259-270.
+    The arguments are values, less their mean: at (s, k) samples A and B, and at (n, s, k) samples A
+    with one of n numbers from B. Lines (b) and (f) of table 2 in Saltelli and others, "Variance
+    based sensitivity analysis of model output", Computer Physics Communications 181, 2010, 259-270.
     """
     variance = np.var([a, b], axis=(0, -1))
     first = np.mean(b * (exchanged - a), axis=-1) / variance
@@ -108,7 +108,7 @@ def _shares(a: FloatArray, b: FloatArray, exchanged: FloatArray) -> FloatArray:
 
 
 MACHINES = 2000
-"""Machines that are drawn to count a yield: for 99 %, 1990 of them must be in specification."""
+"""Machines drawn to count a yield: for 99 %, 1990 of them must be in specification."""
 _STEP = 0.5
 _LEAST = 1.0 / 16.0
 _MOST_SHARE = 10.0
@@ -116,16 +116,16 @@ _MOST_SHARE = 10.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CheapestSet:
-    """Tolerances with which the yield is what was wished for.
+    """Tolerances that reach a wished yield.
 
     Parameters
     ----------
     factors
         (n,) factor on the tolerance of each number: 1, or a power of a half.
     passed, tried
-        Machines in specification with them, of how many.
+        Number of machines in specification with these tolerances, and number of drawn machines.
     reached
-        Whether the yield is reached; if not, no further halving brought it nearer.
+        Whether the yield is reached; if not, no further halving improved it.
     """
 
     factors: FloatArray
@@ -135,12 +135,12 @@ class CheapestSet:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Between which shares the yield of all machines lies, at 95 % confidence."""
+        """Confidence interval (95 %) of the yield of all machines."""
         return clopper_pearson(self.passed, self.tried)
 
     @property
     def halvings(self) -> int:
-        """The cost: how often tolerances are halved, added up over all numbers."""
+        """Cost: the number of halvings, summed over all tolerances."""
         return round(float(-np.log2(self.factors).sum()))
 
 
@@ -152,25 +152,25 @@ def cheapest_set(
     machines: int = MACHINES,
     done: Callable[[int], None] | None = None,
 ) -> CheapestSet:
-    """Return halved tolerances with which a yield is reached, as few halvings as are found.
+    """Return halved tolerances that reach a yield, with few halvings.
 
-    Halving a tolerance costs the same for every number. The same machines are drawn throughout, the
-    deviation of each number scaled with its tolerance. The tolerance whose halving brings most
-    machines into specification is halved, again and again, until the lower end of the exact
-    confidence interval reaches ``wished``. Then every halving that is no longer needed is taken
-    back. So no halving of the set can be left out; another, smaller set may exist.
+    Halving a tolerance costs the same for every number. The same machines are drawn throughout, and
+    the deviation of each number is scaled with its tolerance. The search repeatedly halves the
+    tolerance whose halving brings most machines into specification, until the lower end of the
+    exact confidence interval reaches ``wished``. Then it takes back every halving that is no longer
+    needed. So no halving of the set can be left out; another, smaller set may exist.
 
     Parameters
     ----------
     wished
         The yield, a share in (0, 1).
     done
-        Called with the number of machines that were judged.
+        Called with the number of judged machines.
     """
     parts = drawn(judged.plan.machine, seed, np.arange(machines))
 
     def tried(factors: FloatArray) -> tuple[int, float, FloatArray]:
-        """Return how many pass, how much of the limits those use that do not, and all uses."""
+        """Return the number that pass, minus the sum of shares above 1, and all used shares."""
         found = judged.judged(parts * factors, done)
         shares = np.minimum(shares_of(found)[0], _MOST_SHARE)
         return int(found.passed.sum()), -float(shares[shares > 1.0].sum()), shares
@@ -188,7 +188,7 @@ def cheapest_set(
             then[k] *= _STEP
             more, nearer, changed = tried(then)
             if np.array_equal(changed, shares) or then[k] <= _LEAST:
-                free.remove(k)  # nothing hangs on it, or it is as good as exact
+                free.remove(k)  # the number has no influence, or its tolerance is almost 0
             steps.append((more, nearer, k, changed))
         best = max(steps, key=lambda step: step[:2], default=None)
         if best is None or best[:2] <= (passed, near):

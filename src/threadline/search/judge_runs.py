@@ -1,8 +1,8 @@
-"""Judges variants of a machine one by one, for machines that are not simulated many at once.
+"""Judges of machine variants, in batches or one by one.
 
-Variants go through in parts of some hundred, several parts at once; each is simulated block by
-block and measured as it comes, so that memory depends on the parts in hand alone. A variant is
-judged to the same bits in any part and by any number of threads.
+Variants are judged in parts of some hundred, with several parts at once. Each part is simulated
+block by block and measured on the way, so that memory depends only on the parts under way. A
+variant's result is the same to the bit in any part and with any number of threads.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from threadline.verdict import EachRun, Judge, Spec, needed_channels
 
 
 class AloneJudge:
-    """Judges machines within the tolerances of a plan's, one by one, all under its commands.
+    """Judges machines within the tolerances of a plan's machine, one by one, under its commands.
 
     Encoders stand in the middle of a count.
     """
@@ -41,10 +41,10 @@ class AloneJudge:
         self._judge = Judge(plan, spec)
 
     def judged(self, parts: FloatArray, done: Callable[[int], None] | None = None) -> EachRun:
-        """Return what comes of machines at (k, n) parts of their tolerances.
+        """Return the results of machines at (k, n) parts of their tolerances.
 
-        One that cannot be simulated, or that never ends what it waits for, fails every criterion
-        that has a limit, with an infinite value.
+        A machine that cannot be simulated, or that never ends a wait, fails every criterion with a
+        limit, with an infinite value.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class AloneJudge:
 
     @cached_property
     def _own(self) -> EachRun:
-        """What comes of the machine of the plan."""
+        """Result of the plan's own machine."""
         return self._one(np.zeros(len(uncertain(self._plan.machine))))
 
     def _one(self, row: FloatArray) -> EachRun:
@@ -76,17 +76,17 @@ class AloneJudge:
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8  # parameters of mallopt, malloc.h
 _LARGEST = 32 << 20
-"""Bytes from which an array is mapped by itself; glibc takes no larger number."""
+"""Size from which an array gets a mapping of its own, bytes; glibc's largest value."""
 _KEPT = 512 << 20
 
 
 def keep_freed_memory() -> None:
-    """Let the C library of Linux keep what is freed for what is wanted next.
+    """Let the C library of Linux keep freed memory for later allocations.
 
-    It gives the end of its memory back as soon as it is free, and arrays of some megabytes lie
-    there. Where a loop makes and drops them, every page is asked for, cleared and given back anew:
-    a fifth of the time of judging many machines. The most memory that is ever in use stays as it
-    is. Other C libraries are left alone.
+    By default it returns the end of its memory to the system as soon as it is free, and arrays of
+    some megabytes lie there. In a loop that makes and drops such arrays, every page is requested,
+    cleared and returned again: a fifth of the time of judging many machines. The peak memory stays
+    unchanged. Other C libraries keep their settings.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -94,18 +94,18 @@ def keep_freed_memory() -> None:
         return
     mallopt(_MMAP_THRESHOLD, _LARGEST)
     mallopt(_TRIM_THRESHOLD, _KEPT)
-    mallopt(_ARENA_MAX, 1)  # what one thread has freed the next one takes
+    mallopt(_ARENA_MAX, 1)  # threads reuse each other's freed memory
 
 
 AT_ONCE = 256
-"""Variants of a part: they share what is worked out once, and their samples fit a fast memory."""
+"""Variants per part: they share common calculations, and their samples fit the cache."""
 
 KEPT_S = 300.0
-"""A job that takes no longer is kept in memory while it is judged over and over."""
+"""Longest job that is kept in memory while it is judged repeatedly."""
 
 
 def kept_in_memory(plan: Plan) -> Plan:
-    """Return a plan whose job, path, trajectory and commands are in memory, if they are short."""
+    """Return a plan with job, path, trajectory and commands in memory, if the job is short."""
     if plan.duration_s > KEPT_S:
         return plan
     motion, table = plan.motion, tick_table(plan.commands)
@@ -128,19 +128,19 @@ class RunsJudge:
     Parameters
     ----------
     plan
-        Whose commands every variant gets.
+        Plan whose commands every variant gets.
     spec
-        What is asked.
+        Specification with the criteria.
     machine
-        Whose numbers they replace; that of the plan when None.
+        Machine whose numbers the variants replace; None: the plan's machine.
     settle_s
-        How long to go on after the last row.
+        Simulated time after the last row.
     threads
-        Parts that are under way at once; as many as there are cores when None.
+        Number of parts under way at once; None: the number of cores.
     extremes
-        Numbers of machines whose fastest rates bound those of all that will be judged. With them a
-        machine has the same result, to the bit, whichever others share its part. None lets it
-        differ by rounding.
+        Numbers of machines whose fastest rates bound the rates of all machines to be judged. With
+        them, a machine's result is the same to the bit, whichever others share its part. None:
+        results may differ by rounding.
 
     Raises
     ------
@@ -178,17 +178,17 @@ class RunsJudge:
         phases: FloatArray | None = None,
         done: Callable[[int], None] | None = None,
     ) -> EachRun:
-        """Return what came of every variant.
+        """Return the result of every variant.
 
-        One that cannot be simulated, because its motion grows without bound or its modes change
-        without end, fails every criterion that has a limit, with an infinite value.
+        A variant that cannot be simulated, because its motion grows without bound or its modes
+        change without end, fails every criterion with a limit, with an infinite value.
 
         Parameters
         ----------
         variants
             Path of a number of the machine file to its (V,) SI values, at least one of them.
         phases
-            (V, axes) where between two counts each encoder stands; 0.5 when None.
+            (V, axes) place of each encoder between two counts; 0.5 when None.
         done
             Called after each part with the number of its variants.
         """
@@ -206,7 +206,7 @@ class RunsJudge:
 
     @cached_property
     def _own(self) -> EachRun:
-        """What comes of the machine of the plan."""
+        """Result of the plan's own machine."""
         own = simulate_runs(
             self._table,
             Values.of(self.plan.machine),
@@ -216,7 +216,7 @@ class RunsJudge:
         return self._judge.each(own)
 
     def _parts(self, values: Values) -> Iterator[tuple[Values, IntArray]]:
-        """Yield the variants in parts of one dead time, each with its places among all."""
+        """Yield the variants in parts with one dead time, each part with its indices among all."""
         for sharing, places in values.by_delay():
             for at in range(0, sharing.count, AT_ONCE):
                 yield sharing.slice(at, at + AT_ONCE), places[at : at + AT_ONCE]
@@ -233,7 +233,7 @@ class RunsJudge:
             )
             return self._judge.each(recording)
         except MachineError:
-            # One variant without an answer ends its whole part: halve it until that one is alone.
+            # One variant without an answer ends its whole part: halve the part until it is alone.
             if values.count == 1:
                 return self._own.without_answer()
             half = values.count // 2
@@ -243,5 +243,5 @@ class RunsJudge:
 
 
 def _without_delays(machine: Machine, numbers: Mapping[str, FloatArray]) -> Values:
-    """Return numbers but for dead times, which make nothing faster."""
+    """Return the numbers without dead times, which do not affect the rates."""
     return Values.of(machine, {k: v for k, v in numbers.items() if not k.endswith(".delay")})

@@ -1,8 +1,8 @@
-"""The shares of the limits that a search for the fastest has tried, and how far it is with them.
+"""Search of feed and share of the limits together, and its state.
 
-A loop that lags turns acceleration into error. A planner that uses all of the machine's limits
-then has to creep to stay in spec; one that uses a tenth of them may run at full feed. So feed and
-share of the limits are searched together, and the shortest job wins.
+A loop that lags turns acceleration into error. A plan that uses the machine's full limits may have
+to creep to stay in spec; a plan with a tenth of the limits may run at full feed. So feed and share
+of the limits are searched together, and the shortest job wins.
 """
 
 from __future__ import annotations
@@ -32,34 +32,33 @@ from threadline.search.until import HaltError, Until, as_far_as, no_answer
 from threadline.verdict import Verdict
 
 LONG_S = 300.0
-"""A job that takes longer, however fast it was so far, is not searched with shares of the limits
-with which it takes longer still."""
+"""Duration above which a job is long; for a long job, slow shares of the limits are skipped."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Shares:
-    """What is known of each share of the limits.
+    """State of the search for each share of the limits.
 
     Parameters
     ----------
     searched
-        Returns the feeds in spec with a share, from how closely feeds are looked at, and whom to
-        tell how far that is.
+        Returns the feeds in spec with a share; takes the share, the grid of feeds, and the progress
+        to report to.
     duration_s
-        Returns how long the job takes with a share at the best of its feeds.
+        Returns the job's duration with a share at its best feed.
     at_top_s
-        Returns how long it takes with a share at the highest feed of all.
+        Returns the job's duration with a share at the highest feed of the range.
     expected
-        How many searches of one share there will be, most likely.
+        Expected number of searches of one share.
     progress, until
-        As a search takes them.
+        As in ``Question``.
     rungs, left_out
-        What was found, by share; and shares with which even the highest feed takes no less time
-        than the best so far.
+        Results by share; and shares with which even the highest feed takes no less time than the
+        best result so far.
     top_s
-        How long the job takes with all of the limits at the highest feed; None until it is asked.
+        The job's duration with the full limits at the highest feed; None until it is calculated.
     steps, told
-        How many searches were begun, and how much of all was told to be done.
+        Number of started searches, and last reported progress.
     """
 
     searched: Callable[[float, Grid, Progress | None], Fastest]
@@ -75,12 +74,13 @@ class Shares:
     told: float = 0.0
 
     def tried(self, share: float, grid: Grid) -> Rung | None:
-        """Return what was found with a share, searched unless that is known; None: left out.
+        """Return the result of a share, and search it if it is unknown; None: the share is skipped.
 
         Raises
         ------
         HaltError
-            If the time is over, or somebody asks for the answer, after this share was known.
+            If the time ends, or a user asks for the answer, after the result of this share is
+            known.
         """
         if share in self.rungs and not grid.near:
             return self.rungs[share]
@@ -92,7 +92,7 @@ class Shares:
         try:
             duration_s = self.duration_s(share, found)
         except KeyboardInterrupt as signal:
-            # It takes one plan more to answer with what was found.
+            # One more plan is needed to answer with the found feeds.
             if self.until is None or not self.until.interrupted(signal):
                 raise
             duration_s = self.duration_s(share, found)
@@ -103,12 +103,12 @@ class Shares:
 
     @property
     def long(self) -> bool:
-        """Whether the job takes long, however fast it was so far, or at the highest feed."""
+        """Whether the job is long with the best result so far, or else at the highest feed."""
         if not self.rungs:
             if self.top_s is None:
                 try:
                     self.top_s = self.at_top_s(1.0)
-                except LimitError:  # it breaks a limit: how long it would take says nothing
+                except LimitError:  # the plan breaks a limit: its duration is unknown
                     self.top_s = 0.0
             return self.top_s > LONG_S
         return LONG_S < self._best_s < math.inf
@@ -119,14 +119,14 @@ class Shares:
         return min((value for value in durations if value is not None), default=math.inf)
 
     def _telling(self, share: float) -> Progress | None:
-        """Return what is told how far the search of one share is."""
+        """Return the callback for the progress of one share's search."""
         if self.progress is None:
             return None
         progress, each = self.progress, 1.0 / max(self.expected, self.steps + 1)
         done = self.steps * each
 
         def telling(_: str, part: float) -> None:
-            # Searches that nobody expected make the others a smaller part of all.
+            # Unexpected searches reduce each search's share of the progress.
             self.told = max(self.told, done + part * each)
             progress(f"limits {share:.0%}", self.told)
 
@@ -134,27 +134,26 @@ class Shares:
         return telling
 
     def _hopeless(self, share: float) -> bool:
-        """Say whether nothing of a share can be the answer: even the highest feed is too slow."""
+        """Return whether a share is too slow to be the answer, even at the highest feed."""
         if not self.rungs or not self.long:
             return False
         try:
             with nullcontext() if self.until is None else self.until.interrupting():
                 if self.at_top_s(share) < self._best_s:
                     return False
-        except LimitError:  # the highest feed breaks a limit: it is no plan to compare with
+        except LimitError:  # the highest feed breaks a limit: no duration to compare
             return False
         self.left_out.add(share)
         return True
 
 
 _LADDER = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)
-_STEP = 2.0**0.25  # from rung to rung once the best of the ladder is known
+_STEP = 2.0**0.25  # factor between rungs once the best of the ladder is known
 _SCAN = Grid(points=20)
 _CLOSELY = Grid(points=20, near=FINE.near)
 _STEPS = len(_LADDER) + 5
-"""Of a search: the ladder, most often two shares on either side of the best, and the best again,
-near its edges."""
-_LOWERED = 8  # feeds that the whole job is tried at
+"""Expected searches: the ladder, two shares on either side of the best, and the best again."""
+_LOWERED = 8  # feeds at which the whole job is tried
 _LOWER = 0.98
 
 
@@ -163,19 +162,20 @@ def fastest_job(asked: Question) -> FastestJob:
 
     Paths and timings that ignore the limits (the 1994 controller's, programmed times) are searched
     by feed alone. ``optimal`` needs no feed: see ``fastest_allowed``. ``Question.low`` and ``high``
-    are m/s of the fastest axis or of F words, or shares of an override; where ``Question.by`` does
-    not say what, ``searched_by`` does.
+    are m/s of the fastest axis or of F words, or shares of an override. Without ``Question.by``,
+    ``searched_by`` chooses the feed mode.
 
     Notes
     -----
-    Where most of a job repeats what was met before, tries are judged by its distinct stretches, and
-    the best by the whole job; where that is out of spec, the feed is lowered until it is not. So
-    are moves that go on at a constant speed for long: tries leave out the middle.
+    Where most of a job repeats earlier stretches, trials are judged by its distinct stretches.
+    Where moves run long at a constant speed, trials leave out their middles. In both cases the
+    whole job is judged at the best plan; if it is out of spec, the feed is lowered until the whole
+    job passes.
 
-    Of a job of more than five minutes a share of the limits is left out where even the highest feed
-    takes no less time with it than the best so far: nothing of it can be the answer. Feeds are
-    tried from above until four in a row are in spec, and near the end the fastest interval alone is
-    looked into closely, and its upper edge.
+    In a job of more than five minutes a share of the limits is skipped if even its highest feed
+    takes no less time than the best result so far: it cannot be the answer. Feeds are tried from
+    above until four in a row are in spec. At the end only the fastest interval and its upper edge
+    are examined closely.
     """
     job, machine, options, until = asked.job, asked.machine, asked.options, asked.until
     check_loops(machine)
@@ -189,7 +189,7 @@ def fastest_job(asked: Question) -> FastestJob:
     if asked.progress is not None:
         asked.progress("looking for what repeats", 0.0)
     if until is not None:
-        until.check()  # before any file is open
+        until.check()  # checked before any file is open
     with nullcontext() if until is None else until.interrupting():
         parts = distinct_parts(job, machine)
         by_feed = ignores_limits(parts[0], machine, options)
@@ -253,7 +253,7 @@ def fastest_job(asked: Question) -> FastestJob:
 
 
 def _climb(tried: Callable[..., Rung | None], rungs: Mapping[float, Rung]) -> None:
-    """Try shares of the limits until none beside the best is better."""
+    """Try shares of the limits until the neighbours of the best are not better."""
     for share in _LADDER:
         tried(share, _SCAN)
     best = min(rungs.values(), key=_order)
@@ -274,7 +274,7 @@ def _climb(tried: Callable[..., Rung | None], rungs: Mapping[float, Rung]) -> No
 
 
 def _cut(parts: Sequence[Job], machine: Machine, best: Rung, by: FeedMode) -> bool:
-    """Say whether the best plan was judged without the middles of long moves."""
+    """Return whether the best plan was judged without the middles of long moves."""
     feed_m_s = best.found.best
     if feed_m_s is None:
         return False
@@ -293,7 +293,7 @@ def planned_at(asked: Question, share: float, feed: float) -> Plan:
 
 
 def _of_whole(best: Rung, asked: Question) -> Rung:
-    """Return ``best`` as the whole job has it, with the highest feed at which that is in spec."""
+    """Return ``best`` judged by the whole job, at the highest feed at which it is in spec."""
     interval = best.found.fastest
     assert interval is not None
     feed_m_s = interval.high
@@ -303,7 +303,7 @@ def _of_whole(best: Rung, asked: Question) -> Rung:
         if verdict.passed:
             kept = best.found.intervals
             if feed_m_s < interval.high:
-                # What was found by parts alone, above this feed, does not hold for the whole.
+                # Parts alone passed above this feed; the whole job did not.
                 own = Interval(low=min(interval.low, feed_m_s), high=feed_m_s)
                 kept = (own, *(i for i in kept if i.high < own.low))
             found = replace(best.found, intervals=kept, verdict=verdict)
@@ -315,15 +315,15 @@ def _of_whole(best: Rung, asked: Question) -> Rung:
 
 
 def ignores_limits(job: Job, machine: Machine, options: Options) -> bool:
-    """Say whether a share of the limits makes no difference to a plan."""
+    """Return whether a share of the limits makes no difference to a plan."""
     if options.timing.pace is Pace.PROGRAMMED:
         return True
-    # Planned without feed-forward, whose smoothing would hide how the path was timed.
+    # Planned without feed-forward, whose smoothing would hide the path's timing.
     return plan_job(job, machine, replace(options, feed_forward_s=None)).intent.historical
 
 
 def _order(rung: Rung) -> tuple[float, tuple[bool, float]]:
-    """Return what the best has least of: its duration, or, without any in spec, its distance."""
+    """Return the sort key of a rung: its duration; without a feed in spec, its distance to spec."""
     if rung.duration_s is None:
         return math.inf, closeness(rung.found.verdict)
     return rung.duration_s, (False, 0.0)

@@ -1,4 +1,4 @@
-"""How many machines within the tolerances are in specification, and which is the worst of them."""
+"""The yield: the share of machines within the tolerances in specification; the worst machine."""
 
 from __future__ import annotations
 
@@ -39,32 +39,32 @@ from threadline.verdict.rendering import shown
 AT_ONCE = 4096
 """Machines that are judged, and kept in a state, as one part; results do not depend on it."""
 _AT_ONCE_ALONE = 32
-_STARTS = 4  # samples from which the worst case is looked for
+_STARTS = 4  # samples from which the search for the worst case starts
 _STARTS_ALONE = 1  # where machines are simulated one by one, a second each
 _ROUNDS = 8
 _COUNTS = "axes.*.counts"
 
 Done = Callable[[int], None]
-"""Told how many machines are through."""
+"""Called with the number of judged machines."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Worst:
-    """The worst machine that was found.
+    """The worst machine found.
 
     Parameters
     ----------
     parts
-        (n,) where each of the numbers lies in its tolerance, -1 to 1.
+        (n,) place of each number in its tolerance, -1 to 1.
     numbers
-        Names in the file and their SI values, of those that are not as the file says.
+        Names and SI values of the numbers that differ from the machine file.
     share
-        The largest share of a limit that it uses; infinite where it exceeds a limit of 0.
+        The largest used share of a limit; infinite where the machine exceeds a limit of 0.
     binding
-        The criterion of that limit.
+        The criterion with this limit.
     row
-        What was measured of that criterion, in this machine alone; None where it cannot be
-        simulated, or never ends what it waits for.
+        Values of this criterion in this machine alone; None where the machine cannot be simulated,
+        or never ends a wait.
     of_corners
         Whether every corner of the tolerances was tried.
     """
@@ -78,7 +78,7 @@ class Worst:
 
     @property
     def used(self) -> str:
-        """What it uses of the limit, for people."""
+        """The used share of the limit, as text."""
         if self.row is None:
             return "it cannot be simulated, or never ends what it waits for"
         if self.row.missed.any():
@@ -91,16 +91,16 @@ class Worst:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Yield:
-    """What came of machines drawn over the tolerances.
+    """Results of machines drawn over the tolerances.
 
     Parameters
     ----------
     numbers
-        What varied.
+        The numbers that vary.
     found
         Every criterion in every machine.
     seed
-        Of the sequence of machines.
+        Seed of the sequence of machines.
     """
 
     numbers: tuple[Uncertain, ...]
@@ -109,33 +109,34 @@ class Yield:
 
     @property
     def passed(self) -> int:
-        """How many machines are in specification."""
+        """Number of machines in specification."""
         return int(self.found.passed.sum())
 
     @property
     def share(self) -> float:
-        """The yield of those that were drawn."""
+        """Share of the drawn machines that are in specification."""
         return self.passed / self.found.runs
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Between which shares the yield of all machines lies, at 95 % confidence."""
+        """Confidence interval (95 %) of the yield of all machines."""
         return clopper_pearson(self.passed, self.found.runs)
 
 
 class MachineYield:
-    """Judges machines within the tolerances of a plan's, all under its commands.
+    """Judges machines within the tolerances of a plan's machine, all under its commands.
 
-    ``left_out`` are the criteria with a limit that it does not judge: they compare runs of one
-    machine.
+    ``left_out`` holds the criteria with a limit that are not judged, because they compare runs of
+    one machine.
 
-    Encoders stand as in a nominal run, so that ``prove --nominal`` of a machine says the same.
+    Encoders stand as in a nominal run, so that ``prove --nominal`` of a machine gives the same
+    result.
 
     Raises
     ------
     OptionError
-        If no number of the machine varies, its file has no dynamics, or a criterion is required
-        that compares runs of one machine.
+        If no number of the machine varies, its file has no dynamics, or a required criterion
+        compares runs of one machine.
     """
 
     def __init__(self, plan: Plan, spec: Spec, *, threads: int | None = None) -> None:
@@ -158,10 +159,10 @@ class MachineYield:
             self._many = RunsJudge(plan, spec, threads=threads, extremes=extremes)
 
     def _fastest_corner(self) -> FloatArray:
-        """Return (k, n) parts of machines whose rates bound those of all machines drawn.
+        """Return (k, n) parts of machines whose rates bound the rates of all drawn machines.
 
-        For each connected piece of the machine one has every number at its faster end; the others
-        have one number at either end alone.
+        For each connected piece of the machine, one of them has every number at its faster end.
+        Each of the others has a single number at one of its ends.
         """
         machine = self.plan.machine
         ends = one_at_a_time(machine)
@@ -176,16 +177,16 @@ class MachineYield:
 
     @property
     def together(self) -> bool:
-        """Whether machines are simulated many at once; else one by one, a second each."""
+        """Whether machines are simulated in batches; otherwise one by one, a second each."""
         return self._many is not None
 
     @property
     def _ends(self) -> FloatArray:
-        """(n,) how far a number is off at most, in parts of its tolerance."""
+        """(n,) largest deviation of each number, in parts of its tolerance."""
         return np.array([number.farthest for number in self.numbers])
 
     def judged(self, parts: FloatArray, done: Done | None = None) -> EachRun:
-        """Return what comes of machines at (k, n) parts of their tolerances."""
+        """Return the results of machines at (k, n) parts of their tolerances."""
         if self._many is None:
             return self._alone.judged(parts, done)
         return self._many.judged(numbers_at(self.plan.machine, parts), done=done)
@@ -197,20 +198,19 @@ class MachineYield:
         done: Done | None = None,
         state: YieldState | None = None,
     ) -> Yield:
-        """Return what comes of the first machines of the sequence of a seed.
+        """Return the results of the first machines in the sequence of a seed.
 
         Parameters
         ----------
         state
-            What is known of them already, of the same plan, specification and seed; what comes of
-            the others is added to it.
+            Known results for the same plan, specification and seed; new results are added to it.
 
         Raises
         ------
         OptionError
-            If there are none, or the seed is out of range.
+            If no machine is asked for, or the seed is out of range.
         RecordingError
-            If the first machine comes to something else than the state has of it.
+            If the first machine's result differs from the state's.
         """
         if variants < 1:
             raise OptionError(f"variants must be at least 1, got {variants}")
@@ -231,20 +231,22 @@ class MachineYield:
         return Yield(numbers=self.numbers, found=EachRun.joined(found), seed=seed)
 
     def worst(self, known: Yield | None = None, done: Done | None = None) -> Worst:
-        """Return the worst machine within the tolerances that is found.
+        """Return the worst machine that is found within the tolerances.
 
-        With up to 12 numbers every corner is tried. With more a search starts from the worst
-        machines in ``known``: each number is tried at its other end, those ends that are worse are
-        tried together, the worst of these machines is taken, and so on until none is worse.
+        With up to 12 numbers every corner is tried. With more numbers a search starts from the
+        worst machines in ``known``. Each step tries every number at its other end, then all the
+        worse ends together, and takes the worst of these machines. The search stops when no machine
+        is worse.
 
-        Either way one search starts from the worst machine as it was drawn, for the worst may lie
-        inside, as where a mode passes a zero of a law; with more than 12 numbers the others start
-        from the corners next to the worst ones.
+        In both cases one search starts from the worst drawn machine itself, because the worst
+        machine may lie inside the tolerances, for example where a mode passes a zero of a law. With
+        more than 12 numbers the other searches start from the corners next to the worst drawn
+        machines.
 
         Parameters
         ----------
         done
-            Called with the number of machines that were tried.
+            Called with the number of tried machines.
         """
         count = len(self.numbers)
         if count <= MOST_CORNERS:
@@ -267,7 +269,7 @@ class MachineYield:
         return self._worst(*max(climbed, key=lambda one: one[1]), of_corners=False)
 
     def _climbed(self, start: FloatArray, done: Done | None) -> tuple[FloatArray, float, str]:
-        """Step from a machine to worse ones; return the last, its share and its criterion."""
+        """Step from a machine to worse machines; return the last, its share and its criterion."""
         shares, binding = shares_of(self.judged(start[None], done))
         best, share, bound = start, float(shares[0]), binding[0]
         for _ in range(_ROUNDS if np.isfinite(share) else 0):
@@ -282,7 +284,7 @@ class MachineYield:
                 break
             best, share, bound = tried[worse[-1]], float(shares[worse[-1]]), binding[worse[-1]]
             together = best.copy()
-            for at in worse:  # of a number's two ends the worse one comes last
+            for at in worse:  # the worse of a number's two ends comes last
                 k, end = moves[at]
                 together[k] = end
             if len(worse) > 1 and np.isfinite(share):
@@ -312,9 +314,10 @@ class MachineYield:
         )
 
     def halved(self, variants: int, seed: int, done: Done | None = None) -> FloatArray:
-        """Return (n,) the yield if the tolerance of one number were half of what it is.
+        """Return (n,) the yield with the tolerance of one number halved, for each number.
 
-        The same machines are drawn, but for that number, so that differences are its own.
+        The same machines are drawn except for the halved number, so that differences come from it
+        alone.
         """
         parts = drawn(self.plan.machine, seed, np.arange(variants))
         found = np.empty(len(self.numbers))
@@ -326,7 +329,7 @@ class MachineYield:
 
 
 def _worst_drawn(plan: Plan, known: Yield | None, most: int) -> FloatArray:
-    """Return (k, n) parts of the worst machines that were drawn."""
+    """Return (k, n) parts of the worst drawn machines."""
     if known is None:
         return np.empty((0, len(uncertain(plan.machine))))
     order = np.argsort(-shares_of(known.found)[0], kind="stable")[:most]
@@ -334,9 +337,9 @@ def _worst_drawn(plan: Plan, known: Yield | None, most: int) -> FloatArray:
 
 
 def shares_of(found: EachRun) -> tuple[FloatArray, list[str]]:
-    """Return (runs,) the largest share of a limit that each run uses, and the criterion.
+    """Return (runs,) the largest used share of a limit in each run, and the criterion.
 
-    Limits of the machine itself and what is of the plan alone do not count: they are the same for
+    The machine's own limits and criteria of the plan alone do not count: they are the same for
     every machine.
     """
     rows = [row for row in found.rows if row.limit is not None and not row.hard and not row.of_plan]
@@ -358,7 +361,8 @@ def _share(row: CriterionRow) -> FloatArray:
 def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
     """Return the machine file of the worst machine: the numbers that differ, over its base.
 
-    Commands count as in the base; other counts per unit of an axis stand as weights of its load.
+    Command counts stay as in the base. Deviating counts per unit of an axis are written as weights
+    of the axis's load.
     """
     made = with_numbers(machine, worst.numbers)
     told: dict[str, tuple[float, str]] = {}
@@ -387,7 +391,7 @@ def worst_toml(machine: Machine, worst: Worst, base: str) -> str:
 def limited_rows(found: Yield) -> list[CriterionRow]:
     """Return the criteria with a limit that depend on the machine, not on the plan alone.
 
-    One that is required and was not measured is among them.
+    Required criteria that were not measured are included.
     """
     return [
         row
@@ -398,14 +402,14 @@ def limited_rows(found: Yield) -> list[CriterionRow]:
 
 
 def quantile(row: CriterionRow, share: float) -> float:
-    """Return what ``share`` of the machines that were measured come to at most; NaN if none was.
+    """Return the value that ``share`` of the measured machines do not exceed; NaN without any.
 
-    A machine whose motion grows without bound comes to infinity.
+    A machine whose motion grows without bound counts as infinity.
     """
     known = row.values[~np.isnan(row.values)]
     if not len(known):
         return float("nan")
     if np.isfinite(known).all():
         return float(np.quantile(known, share))
-    # Between a number and infinity nothing can be interpolated.
+    # No interpolation exists between a number and infinity.
     return float(np.quantile(known, share, method="inverted_cdf"))

@@ -1,4 +1,4 @@
-"""How the fastest speed falls when the machine is not what the plan believes."""
+"""The loss of speed on machines that differ from the machine of the plan."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from threadline.search.paced import Question
 
 ENDS = (-1.0, 0.0, 1.0)
 """Lower end of the tolerance, the file's own value, upper end."""
-_SLOWEST = 0.25  # of the highest speed of the search
-_ABOVE = 1.1  # the nominal best
+_SLOWEST = 0.25  # of the highest speed of the search: lowest speed
+_ABOVE = 1.1  # of the nominal best: highest speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Searched:
-    """What a search varies, in the words of its tables and pictures.
+    """The searched quantity, in the words of its tables and pictures.
 
     Parameters
     ----------
     name
-        What is searched, as a noun: "no needle speed is in spec".
+        Name of the quantity, a noun: "no needle speed is in spec".
     best
-        The adjective of the best one.
+        Adjective of the best value.
     unit, per_unit
-        In which it is printed, and what the searched number is multiplied by for that.
+        Printed unit, and the factor to it.
     done
-        What the machines do with the job.
+        Participle for the work of the machines.
     nothing
-        What is drawn where nothing is in spec: no speed is a speed of 0, no cycle is none at all.
+        Drawn value where nothing is in spec: a speed is drawn as 0, a cycle is not drawn.
     """
 
     name: str
@@ -62,18 +62,18 @@ CYCLE = Searched(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mismatch:
-    """What a search found on one of the machines, with plans made for what the file says.
+    """Result of a search on one of the machines, with plans made for the file's machine.
 
     Parameters
     ----------
     mass, stiffness
-        Of loads and springs, in parts of their tolerances.
+        Deviations of loads and of springs, in parts of their tolerances.
     best
-        The highest speed in spec, or the shortest cycle in s; None where none is.
+        The highest speed in spec, or the shortest cycle in s; None where nothing is in spec.
     intervals
         All speeds in spec, the fastest first.
     limited_by
-        As ``Fastest`` has it.
+        As in ``Fastest``.
     """
 
     mass: float
@@ -84,19 +84,20 @@ class Mismatch:
 
 
 Found = tuple[float | None, Sequence[Interval], str]
-"""The best pace, all that is in spec, the fastest first, and what limits it."""
+"""The best pace, all intervals in spec, the fastest first, and the limiting criterion."""
 
 
 def off_tolerances(asked: Question, again: Callable[[Question], Found]) -> tuple[Mismatch, ...]:
-    """Return what a search finds on machines at the ends of the tolerances, one run each.
+    """Return the results of a search on machines at the ends of the tolerances, one run each.
 
-    Plans are those for the machine as it is in its file; what runs them has other numbers, as a
+    Plans are made for the machine of the file. The machine that runs them has other numbers, as a
     real machine has.
 
     Parameters
     ----------
     again
-        Searches with the machine that runs; a scan is coarser than that of the answer itself.
+        Searches with the machine that runs the plans, with a coarser scan than for the answer
+        itself.
 
     Raises
     ------
@@ -130,7 +131,7 @@ def off_tolerances(asked: Question, again: Callable[[Question], Found]) -> tuple
 
 
 def near_best(asked: Question, best: float | None, top: float) -> Question:
-    """Return a question that asks for paces about the best; ``top`` where there is none.
+    """Return a question about paces near the best; near ``top`` where there is no best.
 
     Other machines are rarely faster.
     """
@@ -140,18 +141,18 @@ def near_best(asked: Question, best: float | None, top: float) -> Question:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certainty:
-    """The fastest on all machines at the ends of the tolerances, and that of the file's alone.
+    """The fastest plan for all machines at the ends of the tolerances, and for the file's alone.
 
     Parameters
     ----------
     machines
-        How many the plan is for, that of the file among them.
+        Number of machines that the plan must pass on, with the file's machine.
     sure, alone
-        Best speeds, or durations in s, of both searches; None where none is in specification.
+        Best speeds, or durations in s, of both searches; None where nothing is in specification.
     unit
-        Of both.
+        Unit of both results.
     share
-        By how much the speed falls, or the duration grows; None where one of them has no best.
+        Relative loss of speed, or growth of duration; None where one search has no best.
     """
 
     machines: int

@@ -1,9 +1,9 @@
-"""Commands that a move of a cylinder may have, and what each leaves ringing: in closed form.
+"""Possible commands for a cylinder's move, and the ringing after each, in closed form.
 
-Open flow controls set a speed, so that each change of the level by h rings on by itself:
-``h exp(pole (t - t_i))`` in units of one full step. A sum of such terms, at the last switching, is
-all that counts of a command. Every command here covers the same distance as the unshaped one,
-because level times duration is the same.
+Open flow controls set a speed, so each change of the level by h rings independently:
+``h exp(pole (t - t_i))`` in units of one full step. Only the sum of these terms at the last
+switching matters for the moves that follow. Every command here covers the same distance as the
+unshaped one, because level times duration is the same.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class LevelCommand:
     name
         A shaper's text, or ``levels``.
     ticks, levels
-        Level from each scan on, the last 0.
+        Scans at which the level changes, and the level from each scan on; the last level is 0.
     left
-        Complex ringing at its last switching, in units of one full step.
+        Complex ringing at the last switching, in units of one full step.
     """
 
     name: str
@@ -55,19 +55,19 @@ class LevelCommand:
         return self.ticks[-1]
 
     def on(self, turn: complex, valves: Valves) -> LevelCommand:
-        """Return the same command with what it leaves ringing on a machine with another mode."""
+        """Return the same command with its ringing on a machine with another mode."""
         return replace(self, left=left_ringing(self.ticks, self.levels, turn, valves))
 
 
 def left_ringing(
     ticks: tuple[int, ...], levels: tuple[float, ...], turn: complex, valves: Valves
 ) -> complex:
-    """Return the complex ringing that a command leaves at its last switching, in full steps.
+    """Return the complex ringing after a command at its last switching, in full steps.
 
     Parameters
     ----------
     ticks, levels
-        (n,) scans, and the level from each of them on.
+        (n,) scans, and the level from each scan on.
     turn
         Factor on the complex ringing in one scan: ``exp(pole * scan_s)``.
     """
@@ -84,10 +84,11 @@ def gapped(
     valves: Valves,
     step: int = 1,
 ) -> list[LevelCommand]:
-    """Return on/off commands with one or two gaps that leave at most ``most`` ringing.
+    """Return on/off commands with one or two gaps whose ringing is at most ``most``.
 
-    Their flow lasts ``on_scans`` scans in all and they are off for ``total``; each stretch and each
-    gap takes at least ``dwell`` scans. Places and sizes of gaps are tried every ``step`` scans.
+    The flow lasts ``on_scans`` scans in all, and the gaps last ``total`` scans. Each stretch and
+    each gap takes at least ``dwell`` scans. Places and sizes of gaps are tried every ``step``
+    scans.
     """
     log = np.log(turn)
     one, two = (round(on_scans - count * valves.longer) for count in (2, 3))
@@ -105,7 +106,7 @@ def gapped(
 
 
 def _one_gap(on: int, dwell: int, total: int, step: int) -> Iterator[IntArray]:
-    """Yield (n, 4) switchings of commands with one gap of ``total`` scans, where there are any."""
+    """Yield (n, 4) switchings of commands with one gap of ``total`` scans, if there are any."""
     first = np.arange(dwell, on - dwell + 1, step)
     if len(first):
         zero = np.zeros_like(first)
@@ -134,11 +135,11 @@ def stepped(
     pairs: Sequence[tuple[float, float]],
     valves: Valves,
 ) -> list[LevelCommand]:
-    """Return commands of three levels, ``pairs`` at the ends, that leave at most ``most`` ringing.
+    """Return commands of three levels, ``pairs`` at the ends, that ring at most ``most``.
 
-    The flow of the unshaped command has level 1 for ``on_scans`` scans. First and last stretch are
-    equally long, at least ``dwell`` scans, and the two levels of a pair add up to 1: so the
-    distance is the same.
+    The flow of the unshaped command has level 1 for ``on_scans`` scans. The first and the last
+    stretch are equally long, at least ``dwell`` scans. The two levels of a pair add up to 1, so the
+    distance stays the same.
     """
     found = []
     longest = int(_LONGEST_PERIODS * period_scans(turn))
@@ -156,17 +157,17 @@ def stepped(
 
 
 def period_scans(turn: complex) -> float:
-    """Return the period of what rings, in scans."""
+    """Return the period of the ringing, in scans."""
     return float(2.0 * np.pi / np.angle(turn))
 
 
-@lru_cache(maxsize=256)  # some fifteen programs; searches over tolerances ask for the same again
+@lru_cache(maxsize=256)  # each call solves some fifteen programs; searches repeat calls
 def time_optimal_s(on_s: float, pole: complex) -> float:
-    """Return the shortest duration of any command that leaves nothing ringing, s.
+    """Return the shortest duration of any command that leaves no ringing, s.
 
-    Levels free in [0, 1] that add up to ``on_s`` seconds of level 1: on a grid of the duration
-    whether there is one is a linear program, and there is one for every longer duration too, so
-    that bisection finds the shortest.
+    Levels are free in [0, 1] and add up to ``on_s`` seconds of level 1. On a grid of the duration,
+    a linear program decides whether such a command exists. If it exists for one duration, it exists
+    for every longer one, so bisection finds the shortest.
     """
     from scipy.optimize import linprog
 
@@ -190,11 +191,11 @@ def time_optimal_s(on_s: float, pole: complex) -> float:
 
 
 SHAPERS = ("none", "zv", "um-zv", "um-zvd")
-"""Shapers that are tried for every move; others take longer than gaps or levels made for it."""
-_LEAST_LEFT, _OTHERS = 8, 12  # commands that are kept of each duration
+"""Shapers tried for every move; other shapers take longer than gaps or levels made for it."""
+_LEAST_LEFT, _OTHERS = 8, 12  # kept commands of each duration
 _ENOUGH = 12
-_STEPS = 34  # of a period: finer ones gain no time
-_OVER = 2.0  # what rings before may cancel as much again as the limit
+_STEPS = 34  # of a period: finer steps gain no time
+_OVER = 2.0  # earlier ringing may cancel as much again as the limit
 
 
 class MoveCommands:
@@ -205,7 +206,7 @@ class MoveCommands:
     scan_s
         Scan of the PLC, s.
     turn
-        Per cylinder the factor on its complex ringing in one scan.
+        Per cylinder, the factor on its complex ringing in one scan.
     """
 
     def __init__(
@@ -215,12 +216,12 @@ class MoveCommands:
         self._plans: dict[tuple[str, str], Mapping[int, Levels]] = {}
 
     def of(self, move: ScheduledMove, limit: float) -> list[LevelCommand]:
-        """Return commands of a move, the shortest first, that can be within twice the limit.
+        """Return commands of a move that ring at most twice the limit, the shortest first.
 
         Parameters
         ----------
         limit
-            How much may ring after the move, in units of a full step.
+            Allowed ringing after the move, in units of a full step.
         """
         assert self._machine.plc is not None
         turn = self._turn[move.axis]
@@ -236,7 +237,7 @@ class MoveCommands:
             step = step_scans(turn)
             for total in range(dwell, int(np.ceil(period_scans(turn))) + 1, step):
                 found += gapped(on_scans, dwell, turn, most, total, valves, step)
-                # These suffice whatever rang before: longer ones gain nothing.
+                # These commands suffice for any earlier ringing: longer ones gain nothing.
                 if sum(abs(c.left) <= 0.5 * limit for c in found) >= _ENOUGH:
                     break
             between = sorted({v for v in way.levels().values() if 0.0 < v < 1.0 - 1e-9})
@@ -251,14 +252,14 @@ class MoveCommands:
         for name in SHAPERS:
             own = self._plan_with(move.axis, name).get(move.operation)
             if own is None:
-                continue  # its valves cannot make that command
+                continue  # the cylinder's valves cannot make this command
             left = left_ringing(own.ticks, own.levels, turn, valves)
             if abs(left) <= most:
                 found.append(LevelCommand(name, own.ticks, own.levels, left))
         return found
 
     def _plan_with(self, axis: str, name: str) -> Mapping[int, Levels]:
-        """Return the levels of every move of a cylinder that is shaped so, by operation."""
+        """Return the shaped levels of every move of a cylinder with one shaper, by operation."""
         if (axis, name) not in self._plans:
             texts = ", ".join(f"{a}={name if a == axis else 'none'}" for a in self._machine.moving)
             try:
@@ -271,12 +272,12 @@ class MoveCommands:
 
 
 def step_scans(turn: complex) -> int:
-    """Return the spacing, in scans, of switchings that are tried: 34 of a period are enough."""
+    """Return the spacing of tried switchings in scans: 34 in a period are enough."""
     return max(int(period_scans(turn) // _STEPS), 1)
 
 
 def _thinned(commands: list[LevelCommand]) -> list[LevelCommand]:
-    """Return some of the commands: of each duration those that leave least, and some others."""
+    """Return fewer commands: for each duration those with the least ringing, and some others."""
     kept: list[LevelCommand] = []
     by_scans: dict[int, list[LevelCommand]] = {}
     for command in sorted(commands, key=lambda c: (c.scans, abs(c.left))):

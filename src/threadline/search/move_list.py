@@ -1,6 +1,6 @@
-"""A job of an on/off machine: with commands and waits of its own, and as a move list.
+"""A job of an on/off machine with commands and waits of its own, and its move list.
 
-What is written reads back as the same job, to the last digit of every place and time.
+A written move list reads back as the same job, to the last digit of every place and time.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def with_choices(job: Job, how: Mapping[int, tuple[str, str]], waits: Mapping[in
     Parameters
     ----------
     how
-        By the number of a move's operation in ``job``: the key and text of its command in a move
-        list, ``("shaper", "zv")`` or ``("levels", ...)``. Other moves get none.
+        By the index of a move's operation in ``job``: key and text of its command in a move list,
+        ``("shaper", "zv")`` or ``("levels", ...)``. Other moves get no command.
     waits
-        By the same numbers: s to wait before the move, as an operation of its own.
+        By the same index: wait before the move in s, as an operation of its own.
     """
     found: list[Operation] = []
     for index, operation in enumerate(job):
@@ -55,7 +55,7 @@ def with_choices(job: Job, how: Mapping[int, tuple[str, str]], waits: Mapping[in
 
 
 def levels_of_operations(moves: Iterable[tuple[int, str, str]]) -> dict[int, tuple[str, str]]:
-    """Return what each operation says of its levels, from (operation, cylinder, levels)."""
+    """Return the levels entry of each operation, from (operation, cylinder, levels)."""
     found: dict[int, dict[str, str]] = {}
     for operation, axis, text in moves:
         found.setdefault(operation, {})[axis] = text
@@ -66,14 +66,15 @@ def levels_of_operations(moves: Iterable[tuple[int, str, str]]) -> dict[int, tup
 
 
 def overlapped(job: Job, machine: Machine) -> Job:
-    """Return ``job`` with a shorter rest after moves that what follows need not wait out.
+    """Return ``job`` with a shorter rest after moves where the list need not wait for it.
 
-    The rest after a move is cut if it moves one cylinder, the list then waits for an end switch
-    that this cylinder closes, and the next move is that of another cylinder. What is left of the
-    rest lasts until the piston passes the switch: a switch that is stuck on starts the other
-    cylinder no sooner. A vacuum that is switched on behind such a wait is drawn while the cylinder
-    comes to rest; the list goes on resting before whatever comes then. The rest stays if a dwell
-    or another output comes first, or if the move has ``overlap = false`` or a ``rest`` of its own.
+    The rest after a move is cut if three conditions hold: the move is of one cylinder, the list
+    then waits for an end switch of this cylinder, and the next move is of another cylinder. The
+    remaining rest lasts until the piston passes the switch, so a switch that is stuck on does not
+    start the other cylinder sooner. A vacuum that is switched on behind such a wait builds up while
+    the cylinder comes to rest; the list goes on resting before the next operation. The rest stays
+    if a dwell or another output comes first, or if the move has ``overlap = false`` or a ``rest``
+    of its own.
     """
     operations = list(job)
     found: list[Operation] = []
@@ -108,7 +109,7 @@ def _moved(
 
 @dataclass(frozen=True, slots=True)
 class _Cut:
-    """The rest that stays behind a move; what is left of it, and before which operation."""
+    """The shortened rest after a move; the time left of the full rest, and the operation behind."""
 
     rest_s: float
     left_s: float
@@ -123,7 +124,7 @@ def _cut(
     axis: str,
     machine: Machine,
 ) -> _Cut | None:
-    """Return how the rest behind a move of one cylinder is cut; None where it stays."""
+    """Return the cut of the rest after a move of one cylinder; None where the rest stays."""
     move = operations[index]
     assert isinstance(move, Move)
     assert machine.plc is not None
@@ -162,10 +163,10 @@ def _draws(machine: Machine, operation: SetOutput) -> bool:
 
 
 def _passes_s(machine: Machine, axis: str, from_m: float, to_m: float, switch_m: float) -> float:
-    """Return how long after the last switching of a move its piston passes an end switch.
+    """Return the time from a move's last switching until its piston passes an end switch.
 
-    Behind it the valves close, the piston has dead time and then, at the most, speed times lag to
-    go, which it does as an exponential.
+    After the last switching the valves close and the dead time passes. Then the piston has at most
+    speed times lag to go, and it covers this distance as an exponential.
     """
     cylinder = machine.cylinders[axis]
     left_m = abs(to_m - switch_m)
@@ -196,7 +197,7 @@ def move_list(job: Job, machine: Machine) -> str:
 def _operation_lines(
     operation: Operation, machine: Machine, axes: tuple[str, ...], position: dict[str, float]
 ) -> list[str]:
-    """Return the keys of one operation; ``position`` goes along with the moves."""
+    """Return the keys of one operation; moves update ``position``."""
     match operation:
         case Move(target=target, tags=tags):
             moved = {a: t for a, t in zip(axes, target, strict=True) if t != position[a]}
@@ -228,7 +229,7 @@ def _operation_lines(
 
 
 def _tag(key: str, value: float | str) -> str:
-    """Return what a move says of itself beside where it goes."""
+    """Return a move's own key as it is written in a move list."""
     if key == REST:
         return f"{key} = {_text(float(value), 's', 1e3, 'ms')}"
     if key == OVERLAP:
@@ -240,7 +241,7 @@ def _tag(key: str, value: float | str) -> str:
 
 
 def _text(value: float, unit: str, factor: float, shown: str) -> str:
-    """Return a quantity that reads back as the same number, in the unit people use if it can."""
+    """Return a quantity that reads back as the same number, in the usual unit where possible."""
     usual = f"{value * factor:.12g} {shown}"
     return _quoted(usual if parse_quantity(usual, unit) == value else f"{value!r} {unit}")
 

@@ -1,7 +1,7 @@
-"""What every search for the fastest is asked, and the one search over a pace.
+"""The question of every search for the fastest, and the search over a pace.
 
-A feed, a needle speed and the speed of a shaft differ in how a pace makes a plan, and in nothing
-else: ``Paced`` says that, and ``fastest_paced`` searches.
+Searches over a feed, a needle speed and a shaft speed differ only in the plan at a pace: ``Paced``
+describes it, and ``fastest_paced`` searches.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ from threadline.verdict import Result, Spec, Status, Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Question:
-    """What is asked of a search for the fastest.
+    """The question of a search for the fastest.
 
     Parameters
     ----------
     job, machine, spec, options
-        The job, the machine that it is planned for, what is asked, and how to plan.
+        The job, the machine that it is planned for, the specification, and the planning options.
     actual
-        The machine that runs it, where it is another one.
+        The machine that runs the plan, where it differs from ``machine``.
     trials
-        Which runs every verdict is made of.
+        Runs that every verdict consists of.
     low, high
-        Paces to search between, as the search counts them; None for its own ends.
+        Ends of the search, in the unit of the search; None for its own ends.
     by
-        What a feed is of; None where the job decides it.
+        Feed mode of a feed search; None where the job decides it.
     until, progress
-        When the search has to come to an answer, and whom it tells how far it is.
+        Deadline of the search, and the callback for its progress.
     margin
-        Share of every limit of ``spec`` that is kept free already.
+        Share of every limit that ``spec`` already keeps free.
     band
-        Half width of a band of modes, as a share of their frequency, all over which a cycle is to
-        be in spec, too; None for none.
+        Half width of a band of modes, as a share of their frequency; a cycle must be in spec all
+        over it. None for no band.
     mismatch
-        Whether to search on machines at the ends of the tolerances as well.
+        Whether to search on machines at the ends of the tolerances, too.
     words
-        The options that plan the same, by word, without those that the search finds.
+        Planning options of the same plan, by word, without the options that the search finds.
     """
 
     job: Job
@@ -83,7 +83,7 @@ _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
 
 
 def beyond(error: LimitError, machine: Machine) -> Verdict:
-    """Return the verdict on a plan that breaks a limit: the criterion of that limit failed."""
+    """Return the verdict on a plan that breaks a limit: the limit's criterion is failed."""
     over = error.quantity == "travel"
     base = "rad" if machine.axes[error.axis].kind == "rotary" else "m"
     failed = Result(
@@ -100,18 +100,19 @@ def beyond(error: LimitError, machine: Machine) -> Verdict:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Paced:
-    """How a job is done at a pace.
+    """The work of a job at a pace.
 
     Parameters
     ----------
     low, high, unit
-        Paces between which a search makes sense where no others are asked for, and their unit.
+        Default ends of the search, and their unit.
     planned_at
-        Plan the job at a pace: one function, or one for each stretch that stands for the job.
+        Plans the job at a pace: one function, or one for each stretch that stands for the job.
     is_verdict
-        Says of a plan that breaks a limit whether the pace is out of spec; else it is an error.
+        Takes the error of a plan that breaks a limit; returns whether the pace is out of spec. If
+        not, the error is raised.
     judged
-        Judges the plan at a pace where that takes more than ``Question.judged``.
+        Judges the plan at a pace; None: ``Question.judged`` judges it.
     """
 
     low: float
@@ -130,9 +131,9 @@ def fastest_paced(
     Parameters
     ----------
     grid
-        How closely to look; its steps are the resolution.
+        Resolution of the search.
     seen
-        As ``find_fastest`` takes it.
+        As in ``find_fastest``.
 
     Raises
     ------
@@ -157,7 +158,7 @@ def fastest_paced(
         for at, planned_at in enumerate(stretches):
             verdict = judged_at(planned_at, pace)
             if not verdict.passed:
-                # What fails at one pace most likely fails at the next: it is judged first.
+                # A stretch that fails at one pace most likely fails at the next, so it goes first.
                 stretches.insert(0, stretches.pop(at))
                 return verdict
             passed.append(verdict)
@@ -172,10 +173,10 @@ def fastest_paced(
 
 
 def _of_all(passed: Sequence[Verdict]) -> Verdict:
-    """Return one verdict over all stretches of a job, each of which passes: the worst of each row.
+    """Return one verdict over all stretches of a job that passes: the worst of each row.
 
-    Stretches have the same criteria and axes, hence the same rows; where one has others, since it
-    is judged without ends of travel, the verdict is that of the stretch closest to a limit.
+    Stretches with the same criteria and axes have the same rows. A stretch that is judged without
+    ends of travel has other rows; then the verdict of the stretch closest to a limit is returned.
     """
     if len(passed) == 1:
         return passed[0]

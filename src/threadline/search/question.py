@@ -1,4 +1,4 @@
-"""The options of a search for the fastest, from their texts to the question that they ask."""
+"""Reader of the options of a search for the fastest: from their texts to a question."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from threadline.search.until import Until
 from threadline.units import parse_number, parse_quantity
 
 Span = tuple[float | None, float | None, FeedMode | None]
-"""The paces to search between, and what a feed among them is of."""
+"""The ends of the search, and the feed mode between them."""
 
 
 def metres_per_second(text: str) -> float:
-    """Return a feed in m/s of the fastest axis, as ``--low`` and ``--high`` give one.
+    """Return a feed from ``--low`` or ``--high`` in m/s of the fastest axis.
 
     Raises
     ------
     OptionError
-        If the feed is in another unit than a speed.
+        If the feed has another unit than a speed.
     """
     feed = parse_feed(text)
     if feed.mode != "fastest-axis":
@@ -41,7 +41,7 @@ def metres_per_second(text: str) -> float:
 
 
 def _feeds(job: Job, machine: Machine, low: str | None, high: str | None) -> Span:
-    """Return the ends of a search in m/s of what its feeds are of."""
+    """Return the ends of a feed search, in the unit of its feed mode, and the mode."""
     ends = [None if text is None else parse_feed(text) for text in (low, high)]
     modes = {end.mode for end in ends if end is not None} or {searched_by(job, machine)}
     if modes == {FeedMode.F_WORD}:
@@ -75,7 +75,7 @@ def needle_hz(text: str) -> float:
     Raises
     ------
     OptionError
-        If it has another unit, or no needle has it.
+        If the text has another unit, or the speed is out of the range of needles.
     """
     try:
         found = parse_quantity(text, "stitch/s")
@@ -109,14 +109,14 @@ def _shaft_hz(text: str) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
-    """What a search of one pace can be asked.
+    """The options of a search by one pace.
 
     Parameters
     ----------
     searched
-        What is searched, with its verb, for a message.
+        Name of the searched quantity with its verb, for a message.
     takes
-        The options that it takes of those that not every search has, as typed.
+        Options of this search that other searches do not take, as typed.
     span
         Reads ``--low`` and ``--high``.
     """
@@ -140,7 +140,7 @@ ASKED: Mapping[str, Asked] = {
         span=lambda *_: (None, None, None),
     ),
 }
-"""By ``searched_as``."""
+"""By result of ``searched_as``."""
 _INSTEAD = {
     "--low": "; it bounds a search by feed or speed",
     "--high": "; it bounds a search by feed or speed",
@@ -149,24 +149,23 @@ _INSTEAD = {
     "--shaper": "; the search chooses a shaper for every move",
     "--mismatch": "; prove --tolerances judges its plan on other machines",
 }
-"""What there is instead of an option that not every search has."""
+"""Alternatives to options that only some searches take, for messages."""
 _NOT_EVERYWHERE = ("low", "high", "robust", "shaper", "mismatch")
 
 
 def searched_as(job: Job, options: Options) -> str:
-    """Return how the fastest way to do a job is searched: by its pace, or all at once."""
+    """Return the kind of search for a job: its pace, or ``OPTIMAL`` for a search without a feed."""
     at_once = job.paced_by == "feed" and options.interpolation == OPTIMAL
     return OPTIMAL if at_once else job.paced_by
 
 
 def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Question:
-    """Return the question that the words of ``fastest`` ask of a job.
+    """Return the question of the words of ``fastest`` about a job.
 
     Raises
     ------
     InputError
-        If the job, the machine or an option cannot be read, or an option has no meaning for the
-        job.
+        If the job, the machine or an option cannot be read, or an option does not apply to the job.
     """
     robust = words.text("robust")
     share = None if robust is None else parse_robust(robust)
@@ -183,7 +182,7 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
     low, high, by = ASKED[search].span(job, chosen, words.text("low"), words.text("high"))
     spec = words.spec(chosen).with_margin(margin)
     actual, mismatch, band = words.actual(), words.flag("mismatch"), None
-    if job.paced_by == "switchings":  # commands are made for the band, and judged all over it
+    if job.paced_by == "switchings":  # commands made for a band are judged all over it
         trials, band = replace(trials, band=None), trials.band
     if mismatch and actual is not None:
         raise OptionError("--mismatch and --actual exclude each other", remedy="Give one of them.")
@@ -211,26 +210,26 @@ def question_of(words: Words, file: Path, machine: str | Path | Machine) -> Ques
 
 
 def _planned_for(words: Words) -> str | None:
-    """Return the share of tolerances that plans are made for; None for the machine of the file.
+    """Return the share of tolerances that plans are made for; None for the file's machine.
 
-    A plan without averages to choose is made for the machine of the file, and judged on the others.
+    A plan without averages to choose is made for the file's machine, and judged on the others, too.
     """
     plain = words.text("interpolation") in USUAL and words.text("law") is None
     return words.text("robust") if words.flag("feed_forward") and plain else None
 
 
 def refuse_others(job: Job, options: Options, given: Mapping[str, object]) -> None:
-    """Refuse options that the search for a job of this pace does not have.
+    """Refuse options that do not apply to the search for a job.
 
     Parameters
     ----------
     given
-        By their names as typed: what was given, None where nothing was.
+        By typed name: the given value, None where none was given.
 
     Raises
     ------
     OptionError
-        Naming the option, and what there is instead.
+        If an option does not apply; the message names the option and the alternative.
     """
     search = ASKED[searched_as(job, options)]
     for name, value in given.items():

@@ -1,8 +1,8 @@
-"""The fastest way to sew a design in spec: at one speed of the shaft, and with a speed per stitch.
+"""The fastest way to sew a design in spec: at one shaft speed, and with a speed per stitch.
 
-What earlier stitches leave swinging may help or hurt, so that passing is not monotone in speed: the
-speeds are scanned as feeds are. A schedule is made for a tolerance of the swing; the largest with
-which its verdict passes gives the fastest.
+The swing from earlier stitches may help or hurt, so passing is not monotone in speed: shaft speeds
+are scanned like feeds. A schedule is planned for a tolerance of the swing. The largest tolerance
+whose schedule passes gives the fastest schedule.
 """
 
 from __future__ import annotations
@@ -22,31 +22,31 @@ from threadline.verdict import Spec, Verdict
 
 GRID = Grid(points=24, near=3, edge=5e-3)
 _RANGE = (0.5, 1.5)
-"""Of the limit of the residual: tolerances between which a schedule is searched."""
+"""Ends of the tolerances of a schedule search, as shares of the residual's limit."""
 _HALVINGS = 6
 _OF_THE_SLOWEST = 0.5
-_FAR = 0.8  # of a limit
+_FAR = 0.8  # used share of a limit that counts as far within it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FastestShaft:
-    """What was found.
+    """Result of a search over shaft speeds.
 
     Parameters
     ----------
     constant
-        Speeds of the shaft in spec, stitches a second.
+        Shaft speeds in spec, stitches a second.
     schedule
-        The fastest with a speed for each stitch; None where the spindle cannot change its speed,
-        or none is in spec.
+        Proof of the fastest plan with a speed for each stitch; None where the spindle cannot change
+        its speed, or no schedule is in spec.
     tolerance_m
-        The tolerance of the residual with which that schedule was planned.
+        Tolerance of the residual that the schedule was planned with.
     duration_s
         The shorter time of schedule and constant speed; None where neither is in spec.
     constant_s
         Time at the highest constant speed in spec; None where there is none.
     verdict
-        Verdict of the faster of the two.
+        Verdict on the faster of the two plans.
     """
 
     constant: Fastest
@@ -58,20 +58,21 @@ class FastestShaft:
 
     @property
     def limited_by(self) -> str:
-        """What limits the constant speed."""
+        """The criterion that limits the constant speed."""
         return self.constant.limited_by
 
     @property
     def by_schedule(self) -> bool:
-        """Whether the shorter time is that of the schedule."""
+        """Whether the schedule is the faster plan."""
         return self.schedule is not None and self.schedule.plan.duration_s == self.duration_s
 
 
 def fastest_shaft(asked: Question) -> FastestShaft:
-    """Search the speeds of the shaft, and the schedule of speeds.
+    """Search the constant shaft speeds, and the schedule of speeds.
 
-    ``Question.low`` and ``high`` are constant speeds, stitches a second; unless given the highest
-    of the machine, and half of that from which on down the slowest stitch, alone, is still enough.
+    ``Question.low`` and ``high`` are constant speeds, stitches a second. By default the search ends
+    at the machine's highest speed. It begins at half the constant speed that the slowest stitch
+    needs by itself.
 
     Raises
     ------
@@ -116,7 +117,7 @@ def constant_speeds(asked: Question, grid: Grid = GRID) -> Fastest:
         return whole[speed_hz]
 
     def shortened(speed_hz: float, plan: Plan) -> Verdict:
-        # Of other machines neither one run nor the forecast of this one says anything.
+        # One run and the forecast of this machine do not apply to other machines.
         if trials.repeats > 1 and not trials.machines and asked.actual is None:
             first = replace(asked, trials=NOMINAL).judged(plan)
             if not first.passed or _far_within(plan, first, asked.spec):
@@ -140,10 +141,10 @@ def constant_speeds(asked: Question, grid: Grid = GRID) -> Fastest:
 
 
 def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
-    """Say whether one run and the forecast of any day leave a fifth of every limit.
+    """Return whether one run and the forecast of any day leave a fifth of every limit free.
 
-    Then twenty runs, which differ in damping alone, are in spec, too: the forecast is right to
-    6 %. Ends of what a search answers are judged by all its runs whatever this says.
+    Then twenty runs, which differ only in damping, are in spec, too, because the forecast is right
+    to 6 %. The ends of the found intervals are judged by all runs in any case.
     """
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
     if not limits:
@@ -159,9 +160,9 @@ def _far_within(plan: Plan, first: Verdict, spec: Spec) -> bool:
 
 
 def _lowest_of_interest_hz(asked: Question) -> float:
-    """Return half of the speed from which on down the slowest stitch alone is still enough.
+    """Return half the constant speed that the slowest stitch needs by itself, stitches a second.
 
-    What is slower takes longest to simulate, and the fastest is looked for.
+    Slower speeds take longest to simulate, and the search looks for the fastest.
     """
     stitched = at_speed(asked, speed_range_hz(asked.machine)[1]).stitched
     return _OF_THE_SLOWEST * len(stitched.turns) / stitched.slowest_s
@@ -180,9 +181,9 @@ def at_speed(asked: Question, speed_hz: float) -> Plan:
 
 
 def _schedule(asked: Question) -> Proof | None:
-    """Return the fastest schedule in spec, by the tolerance that it is planned with.
+    """Return the proof of the fastest schedule in spec, over the tolerance it is planned with.
 
-    Where the time is over first, it is the fastest of those that were tried.
+    If the time ends first, it is the fastest of the tried schedules.
     """
     spec, options, until = asked.spec, asked.options, asked.until
     limits = [c.limit for c in spec.criteria if c.name == "stitch_residual" and c.limit]
@@ -191,7 +192,7 @@ def _schedule(asked: Question) -> Proof | None:
 
     def proof_at(share: float) -> Proof:
         nonlocal tried
-        # What was found is typed back in millimetres, and is to mean the same.
+        # The found tolerance is typed in millimetres, and must give the same plan.
         chosen = replace(options, tolerance_m=parse_tolerance_m(tolerance_words(share * limit)))
         plan = plan_job(asked.job, asked.machine, chosen)
         proof = try_plan(plan, spec, asked.trials, asked.actual)

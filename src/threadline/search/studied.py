@@ -1,6 +1,6 @@
-"""A proof with what its report sets beside it, for each kind of work.
+"""A proof with the further results of its report, for each kind of work.
 
-All that is simulated for a report is simulated here: a report draws, and asks no machine.
+All simulations for a report run here; the report itself only draws.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from threadline.search.broken_beam import BrokenBeam, broken_beam
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Studied:
-    """A proof, and what stands beside it in a report.
+    """A proof, and the further results of its report.
 
     Parameters
     ----------
     unshaped
-        The same job without a shaper; None where none was asked for.
+        Proof of the same job without a shaper; None where the job is unshaped.
     beam
-        What a broken beam leaves; None where nothing has a light grid or moves.
+        Vibration after a broken beam; None where the machine has no light grid or no moves.
     """
 
     proof: Proof
@@ -48,9 +48,9 @@ STUDIES: Mapping[type, Callable[[Proof], Studied]] = {
     Scheduled: _schedule,
     Stitched: _alone,
 }
-"""By the type of ``Plan.intent``; one for every ``Kind.intent`` in ``KINDS``."""
+"""By type of ``Plan.intent``; one entry for every ``Kind.intent`` in ``KINDS``."""
 
 
 def studied(proof: Proof) -> Studied:
-    """Return ``proof`` with what a report sets beside it, simulated in one run each."""
+    """Return ``proof`` with the further results of its report, simulated in one run each."""
     return STUDIES[type(proof.plan.intent)](proof)

@@ -1,4 +1,4 @@
-"""When a search has to come to an answer: at a given time, or as soon as somebody asks for it."""
+"""The deadline of a search: a given time, or a user's request for the answer."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ INTERRUPTED, OUT_OF_TIME = "interrupted", "out of time"
 
 
 class HaltError(BaseException):
-    """A search that stops before its end; what it knows by then is its answer.
+    """A search that stops early; its answer is the result found so far.
 
-    It may come in the middle of a plan, so that nothing that handles errors of plans takes it.
+    The error may come in the middle of a plan. It derives from ``BaseException``, so that no
+    handler of plan errors catches it.
     """
 
 
 @dataclass(slots=True)
 class Until:
-    """The end of the time that a search has, and why it stopped.
+    """The deadline of a search, and the reason why it stopped.
 
     Parameters
     ----------
     end_s
-        On the monotonic clock.
+        Deadline on the monotonic clock.
     ended
-        Why it stopped before its end; empty while it goes on, and where it came to its end.
+        Why the search stopped early; empty while it runs, and where it came to its end.
     """
 
     end_s: float = math.inf
@@ -39,31 +40,31 @@ class Until:
 
     @classmethod
     def within(cls, span_s: float | None) -> Until:
-        """Return an end that comes ``span_s`` seconds from now; without a span it never comes."""
+        """Return a deadline ``span_s`` seconds from now; None: no deadline."""
         return cls(math.inf if span_s is None else time.monotonic() + span_s)
 
     def check(self) -> None:
-        """End the search where its time is over.
+        """End the search if its time is over.
 
         Raises
         ------
         HaltError
-            If it is.
+            If the time is over.
         """
         if self.over():
             raise HaltError
 
     def over(self) -> bool:
-        """Say whether the search has to answer now, and note why."""
+        """Return whether the search must answer now, and note the reason."""
         if not self.ended and time.monotonic() >= self.end_s:
             self.ended = OUT_OF_TIME
         return bool(self.ended)
 
     def interrupted(self, signal: KeyboardInterrupt) -> bool:
-        """Say whether an interrupt asks for the answer of now, and not for the end of the program.
+        """Return whether an interrupt asks for the answer so far, and not for the program's end.
 
-        A person at the keyboard asks for the answer; a signal of another kind, of a class of its
-        own, ends the program.
+        A user at the keyboard asks for the answer. Another signal raises a subclass of
+        KeyboardInterrupt, which ends the program.
         """
         asks = type(signal) is KeyboardInterrupt
         if asks:
@@ -72,10 +73,10 @@ class Until:
 
     @contextmanager
     def interrupting(self) -> Iterator[None]:
-        """End what this block does when the time is over, wherever it is by then.
+        """End this block at any point once the time is over.
 
-        Signals come to the main thread alone; in another one, and on systems without timers, the
-        block goes on to its end.
+        Only the main thread gets signals. In another thread, and on systems without timers, the
+        block runs to its end.
 
         Raises
         ------
@@ -102,7 +103,7 @@ class Until:
 
 @contextmanager
 def with_answer() -> Iterator[None]:
-    """Search in this block, and refuse to have been given less time than one plan takes.
+    """Search in this block; refuse a time that is too short for one plan.
 
     Raises
     ------
@@ -117,19 +118,19 @@ def with_answer() -> Iterator[None]:
 
 @contextmanager
 def as_far_as(until: Until | None, known: Callable[[], object]) -> Iterator[None]:
-    """Search in this block; where its time is over or a person asks, leave it with what is known.
+    """Search in this block; if its time ends or a user asks, leave it with the results so far.
 
     Parameters
     ----------
     until
-        When the search has to come to an answer; None for a search that goes to its end.
+        Deadline of the search; None for a search that runs to its end.
     known
-        Returns whether there is anything to answer with.
+        Returns a true value if there is a result to answer with.
 
     Raises
     ------
     HaltError, KeyboardInterrupt
-        If nothing is known yet, or the interrupt is one that ends the program.
+        If no result is known yet, or the interrupt ends the program.
     """
     try:
         with nullcontext() if until is None else until.interrupting():
@@ -143,7 +144,7 @@ def as_far_as(until: Until | None, known: Callable[[], object]) -> Iterator[None
 
 
 def no_answer() -> OptionError:
-    """Return the error of a search whose time was over before it had judged a plan."""
+    """Return the error of a search whose time ended before a plan was judged."""
     return OptionError(
         "no plan could be judged in that time", remedy="Give --within a longer time."
     )

@@ -1,13 +1,13 @@
-"""Results of drawn machines, kept in a file as they come, so that a yield can be continued.
+"""Results of drawn machines, kept in a file, so that a yield can be continued.
 
-The file has a line for what it is of, and one for each part of the sequence of machines; lines are
-only ever added, by one process at a time. A line that was cut short by an interrupt is left out,
-and its machines are drawn again: a machine depends on the seed and its number alone, so that the
+The first line of the file holds its identity. Each further line holds one part of the sequence of
+machines. Lines are only added, by one process at a time. A line that an interrupt cut short is left
+out, and its machines are drawn again. A machine depends only on the seed and its number, so the
 answer is the same to the bit.
 
-A line begins with its check sum, and its rows have numbers. Whether a machine failed is no part of
-it, but follows from value and limit; and who goes on judges the first machine again, so that a file
-of other criteria or values is found out.
+A line begins with its check sum, and its rows are numbered. A line does not store whether a machine
+failed: failure follows from value and limit. A process that continues a yield judges the first
+machine again, and so finds a file of other criteria or values.
 """
 
 from __future__ import annotations
@@ -37,37 +37,37 @@ if sys.platform != "win32":
 
 FORMAT = "threadline yield 2"
 _MOST_LINE = 64 << 20
-_MOST_RUNS = 1 << 20  # of one line
+_MOST_RUNS = 1 << 20  # machines in one line
 _TEXTS = ("name", "axis", "step", "unit")
 _FLAGS = ("required", "hard", "of_plan")
 _TOLD = (*_TEXTS, "limit", *_FLAGS)
 
 
 class YieldState:
-    """The machines of a sequence that were judged, in a file.
+    """The judged machines of a sequence, in a file.
 
     Parameters
     ----------
     path
-        The file; made where it is missing.
+        The file; it is created if it is missing.
     identity
-        What the machines, their commands and the criteria are of: names and hashes. A file of
-        another identity is refused.
+        Names and hashes of the machines, their commands and the criteria. A file with another
+        identity is refused.
 
     Attributes
     ----------
     known
-        What came of the first machines of the sequence; None of a new file.
+        Results of the first machines of the sequence; None for a new file.
     cut
         Whether the last line was cut short, and left out.
 
     Raises
     ------
     OptionError
-        If the file must not be written, is of other machines, commands or criteria, or another
+        If the file must not be written, belongs to other machines, commands or criteria, or another
         process writes it.
     RecordingError
-        If it is no such file, or damaged.
+        If the file is not a yield state, or is damaged.
     """
 
     def __init__(self, path: Path, identity: Mapping[str, str]) -> None:
@@ -97,7 +97,7 @@ class YieldState:
             self._file.close()
 
     def add(self, found: EachRun) -> None:
-        """Keep what came of the next machines of the sequence."""
+        """Keep the results of the next machines of the sequence."""
         at = 0 if self.known is None else self.known.runs
         rows = [{"number": k, **_packed(row)} for k, row in enumerate(found.rows)]
         content = {"first": at, "runs": found.runs, "incomplete": found.incomplete, "rows": rows}
@@ -106,7 +106,7 @@ class YieldState:
         self.known = EachRun.joined(parts)
 
     def check_first(self, found: EachRun) -> None:
-        """Hold what the file has of the first machine against what came of it now.
+        """Compare the file's result of the first machine with its new result.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class YieldState:
             self._refuse("its first machine comes to something else today", 2)
 
     def _lock(self) -> None:
-        """Keep other processes from writing the file, until this one forgets it or ends."""
+        """Keep other processes from writing the file, until this process closes it or ends."""
         if sys.platform == "win32":
             return
         try:
@@ -169,7 +169,7 @@ class YieldState:
             self.known = EachRun.joined(found)
 
     def _content(self, text: bytes, line: int) -> dict[str, Any]:
-        """Return what a line says, whose check sum comes first."""
+        """Return the content of a line, and check its check sum."""
         told, _, body = text.rstrip(b"\n").partition(b" ")
         if told != b"%08x" % zlib.crc32(body):
             self._refuse("it is not the state of a yield, or it was changed", line)
@@ -220,7 +220,7 @@ class YieldState:
 
 
 def _table(row: CriterionRow) -> tuple[Any, ...]:
-    """Return what a row is of."""
+    """Return the description of a row."""
     return tuple(getattr(row, key) for key in _TOLD)
 
 
