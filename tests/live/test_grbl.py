@@ -19,8 +19,9 @@ from threadline.files import Ended
 from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller, units_of
 from threadline.live.grbl_run import GrblRun
-from threadline.live.grbl_words import Port, Program, program_of, runs_out, status_of
+from threadline.live.grbl_words import Program, program_of, runs_out, status_of
 from threadline.live.links import link_of
+from threadline.live.port import Port
 from threadline.live.states import Cause, Desk, Kept, State
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import Options

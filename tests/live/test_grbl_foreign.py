@@ -17,7 +17,8 @@ from threadline.errors import CommandError, LinkFaultError
 from threadline.files import Ended
 from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller
-from threadline.live.grbl_words import Port, settings_of, status_of
+from threadline.live.grbl_words import settings_of, status_of
+from threadline.live.port import Port
 from threadline.live.states import Cause, Desk, Kept, State
 
 SOON_S = 60.0  # on a busy computer; without an end it would be for ever

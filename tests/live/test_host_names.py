@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from threadline.errors import OptionError
-from threadline.live.grbl_words import bare, check_address, host_and_port, in_url, is_host
+from threadline.live.port import bare, check_address, host_and_port, in_url, is_host
 
 
 @pytest.mark.parametrize(

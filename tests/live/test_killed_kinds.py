@@ -22,7 +22,8 @@ from threadline.files import Ended, played, tick_table
 from threadline.live import grbl_run
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_run import GrblRun
-from threadline.live.grbl_words import Port, runs_out
+from threadline.live.grbl_words import runs_out
+from threadline.live.port import Port
 from threadline.live.sim_process import group_ticks, simulated_of
 from threadline.live.states import Desk, Kept, State
 from threadline.twin.stitching import simulate_stitching

@@ -23,8 +23,8 @@ from tests.panel.bench import Operator, operator, proven, served
 from threadline.live import grbl_run
 from threadline.live.grbl_controller import AHEAD_S, Controller
 from threadline.live.grbl_operated import GrblOperated
-from threadline.live.grbl_words import Port
 from threadline.live.links import at_link
+from threadline.live.port import Port
 from threadline.live.states import Desk, Kept, State
 from threadline.live.store.run_store import opened
 from threadline.machine import load_machine

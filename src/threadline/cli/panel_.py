@@ -18,8 +18,8 @@ from threadline.cli.messages import at_work, note
 from threadline.cli.output import say
 from threadline.cli.runs_ import DEFAULT_STORE, StoreOption
 from threadline.errors import OptionError
-from threadline.live.grbl_words import bare, in_url, is_host
 from threadline.live.links import at_link
+from threadline.live.port import bare, in_url, is_host
 from threadline.live.sim_process import LEAST_SPEED, REAL_TIME
 from threadline.live.store.run_store import check_folder
 from threadline.proof.asked import chosen_machine

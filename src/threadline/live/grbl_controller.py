@@ -22,7 +22,6 @@ from threadline.live.grbl_words import (
     RESET,
     RX_BYTES,
     STATUS,
-    Port,
     Status,
     numbers,
     settings_of,
@@ -31,6 +30,7 @@ from threadline.live.grbl_words import (
 from threadline.live.guards import clock_s
 from threadline.live.jogging import manual_feed
 from threadline.live.pace import place_words, speed_words
+from threadline.live.port import Port
 from threadline.machine import Machine
 
 _ANSWER_S = 3.0

@@ -19,10 +19,11 @@ from threadline.live.executor import Executor
 from threadline.live.grbl_controller import Controller
 from threadline.live.grbl_operated import GrblOperated
 from threadline.live.grbl_program import notes_on, rest_of_program, written_program
-from threadline.live.grbl_words import Port, Program, check_address
+from threadline.live.grbl_words import Program
 from threadline.live.hal_link import WHAT, HalLink, hal_link
 from threadline.live.kinds_run import run_kind_of
 from threadline.live.operated import Load, Operated
+from threadline.live.port import Port, check_address
 from threadline.live.sim_machine import SimFault
 from threadline.live.sim_process import IN_STEP, REAL_TIME, SLOWER, sim_link
 from threadline.live.states import Desk, Sink, State

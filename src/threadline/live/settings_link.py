@@ -23,8 +23,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from threadline.errors import LinkFaultError, OptionError
-from threadline.live.grbl_words import BAUD, Port, bare, host_and_port, is_host
 from threadline.live.guards import clock_s
+from threadline.live.port import BAUD, Port, bare, host_and_port, is_host
 
 KLIPPER = "klipper"
 _BAUDS = (BAUD, 250_000)

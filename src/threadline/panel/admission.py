@@ -20,7 +20,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from threadline.errors import OptionError
-from threadline.live.grbl_words import in_url
+from threadline.live.port import in_url
 
 LOCAL = ("127.0.0.1", "localhost", "[::1]")
 """Names of this computer, for which no token is needed."""
