@@ -12,7 +12,7 @@ from matplotlib import image as plt_image
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from threadline.cli.fastest_output import show_mismatch
+from threadline.cli.found import show_mismatch
 from threadline.dynamics.analysis import analyse_axis
 from threadline.files import Recording
 from threadline.jobs import read_job

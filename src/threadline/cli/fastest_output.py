@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from threadline.cli.found import (
     merged,
     resolution_words,
     settings_words,
+    show_mismatch,
     typed,
     until_words,
 )
@@ -34,10 +35,9 @@ from threadline.proof.recorded import tolerance_warnings
 from threadline.report import write_report
 from threadline.report.document import Printed
 from threadline.report.strips import binding_lines, binding_of
-from threadline.search import Fastest, FastestJob, Mismatch, Rung
+from threadline.search import Fastest, FastestJob, Rung
 from threadline.search.by_pace import Answer
 from threadline.search.forbidden import joined
-from threadline.search.mismatch import Searched
 from threadline.search.shaft import FastestShaft
 from threadline.search.studied import studied
 from threadline.verdict import Verdict, closing, criteria_json, verdict_rows
@@ -489,38 +489,3 @@ class ShaftOutput(SearchOutput):
             "constant_s": found.constant_s,
             "schedule": schedule,
         }
-
-
-def show_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> None:
-    """Print the fastest result for masses and stiffnesses at the ends of their tolerances."""
-    names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
-    ranges = any(cell.intervals for cell in cells)
-    rows = [
-        [
-            names[cell.mass],
-            names[cell.stiffness],
-            "none" if cell.best is None else f"{searched.per_unit * cell.best:.2f}",
-            *([_in_spec(cell, searched)] if ranges else []),
-            limit_words(cell.limited_by),
-        ]
-        for cell in cells
-    ]
-    best = f"{searched.best} {searched.unit}"
-    all_of = [f"in spec {searched.unit}"] if ranges else []
-    header = ["mass of loads", "stiffness of springs", best, *all_of, "limited by"]
-    print_table(
-        f"{title}: planned for the file, {searched.done} off its tolerances, one run each",
-        header,
-        rows,
-    )
-
-
-def _in_spec(cell: Mismatch, searched: Searched) -> str:
-    """Return all intervals in spec: there may be gaps below the fastest."""
-    scale = searched.per_unit
-    return ", ".join(
-        f"{scale * one.low:.2f}"
-        if one.low == one.high
-        else f"{scale * one.low:.2f} to {scale * one.high:.2f}"
-        for one in sorted(cell.intervals, key=lambda one: one.low)
-    )

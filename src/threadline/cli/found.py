@@ -7,15 +7,16 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from threadline.cli.output import print_table
 from threadline.jobs.gcode.feeds import RULES, of_which
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.motion_planner import GrblPlanner, KlipperPlanner
-from threadline.search import FastestJob
+from threadline.search import FastestJob, Mismatch
 from threadline.search.allowance import ALLOWED, LIMITS
 from threadline.search.fastest import RANGE, Fastest
 from threadline.search.forbidden import Forbidden
-from threadline.search.mismatch import Certainty
+from threadline.search.mismatch import Certainty, Searched
 
 END = "the end of the search (--high)"
 AXES_ALONE = "the velocity limits of the axes"
@@ -228,3 +229,38 @@ def settings_words(job: Job, machine: Machine, result: FastestJob) -> Iterator[s
     if machine.planner is not None and not isinstance(machine.planner, GrblPlanner):
         where = " (max_accel)" if isinstance(machine.planner, KlipperPlanner) else " (M201)"
     yield f"accelerations{where}: {', '.join(shares)}"
+
+
+def show_mismatch(cells: Sequence[Mismatch], title: str, searched: Searched) -> None:
+    """Print the fastest result for masses and stiffnesses at the ends of their tolerances."""
+    names = {-1.0: "lower end", 0.0: "as in the file", 1.0: "upper end"}
+    ranges = any(cell.intervals for cell in cells)
+    rows = [
+        [
+            names[cell.mass],
+            names[cell.stiffness],
+            "none" if cell.best is None else f"{searched.per_unit * cell.best:.2f}",
+            *([_in_spec(cell, searched)] if ranges else []),
+            limit_words(cell.limited_by),
+        ]
+        for cell in cells
+    ]
+    best = f"{searched.best} {searched.unit}"
+    all_of = [f"in spec {searched.unit}"] if ranges else []
+    header = ["mass of loads", "stiffness of springs", best, *all_of, "limited by"]
+    print_table(
+        f"{title}: planned for the file, {searched.done} off its tolerances, one run each",
+        header,
+        rows,
+    )
+
+
+def _in_spec(cell: Mismatch, searched: Searched) -> str:
+    """Return all intervals in spec: there may be gaps below the fastest."""
+    scale = searched.per_unit
+    return ", ".join(
+        f"{scale * one.low:.2f}"
+        if one.low == one.high
+        else f"{scale * one.low:.2f} to {scale * one.high:.2f}"
+        for one in sorted(cell.intervals, key=lambda one: one.low)
+    )
