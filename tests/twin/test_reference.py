@@ -27,7 +27,9 @@ OUT_AND_BACK = np.concatenate((np.ones(12), -np.ones(16), np.zeros(8))).astype(n
 SEEDS = tuple(range(14))
 
 
-def check(machine: Machine, rows, table, quantised: bool, phases=None) -> None:
+def assert_twin_is_the_reference(
+    machine: Machine, rows, table, quantised: bool, phases=None
+) -> None:
     """Assert that every channel is the reference's at every tick."""
     phases = phases or {}
     expected, _ = reference_run(machine, rows, quantised=quantised, phases=phases, settle=SETTLE)
@@ -74,7 +76,7 @@ def test_library_machines(name, feed, quantised, table):
     """Every machine of the library that has axes, with each of its overlays, all axes at once."""
     machine = load_machine(name)
     rows = {axis: feed * OUT_AND_BACK // (k + 1) for k, axis in enumerate(machine.axes)}
-    check(machine, rows, table, quantised)
+    assert_twin_is_the_reference(machine, rows, table, quantised)
 
 
 def made(seed: int, tmp_path: Path) -> tuple[Machine, set[str]]:
@@ -91,7 +93,7 @@ def test_random_networks(seed, table, tmp_path):
     random = np.random.default_rng(seed)
     rows = {axis: int(random.integers(8, 40)) * OUT_AND_BACK for axis in machine.axes}
     phases = {axis: float(random.uniform(0.0, 1.0)) for axis in machine.axes}
-    check(machine, rows, table, bool(seed % 2), phases)
+    assert_twin_is_the_reference(machine, rows, table, bool(seed % 2), phases)
 
 
 def test_random_networks_have_every_part_and_change_modes(tmp_path):

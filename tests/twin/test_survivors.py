@@ -11,7 +11,7 @@ from threadline.machine import load_machine
 from threadline.twin import simulate
 from threadline.twin.kernel.piece import prepared
 
-from .test_reference import OUT_AND_BACK, check
+from .test_reference import OUT_AND_BACK, assert_twin_is_the_reference
 
 
 def test_a_peak_is_of_its_own_sample(table) -> None:
@@ -36,7 +36,7 @@ def test_a_clamped_filter_remembers_what_it_put_out(table) -> None:
     machine = load_machine("stitcher-rigid-half-mass")
     # B of the printed filters makes the output before count: 0.047 and 0.188.
     rows = {"X": 400 * OUT_AND_BACK, "Y": 400 * OUT_AND_BACK}
-    check(machine, rows, table, True)
+    assert_twin_is_the_reference(machine, rows, table, True)
     # The first row asks for more than the word has, for one period of the filter.
     assert all(c.gain.si * 400 > 127 for c in machine.controllers.values())
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ from threadline.search.studied import studied
 from threadline.verdict import Verdict, closing, criteria_json, verdict_rows
 
 
-class SearchOutput:
+class SearchOutput(ABC):
     """Output of a search: the common part.
 
     Parameters
@@ -70,13 +71,13 @@ class SearchOutput:
         """Whether the best plan may deviate from the programmed path by more than the tolerance."""
         return False
 
+    @abstractmethod
     def _table(self) -> Printed | None:
         """Return a table of all intervals in spec; None if it would be empty."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _lines(self) -> Iterator[str]:
         """Yield the lines before the verdict."""
-        raise NotImplementedError
 
     def _more(self) -> Iterator[Printed | str]:
         """Yield tables and lines after the verdict."""
