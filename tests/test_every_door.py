@@ -36,7 +36,7 @@ GIVEN: dict[str, Any] = {
     "feed-mode": "linuxcnc", "radius": "A=40 mm", "offset": "X=12 mm", "needle": "20 stitch/s",
     "tolerance": "0.05 mm", "limits": "90 %", "shaper": "zv:12Hz:0.02", "mode": "3 Hz",
     "damping": "0.1", "feed-forward": True, "smoothing": "50 ms", "robust": "100 %",
-    "contour": "0.45 mm",
+    "contour": "0.45 mm", "product": str(EXAMPLES / "vessel.wind.toml"),
 }  # fmt: skip
 """A value for each planning option."""
 WITH: dict[str, dict[str, Any]] = {
