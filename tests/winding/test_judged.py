@@ -14,6 +14,8 @@ from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
 from threadline.proof.options import describe, options_from, options_of
 from threadline.proof.pipeline import NOMINAL, open_job, plan_job, prove_plan, with_shaping
+from threadline.report.proof import write_report
+from threadline.search.studied import Studied
 from threadline.verdict import load_spec
 from threadline.verdict.fibre import MEASURED, PLANNED, measure_planned
 from threadline.verdict.finding import Finding
@@ -97,8 +99,8 @@ def test_lifting_is_found_at_its_line(
     finding = _found(plan)["planned_lifting"]
     assert finding.value is not None and finding.value > 1e-3
     faulty = text.splitlines().index("M98 P 999 L 1;") + 2 + programs.FAULTY
-    # The planner rounds the corner to the next block, where the most is unwound.
-    assert _line(plan, finding) in (faulty, faulty + 1)
+    # Where it begins: the most is unwound in the next block, as the planner rounds the corner.
+    assert _line(plan, finding) == faulty
 
 
 def test_a_waist_is_bridged(tmp_path: Path, machine: Machine, circuit: FloatArray) -> None:
@@ -153,6 +155,11 @@ def test_a_run_is_judged_like_its_plan(
     assert laid is not None and laid < 5e-4
     assert results["free_length"].measured == pytest.approx(programs.FREE_M, rel=0.03)
     assert not proof.verdict.passed  # one circuit leaves gaps
+    page = write_report(Studied(proof=proof), tmp_path / "report")
+    names = {file.name for file in page.parent.iterdir()}
+    assert {"report-winding-map.svg", "report-winding-along.svg"} <= names
+    # The page names the product and does not quote it.
+    assert "vessel.wind.toml, sha256" in page.read_text() and "isotensoid" not in page.read_text()
 
 
 def test_a_machine_without_an_eye_takes_no_product(tmp_path: Path) -> None:

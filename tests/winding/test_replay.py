@@ -319,6 +319,27 @@ def test_a_fibre_that_runs_off_the_mandrel_is_said() -> None:
     assert path[first, 0] == pytest.approx(0.1, abs=2e-3)
 
 
+def test_an_eye_above_its_path_lays_behind_it() -> None:
+    """A planner that puts the eye radially above each point of a helix.
+
+    The winding angle comes out as planned. The fibre lies behind the point by acos(R / eye radius)
+    round the mandrel, and by sqrt(eye radius^2 - R^2) / tan(angle) along it.
+    """
+    radius, away, angle = 0.04, 0.05, np.radians(58.337)
+    surface = _surface(line(-0.5, radius, 1.0, radius))
+    along = np.arange(0.0, 0.3, 5e-3)
+    turn = along * np.tan(angle) / radius
+    eyes = np.zeros((len(along), 6))
+    eyes[:, 0], eyes[:, 1], eyes[:, 2] = -turn, along, away
+    fibre = _replayed(surface, eyes)
+    known = fibre.known
+    assert known.sum() > 20
+    np.testing.assert_allclose(fibre.winding[known], angle, atol=1e-4)
+    np.testing.assert_allclose(turn[known] - fibre.angle[known], np.arccos(0.8), atol=1e-4)
+    behind = along[known] - surface.at(fibre.u[known])[0][:, 0]
+    np.testing.assert_allclose(behind, 0.03 / np.tan(angle), atol=2e-5)
+
+
 def test_reading_in_parts_is_reading_at_once() -> None:
     surface, eyes, _ = _hemisphere(0.1)
     whole = _replayed(surface, eyes, tied=0.0)
