@@ -167,7 +167,8 @@ def _sweep_drives(peak: PeakPart, rms: RmsPart, dac: DacPart, at_once: int) -> N
             if len(peak.between):
                 raise_to_farthest(peak.between[own], zero, peak.size[1], peak.at[1], low)
         if len(rms.current):
-            add_squares(rms.current[own], rms.total)
+            fresh = rms.fresh and low == 0
+            add_squares(rms.current[own], rms.before, fresh, rms.total)
         if len(dac.voltage):
             count_beyond(dac.voltage[own], dac.limit, dac.beyond, dac.first, dac.begin + low)
 
@@ -198,7 +199,7 @@ _NO_PEAK = PeakPart(
     current=_NO_SAMPLES, between=_NO_SAMPLES, zero=_NO_ROWS, size=_NO_SAMPLES,
     at=np.empty((0, 0, 0), dtype=np.int64),
 )  # fmt: skip
-_NO_RMS = RmsPart(current=_NO_SAMPLES, total=_NO_ROWS)
+_NO_RMS = RmsPart(current=_NO_SAMPLES, before=_NO_ROWS, fresh=True, total=_NO_ROWS)
 _NO_DAC = DacPart(
     voltage=_NO_SAMPLES, limit=_NONE, beyond=_NO_ROWS_OF_NUMBERS, first=_NO_ROWS_OF_NUMBERS, begin=0
 )
