@@ -149,6 +149,15 @@ TABLE: tuple[Option, ...] = (
         label="Rule of F", placeholder="the machine's",
     ),
     Option(
+        name="axes", group=Group.PLAN, kinds=(TICKS,),
+        verbs=tuple(verb for verb in PLANNERS if verb != "panel"),
+        help="Axes of the program by their names on the machine, if the program was made for "
+        'another one: "C=A,Z=X" moves A where the program has C, and X where it has Z; '
+        'B=none leaves the words of B out.',
+        attribute="axes", parse=str,
+        recorded=FileForm(key="axes", write=_same, read=str),
+    ),
+    Option(
         name="radius", group=Group.PLAN, unit="m", verbs=PLANNERS, kinds=(TICKS,),
         help='Radius at which a rotary axis acts: "A=40 mm" for a mandrel of 80 mm diameter, '
         '"A=20 mm at X 0 mm; 50 mm at X 100 mm" for a cone, or "A=mandrel.csv". Default: the '
