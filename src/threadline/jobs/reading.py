@@ -13,7 +13,7 @@ from threadline.jobs import embroidery
 from threadline.jobs.axis_table import is_axis_table, read_axis_table
 from threadline.jobs.gcode import read_part_program
 from threadline.jobs.gcode.dialects import dialect_of
-from threadline.jobs.gcode.foreign import Guess, guesses
+from threadline.jobs.gcode.foreign import guesses
 from threadline.jobs.moves import read_moves
 from threadline.jobs.operations import Job
 from threadline.jobs.seam import STITCHING_KEYS, SUFFIXES, read_seam
@@ -75,30 +75,26 @@ def read_program(
 
 
 def _read_guessed(path: Path, read: Callable[..., Job]) -> Job:
-    """Return the job of a program in the dialect that it names, else in one that its words show.
-
-    The default dialect is tried before those that only words of the program point to.
-    """
+    """Return the job of a program in the default dialect, else in one that the program shows."""
+    try:
+        return read(dialect=DEFAULT_DIALECT)
+    except JobError as error:
+        refused = [error]
     likely = guesses(path)
-    named = [one for one in likely if one.named]
-    order = [*named, Guess(DEFAULT_DIALECT), *(one for one in likely if not one.named)]
-    refused: list[JobError] = []
-    for guess in order:
+    for guess in likely:
         try:
             job = read(dialect=guess.dialect)
         except JobError as error:
             refused.append(error)
             continue
-        if guess.dialect == DEFAULT_DIALECT:
-            return job
         said = (
             f"{Place(str(path))}: read in the dialect {guess.dialect}, guessed from the file "
             f"(it has {guess.mark!r}); --dialect names another."
         )
         return replace(job, warnings=(said, *job.warnings))
     # The dialect that the file names explains best what is wrong, else the one that read furthest.
-    if named:
-        raise refused[0]
+    if likely and likely[0].named:
+        raise refused[1]
     raise max(refused, key=lambda error: error.place.line if error.place is not None else 0)
 
 

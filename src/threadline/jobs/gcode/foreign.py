@@ -85,13 +85,13 @@ class Guess:
     dialect
         Name of the dialect.
     mark
-        Text of the program that points to the dialect; empty for the default dialect.
+        Text of the program that points to the dialect.
     named
         Whether the mark is the name of a control or of a post, not only a word that it has.
     """
 
     dialect: str
-    mark: str = ""
+    mark: str
     named: bool = False
 
 
