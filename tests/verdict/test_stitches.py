@@ -192,8 +192,8 @@ def test_stitches_to_speed_are_those_from_the_command_to_95_per_cent(
     """Command and head at one acceleration for 0.06 s, the head ``lag`` behind: 95 % in 0.057 s.
 
     Speeds are means over one sample of 5 ms, told at its end, so 2.5 ms late, and straight between
-    samples. The command departs at 0; it has moved where it passes the levels up to 2 % of the
-    speed, beyond what one count of it makes.
+    samples. The command departs at 0; it has moved where it passes the levels from 0.5 to
+    1.5 % of the speed, beyond what one count of it makes.
     """
     ramp_s = 0.06
 
@@ -216,11 +216,11 @@ def test_stitches_to_speed_are_those_from_the_command_to_95_per_cent(
 
 
 def moved_s(commanded: FloatArray) -> float:
-    """Return the mean of the instants at which means over a sample pass the levels up to 2 %."""
+    """Return the mean instant at which means over a sample pass the levels of 0.5 to 1.5 %."""
     count_m = 1.0 / load_machine("lathe-winder").axes["X"].counts.si
     speed = np.abs(np.diff(commanded, prepend=commanded[0])) / TICK_S
-    most = np.maximum.accumulate(np.maximum(speed - count_m / TICK_S, 0.0)) / SPEED_M_S
-    levels = np.linspace(0.0, 0.02, 20001)[1:]
+    most = np.maximum.accumulate(speed - count_m / TICK_S) / SPEED_M_S
+    levels = np.linspace(0.005, 0.015, 20001)[1:]
     after = np.searchsorted(most, levels, side="left")
     low, high = most[after - 1], most[after]
     return float((TIME_S[after - 1] + (levels - low) / (high - low) * TICK_S).mean())
@@ -253,14 +253,14 @@ def test_a_swing_before_the_start_does_not_reset_the_clock() -> None:
 
 
 def test_the_count_grows_little_by_little_with_a_swing() -> None:
-    """Two stitches lie between the swing and the departure: no step of 0.1 % jumps by a tenth.
+    """Two stitches lie between the swing and the departure: no step of 0.1 % jumps by a half.
 
-    The level rises by 2 % of the speed while the count rises by the time in between.
+    The level rises by 1 % of the speed while the count rises by the time in between.
     """
     counts = [counted(swung(share)) for share in np.arange(0.0, 0.08, 1e-3)]
     assert counts[-1] - counts[0] > 1.5
     assert np.diff(counts).min() > -1e-9
-    assert np.abs(np.diff(counts)).max() < 0.15
+    assert np.abs(np.diff(counts)).max() < 0.3
 
 
 def test_a_corner_that_is_not_stopped_in_is_left_where_it_is_slowest() -> None:

@@ -8,9 +8,9 @@ where they begin (of a stop, read in reversed time, in where they end):
   swings back before it departs is counted from the swing, and not from where it last stood.
 - ``stitches_from_needle`` with the first needle-down of the leg.
 
-Fractions of a turn count. The first movement is the mean over all levels up to 2 % of the set speed
-of the instants at which the command first passes them, 1 % on average: a swing that grows from
-below 1 % to above it moves the count little by little.
+Fractions of a turn count. The first movement is the mean over all levels from 0.5 to 1.5 % of the
+set speed of the instants at which the command first passes them, 1 % on average: a swing that grows
+from below 1 % to above it moves the count little by little.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from threadline.verdict.sewn import PART_OF_STITCH
 OPTIONS = {"over": Option(unit="s", default=0.002)}
 NEEDLE_OPTIONS = {"delay": Option(unit="s", default=0.0), **OPTIONS}
 _HIGH, _STILL = 0.95, 0.01  # of the set speed
-_MOVED = 0.02  # of the set speed: the levels of the first movement go up to it
+_FAINT, _MOVED = 0.005, 0.01  # of the set speed: lowest level of a movement, and their range
 _MOVES = 0.02  # of the highest speed of a following needle: a slower head rests
 _TURNS = 6.0  # of the needle: so far before and after a corner a movement is looked for
 _STRAIGHT = 1.0 - 1e-6  # cosine: directions of stitches of one straight line
@@ -269,25 +269,25 @@ def _acting(leg: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _first_moved(rows: _Rows, acting: FloatArray) -> float:
-    """Return the mean of the instants at which a speed first passes each level up to ``_MOVED``."""
+    """Return the mean of the instants at which a speed first passes each level of a movement."""
     if not len(rows):
         return np.nan
     speed = np.abs(rows.velocity @ acting)
     # A command in whole counts is off by one of them from sample to sample.
-    speed = np.maximum(speed - rows.grain @ np.abs(acting), 0.0)
+    speed -= rows.grain @ np.abs(acting) + _FAINT
     most = np.maximum.accumulate(speed)
     begin, end = most[:-1], most[1:]
     rising = end - begin
-    left = np.maximum(1.0 - begin / _MOVED, 0.0)
+    left = np.clip(1.0 - begin / _MOVED, 0.0, 1.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(rising > 0.0, (_levels(end) - _levels(begin)) / rising, left)
     return float(rows.due_s[0] + (mean * np.diff(rows.due_s)).sum())
 
 
 def _levels(speed: FloatArray) -> FloatArray:
-    """Return the integral of ``max(1 - s / _MOVED, 0)`` from 0 to ``speed``."""
+    """Return the integral up to ``speed`` of 1 below 0, and ``max(1 - s / _MOVED, 0)`` above."""
     part = np.minimum(speed, _MOVED)
-    return np.asarray(part - part**2 / (2.0 * _MOVED))
+    return np.asarray(part - np.maximum(part, 0.0) ** 2 / (2.0 * _MOVED))
 
 
 class _Head:
