@@ -329,7 +329,7 @@ def cheapest_by_planes(
                     np.concatenate([[most], np.zeros(2 * count)]),
                     bounds=[*zip(low, high, strict=True), *[(0.0, None)] * count],
                 )
-                if found.status == 0:
+                if found.x is not None and found.status == 0:
                     points.append(np.clip(found.x[:dims], space.low, space.high))
                     levels.append(int(tried.level[index]))
     if not points:
