@@ -51,6 +51,8 @@ class Question:
         Whether to search on machines at the ends of the tolerances, too.
     words
         Planning options of the same plan, by word, without the options that the search finds.
+    free
+        Options of ``optimal`` that were not given, so that the search may choose them.
     """
 
     job: Job
@@ -68,6 +70,7 @@ class Question:
     band: float | None = None
     mismatch: bool = False
     words: Mapping[str, Word] = field(default_factory=dict)
+    free: frozenset[str] = frozenset()
 
     @property
     def file(self) -> Path:
