@@ -111,27 +111,33 @@ def missed(
 ) -> Verdict:
     result = Result(
         name=name, axis="", measured=5e-4 * share, limit=5e-4, unit="m", status=Status.FAILED,
-        job_line=line, note=note,
+        job_line=line, note=note, time_s=1.0,
     )  # fmt: skip
     return Verdict(results=(result,), simulated=True)
 
 
 def test_a_corner_that_alone_is_missed_gets_a_smaller_tolerance() -> None:
     options = Options(interpolation="optimal", tolerance_m=4e-4)
-    once = narrowed(options, missed(13, 1.02), LINES)
+    once = narrowed(options, missed(13, 1.02), LINES, 9.0)
     assert once is not None
     ((line, width_m),) = once.narrow
     assert line == 13
     assert width_m == pytest.approx(4e-4 - 0.03 * 5e-4)
-    twice = narrowed(once, missed(7, 1.01), LINES)
+    twice = narrowed(once, missed(7, 1.01), LINES, 9.0)
     assert twice is not None
     assert [line for line, _ in twice.narrow] == [7, 13]
-    beside = narrowed(options, missed(13, 1.02, note=""), LINES)
+    ended = narrowed(
+        replace(options, feed_forward_s=0.01, contour_m=4e-4), missed(13, 1.02), LINES, 0.9
+    )
+    assert ended is not None
+    assert not ended.narrow
+    assert ended.contour_m == pytest.approx(4e-4 - 0.03 * 5e-4)
+    beside = narrowed(options, missed(13, 1.02, note=""), LINES, 9.0)
     assert beside is not None
     assert [line for line, _ in beside.narrow] == [7, 13]
-    assert narrowed(options, missed(13, 1.3), LINES) is None
-    assert narrowed(options, missed(None, 1.02), LINES) is None
-    assert narrowed(options, missed(13, 1.02, "repeatability"), LINES) is None
+    assert narrowed(options, missed(13, 1.3), LINES, 9.0) is None
+    assert narrowed(options, missed(None, 1.02), LINES, 9.0) is None
+    assert narrowed(options, missed(13, 1.02, "repeatability"), LINES, 9.0) is None
 
 
 def test_an_axis_turns_back_where_it_may() -> None:

@@ -210,16 +210,21 @@ def _typed_m(length_m: float) -> float:
     return _mm(f"{length_m:.4g}") if length_m > 0.0 else 0.0
 
 
-def narrowed(options: Options, verdict: Verdict, lines: Sequence[int]) -> Options | None:
+def narrowed(
+    options: Options, verdict: Verdict, lines: Sequence[int], end_s: float
+) -> Options | None:
     """Return options with a smaller tolerance at the corner that alone is missed by too much.
 
     None where another criterion fails, or the corner fails by much more than its tolerance gives.
     Beside a leg, and not at a programmed point, both corners of the leg get a smaller tolerance.
+    After the end of a table of feed-forward the loads may leave their motion by less.
 
     Parameters
     ----------
     lines
         Lines of the moves of the program, in increasing order.
+    end_s
+        End of the table.
     """
     failed = [one for one in verdict.results if one.status is Status.FAILED]
     if not failed or {one.name for one in failed} - _AT_CORNERS:
@@ -228,6 +233,11 @@ def narrowed(options: Options, verdict: Verdict, lines: Sequence[int]) -> Option
     if not worst.job_line or not worst.limit or worst.measured is None:
         return None
     over_m = abs(worst.measured) - worst.limit
+    if options.feed_forward_s is not None and (worst.time_s or 0.0) > end_s:
+        less_m = options.allowance_m - over_m - _BESIDES * worst.limit
+        if math.isinf(less_m) or less_m < 0.5 * options.allowance_m:
+            return None
+        return replace(options, contour_m=_typed_m(less_m))
     places = {worst.job_line}
     before = bisect_left(lines, worst.job_line) - 1
     if worst.name == BUDGET and worst.note != POINT_MISSED and before >= 0:

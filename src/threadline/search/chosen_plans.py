@@ -23,6 +23,7 @@ from threadline.proof.options import Options
 from threadline.proof.pipeline import plan_job, try_plan
 from threadline.search.allowance import LIMITS, FastestJob, Rung, rung_of
 from threadline.search.choices import (
+    BUDGET,
     Knob,
     Tried,
     best_of,
@@ -88,6 +89,7 @@ class Choosing:
         options = chosen(self.options, self.knobs, places, self.narrower)
         used: dict[str, float] = {}
         first_s: float | None = None
+        missed = math.inf
         for again in range(_MOST_NARROWED):
             try:
                 plan = self._planned(options)
@@ -100,17 +102,19 @@ class Choosing:
             if plan.duration_s >= below_s:
                 break
             verdict = self._judged(plan)
-            used = used if again else used_of(verdict)
+            kept = used_of(verdict)
+            used = used if again else kept
             self._tried(options, verdict, plan.duration_s)
             if verdict.passed:
                 self.narrower = {
                     line: width / options.tolerance_m for line, width in options.narrow
                 }
-                kept = used_of(verdict)
+                places = places_of(options, self.knobs, self.asked.machine)
                 return Tried(places=places, duration_s=plan.duration_s, used=kept, passed=True)
-            mended = (
-                narrowed(options, verdict, self._lines) if "narrow" in self.asked.free else None
-            )
+            mended = None
+            if "narrow" in self.asked.free and kept.get(BUDGET, 0.0) < missed:
+                mended = narrowed(options, verdict, self._lines, plan.duration_s)
+            missed = kept.get(BUDGET, 0.0)
             if mended is None:
                 break
             options = mended
