@@ -17,6 +17,7 @@ from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.proof.option_form import Word
 from threadline.proof.options import Options
+from threadline.proof.over_tolerances import Suspects
 from threadline.proof.pipeline import NOMINAL, Trials, try_plan
 from threadline.search.fastest import FINE, Fastest, Grid, check_range, find_fastest
 from threadline.search.forbidden import used
@@ -53,6 +54,9 @@ class Question:
         Planning options of the same plan, by word, without the options that the search finds.
     free
         Options of ``optimal`` that were not given, so that the search may choose them.
+    suspects
+        Machines within the tolerances that were out of specification at another pace: they are
+        tried first. The search adds to them.
     """
 
     job: Job
@@ -71,6 +75,7 @@ class Question:
     mismatch: bool = False
     words: Mapping[str, Word] = field(default_factory=dict)
     free: frozenset[str] = frozenset()
+    suspects: Suspects = field(default_factory=list)
 
     @property
     def file(self) -> Path:
@@ -79,7 +84,7 @@ class Question:
 
     def judged(self, plan: Plan) -> Verdict:
         """Return the verdict on a plan."""
-        return try_plan(plan, self.spec, self.trials, self.actual).verdict
+        return try_plan(plan, self.spec, self.trials, self.actual, self.suspects).verdict
 
 
 _PER = {"travel": "", "velocity": "/s", "acceleration": "/s^2", "jerk": "/s^3"}
