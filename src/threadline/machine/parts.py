@@ -138,7 +138,7 @@ class Amplifier:
     ``limits`` is the kind of current limit of a motor with inductance: ``state`` stops the current
     at the limit; ``output`` clips the output of an integrator that winds up (as in simulations with
     a saturation block). ``reserve`` is the share of the voltage and current limits that a plan
-    leaves to the control loop.
+    leaves to the control loop; ``current_reserve`` is another share for the current.
     """
 
     mode: Literal["voltage", "current"]
@@ -147,6 +147,7 @@ class Amplifier:
     current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
     limits: Literal["state", "output"] = "state"
     reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
+    current_reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:

@@ -32,8 +32,9 @@ from threadline.files.formats.tick_table import NeedleRows
 from threadline.jobs.operations import FeedMode, Job
 from threadline.machine import Machine
 from threadline.machine.variants import numbers_at, variant
-from threadline.machine.vary import derate, drawn_days, varied_numbers, vary
+from threadline.machine.vary import derate, drawn_days, varied_numbers, vary, with_reserve
 from threadline.motion.path import chord_path, on_chords, plan_path, programmed_path
+from threadline.motion.path.outside import Corners
 from threadline.motion.path.types import PlannedPath, ProgrammedPath
 from threadline.motion.shaping import parse_shaper
 from threadline.motion.shaping.shaped_law import law_named
@@ -198,7 +199,8 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
     at_limits = timing.pace is not Pace.PROGRAMMED
     programmed = programmed_path(job, machine, feed=timing.feed, at_limits=at_limits)
     check_budget(job, machine, timing.feed)
-    limited = derate(machine, timing.limit_share)
+    reserved = with_reserve(machine, timing.reserve)
+    limited = derate(reserved, timing.limit_share)
     path = _shape(programmed, limited, options.path)
     of_loads = timing.smoothing_s is not None
     timed = plan_trajectory(
@@ -216,7 +218,7 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
         followed = followed_by_motors(timed, machine, job, shaper)
     elif timing.robust_share is None:
         averages = even_averages(timing.smoothing_s)
-        followed = followed_by_loads(timed, machine, job, averages, ends_m=timing.ends_m)
+        followed = followed_by_loads(timed, reserved, job, averages, ends_m=timing.ends_m)
     else:
         averages, warnings = robust_averages(
             timed, machine, job, programmed.radius_m, timing.robust_share, timing.change_s
@@ -247,7 +249,13 @@ def _plan(job: Job, machine: Machine, options: Options) -> Plan:
 def _shape(programmed: ProgrammedPath, machine: Machine, choice: PathChoice) -> PlannedPath:
     if on_chords(choice.interpolation):
         return chord_path(programmed, choice.interpolation)
-    return plan_path(programmed, machine, choice.interpolation, choice.tolerance_m)
+    return plan_path(
+        programmed,
+        machine,
+        choice.interpolation,
+        choice.tolerance_m,
+        corners=Corners(swing_m=choice.swing_m, narrow=choice.narrow),
+    )
 
 
 def _simulate(commands: Commands, machine: Machine) -> Recording:
