@@ -53,30 +53,32 @@ CORNER = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]])
 ZIGZAG = np.array([[0.0, 0.0], [0.1, 0.0], [0.16, 0.05], [0.25, 0.02], [0.3, 0.1], [0.4, 0.1]])
 
 
-def test_a_corner_of_its_own_is_passed_inside_by_the_tolerance_and_outside_by_the_swing() -> None:
-    """The vertex is missed by the whole tolerance, on the inside; the legs by less than the swing.
+def test_a_corner_of_its_own_is_passed_inside_by_the_tolerance_and_outside_by_the_distance_outside() -> (
+    None
+):
+    """The vertex is missed by the whole tolerance, on the inside; the legs by less than that distance.
 
     The curvature falls with the distance over which a corner is cut: the tolerance before; then
-    also by how far its vertex is moved, the root of 2 of the swing of its legs.
+    also by how far its vertex is moved, the root of 2 of the distance of its legs.
     """
-    plain, swung = (path(CORNER, Corners(swing_m=s)) for s in (0.0, CUT_M))
-    inside = np.linalg.norm(places(swung) - CORNER[1], axis=1).min()
+    plain, outer = (path(CORNER, Corners(outside_m=s)) for s in (0.0, CUT_M))
+    inside = np.linalg.norm(places(outer) - CORNER[1], axis=1).min()
     assert inside == pytest.approx(CUT_M, rel=0.02)
-    assert from_program(CORNER, places(swung)).max() <= CUT_M * (1.0 + 1e-9)
-    assert places(swung)[:, 1].min() < -0.9 * CUT_M  # outside, before the corner
-    assert sharpest(swung) == pytest.approx(sharpest(plain) / (1.0 + 2.0**0.5), rel=0.05)
+    assert from_program(CORNER, places(outer)).max() <= CUT_M * (1.0 + 1e-9)
+    assert places(outer)[:, 1].min() < -0.9 * CUT_M  # outside, before the corner
+    assert sharpest(outer) == pytest.approx(sharpest(plain) / (1.0 + 2.0**0.5), rel=0.05)
 
 
 def test_corners_to_either_side_stay_within_the_tolerance() -> None:
-    swung = path(ZIGZAG, Corners(swing_m=CUT_M))
-    assert from_program(ZIGZAG, places(swung)).max() <= CUT_M * (1.0 + 1e-9)
-    assert np.allclose(places(swung)[[0, -1]], ZIGZAG[[0, -1]], atol=1e-12)
+    outer = path(ZIGZAG, Corners(outside_m=CUT_M))
+    assert from_program(ZIGZAG, places(outer)).max() <= CUT_M * (1.0 + 1e-9)
+    assert np.allclose(places(outer)[[0, -1]], ZIGZAG[[0, -1]], atol=1e-12)
 
 
 def test_a_narrow_corner_keeps_its_own_tolerance_and_the_others_theirs() -> None:
     """Lines of this program are the numbers of its vertices."""
-    swung = path(ZIGZAG, Corners(swing_m=CUT_M, narrow=((2, 0.4 * CUT_M),)))
-    missed = [np.linalg.norm(places(swung) - vertex, axis=1).min() for vertex in ZIGZAG[1:-1]]
+    outer = path(ZIGZAG, Corners(outside_m=CUT_M, narrow=((2, 0.4 * CUT_M),)))
+    missed = [np.linalg.norm(places(outer) - vertex, axis=1).min() for vertex in ZIGZAG[1:-1]]
     assert missed[1] == pytest.approx(0.4 * CUT_M, rel=0.03)
     assert missed[0] > 0.9 * CUT_M
     assert missed[2] > 0.9 * CUT_M
@@ -84,21 +86,21 @@ def test_a_narrow_corner_keeps_its_own_tolerance_and_the_others_theirs() -> None
 
 def test_a_path_that_turns_back_is_not_led_beyond_its_end() -> None:
     there = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.0]])
-    assert np.array_equal(path(there, Corners(swing_m=CUT_M)), path(there, Corners()))
+    assert np.array_equal(path(there, Corners(outside_m=CUT_M)), path(there, Corners()))
 
 
 @pytest.mark.parametrize("block", [1, 2, 3, 5])
 def test_the_path_does_not_depend_on_the_blocks_in_which_it_is_read(block: int) -> None:
     random = np.random.default_rng(block)
     points = np.cumsum(random.normal(size=(40, 2)) * 0.05, axis=0)
-    corners = Corners(swing_m=CUT_M, narrow=((7, 0.5 * CUT_M),))
+    corners = Corners(outside_m=CUT_M, narrow=((7, 0.5 * CUT_M),))
     whole = path(points, corners)
     assert np.array_equal(path(points, corners, block=block), whole)
 
 
 def test_a_rest_stays_where_the_program_has_it() -> None:
     blocks = auto_pieces(
-        programmed(ZIGZAG, rests=(2,)), CUT_M, degree=QUARTIC, corners=Corners(swing_m=CUT_M)
+        programmed(ZIGZAG, rests=(2,)), CUT_M, degree=QUARTIC, corners=Corners(outside_m=CUT_M)
     )
     ends = [
         block.coefficients[row].sum(axis=0)

@@ -83,13 +83,13 @@ def test_the_values_of_choices_are_typed_and_read_back() -> None:
     knobs = knobs_of(machine, load_spec(None, machine), options, frozenset(CHOSEN))
     job = open_job(EXAMPLES / "x-180.prg", machine, options)
     assert {knob.word for knob in knobs} == {
-        "tolerance", "swing", "contour", "volts", "current", "smoothing",
+        "tolerance", "outside", "contour", "volts", "current", "smoothing",
     }  # fmt: skip
     random = np.random.default_rng(5)
     for _ in range(50):
         places = tuple(random.uniform(size=len(knobs)).tolist())
         one = chosen(options, knobs, places, {13: 0.9123})
-        assert one.swing_m <= one.tolerance_m <= 5e-4
+        assert one.outside_m <= one.tolerance_m <= 5e-4
         assert options_from(describe(job, machine, one)) == one
         words = chosen_plans_words(one)
         assert options_of("optimal", **words) == one
@@ -176,7 +176,7 @@ def test_a_few_plans_are_faster_than_any_with_the_options_by_default() -> None:
 
     What is given stays: nothing but the reserve is searched, and the tolerance is that given.
     """
-    words = {"interpolation": "optimal", "tolerance": "0.1 mm", "swing": "0 mm"}
+    words = {"interpolation": "optimal", "tolerance": "0.1 mm", "outside": "0 mm"}
     given = Words.of("fastest", Door.PYTHON, words)
     found = answered(question_of(given, EXAMPLES / "x-180.prg", "lathe-winder"))
     assert found.duration_s is not None

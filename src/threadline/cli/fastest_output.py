@@ -353,7 +353,7 @@ class OptimalOutput(SearchOutput):
                 [
                     f"{best_s:.3f}",
                     typed(round(one.tolerance_m * 1e3, 6)),
-                    typed(round(one.swing_m * 1e3, 6)),
+                    typed(round(one.outside_m * 1e3, 6)),
                     str(len(one.narrow)),
                     "" if one.reserve is None else reserve_words(one.reserve),
                     "" if one.feed_forward_s is None else typed(one.feed_forward_s * 1e3),
@@ -363,7 +363,7 @@ class OptimalOutput(SearchOutput):
         header = [
             "job s",
             "tolerance mm",
-            "swing mm",
+            "outside mm",
             "narrow",
             "reserve",
             "smoothing ms",
@@ -429,7 +429,7 @@ def _choices(options: Options | None) -> dict[str, Any]:
     kept = options.reserve
     return {
         "tolerance_m": options.tolerance_m,
-        "swing_m": options.swing_m,
+        "outside_m": options.outside_m,
         "narrow_m": {str(line): width for line, width in options.narrow},
         "reserve": None if kept is None else {"volts": kept.volts, "current": kept.current},
         "feed_forward_s": options.feed_forward_s,

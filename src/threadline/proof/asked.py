@@ -186,7 +186,7 @@ class Words:
         return typed
 
 
-_OF_OPTIMAL = ("contour", "swing", "reserve", "narrow")
+_OF_OPTIMAL = ("contour", "outside", "reserve", "narrow")
 _OF_LEVEL = ("level", "nominal", "repeats", "tolerances", "yield_", "ends", "band")
 
 

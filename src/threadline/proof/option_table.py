@@ -47,7 +47,7 @@ from threadline.proof.option_words import (
     parse_robust,
     parse_shaper_text,
     parse_share,
-    parse_swing_m,
+    parse_outside_m,
     parse_tolerance_m,
     parse_width_s,
     reserve_words,
@@ -292,14 +292,14 @@ TABLE: tuple[Option, ...] = (
         label="Contour", placeholder=f"{DEFAULT_CONTOUR_M * 1e3:g} mm, with optimal",
     ),
     Option(
-        name="swing", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
+        name="outside", group=Group.PLAN, unit="m", verbs=_TYPED, kinds=(TICKS,),
         help="With optimal: how far the path may leave the program on the outside of its corners, "
         'at most the tolerance: "0.1 mm". A corner that is entered and left on its outside is '
         "rounded more widely; default: not at all.",
         helps={"fastest": "With optimal: how far the path may leave the program on the outside of "
                "its corners; default: searched."},
-        attribute="swing_m", parse=parse_swing_m,
-        recorded=FileForm(key="swing", write=lambda m: _exact("m")(m or None), read=parse_swing_m),
+        attribute="outside_m", parse=parse_outside_m,
+        recorded=FileForm(key="outside", write=lambda m: _exact("m")(m or None), read=parse_outside_m),
     ),
     Option(
         name="reserve", group=Group.PLAN, verbs=_TYPED, kinds=(TICKS,),

@@ -101,7 +101,7 @@ def tolerance_words(tolerance_m: float) -> str:
     return f"{tolerance_m * 1e3:.4g} mm"
 
 
-def parse_swing_m(text: str) -> float:
+def parse_outside_m(text: str) -> float:
     """Return the largest distance of the path on the outside of corners, ``"0.3 mm"``, in m.
 
     Raises
@@ -109,10 +109,11 @@ def parse_swing_m(text: str) -> float:
     OptionError
         If it is not a length of at least 0.
     """
-    value = parse_number("swing", text, "m", "0.3 mm")
+    value = parse_number("outside", text, "m", "0.3 mm")
     if not 0.0 <= value < math.inf:
         raise OptionError(
-            f"swing {text!r} must be at least 0", remedy='Write it like "0.3 mm", or leave it out.'
+            f"distance outside {text!r} must be at least 0",
+            remedy='Write it like "0.3 mm", or leave it out.',
         )
     return value
 

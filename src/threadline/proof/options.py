@@ -30,7 +30,7 @@ from threadline.proof.option_words import (
     Narrow,
     Reserve,
     parse_feed,
-    parse_swing_m,
+    parse_outside_m,
     parse_tolerance_m,
     parse_width_s,
 )
@@ -50,7 +50,7 @@ class PathChoice:
         Name of the interpolation, or ``CHORDS``.
     tolerance_m
         Largest deviation of the planned from the programmed path, at the tool.
-    swing_m
+    outside_m
         Largest deviation on the outside of corners.
     narrow
         Lines of the program, and the tolerance at the end of the move of each.
@@ -58,7 +58,7 @@ class PathChoice:
 
     interpolation: str
     tolerance_m: float
-    swing_m: float = 0.0
+    outside_m: float = 0.0
     narrow: Narrow = ()
 
 
@@ -153,7 +153,7 @@ class Options:
         plain moving averages; None plans for the nominal machine only.
     change_s
         Time in which a robust plan may change the speed; None: from the needle of a seam.
-    swing_m
+    outside_m
         With ``optimal``: how far the path may leave the program on the outside of its corners, m.
     reserve
         With ``optimal``: share of volts and current that the plan leaves to the loops, in place of
@@ -179,7 +179,7 @@ class Options:
     contour_m: float | None = None
     robust_share: float | None = None
     change_s: float | None = None
-    swing_m: float = 0.0
+    outside_m: float = 0.0
     reserve: Reserve | None = None
     narrow: Narrow = ()
 
@@ -212,7 +212,7 @@ class Options:
         return PathChoice(
             interpolation=name,
             tolerance_m=self.tolerance_m,
-            swing_m=self.swing_m,
+            outside_m=self.outside_m,
             narrow=self.narrow,
         )
 
@@ -345,17 +345,17 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
             f"{interpolation}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
         )
-    for name in ("swing", "reserve", "narrow"):
+    for name in ("outside", "reserve", "narrow"):
         if given[name] is not None and interpolation != OPTIMAL:
             raise OptionError(
                 f"--{name} {given[name]!r} is an option of {OPTIMAL}, and not of {interpolation}",
                 remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
             )
-    if given["swing"] is not None:
+    if given["outside"] is not None:
         tolerance = str(given["tolerance"] or DEFAULT_TOLERANCE)
-        if parse_swing_m(str(given["swing"])) > parse_tolerance_m(tolerance):
+        if parse_outside_m(str(given["outside"])) > parse_tolerance_m(tolerance):
             raise OptionError(
-                f"--swing {given['swing']!r} is more than --tolerance {tolerance!r}, the largest "
+                f"--outside {given['swing']!r} is more than --tolerance {tolerance!r}, the largest "
                 "deviation from the programmed path",
                 remedy="Lower it, or raise the tolerance.",
             )

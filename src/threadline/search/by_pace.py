@@ -158,8 +158,8 @@ def _chosen_words(options: Options) -> dict[str, Word]:
     assert options.feed is not None
     words: dict[str, Word] = {"feed": feed_words(options.feed)}
     words["tolerance"] = length_words(options.tolerance_m)
-    if options.swing_m:
-        words["swing"] = length_words(options.swing_m)
+    if options.outside_m:
+        words["outside"] = length_words(options.outside_m)
     if options.narrow:
         words["narrow"] = narrow_words(options.narrow)
     if options.reserve is not None:

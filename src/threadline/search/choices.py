@@ -35,7 +35,7 @@ from threadline.verdict import Spec, Status, Verdict
 from threadline.verdict.contour import POINT_MISSED
 
 CHOSEN = (
-    "tolerance", "swing", "narrow", "reserve", "smoothing", "contour", "feed_forward",
+    "tolerance", "outside", "narrow", "reserve", "smoothing", "contour", "feed_forward",
 )  # fmt: skip
 """Options of a plan that a search may choose, where they were not given."""
 RESERVES = ("volts", "current")
@@ -118,7 +118,7 @@ def knobs_of(
         found.append(
             Knob(word="tolerance", careful=least_m, bold=0.98 * spent_m, digit=um, typed=_mm)
         )
-        found.append(Knob(word="swing", careful=0.0, bold=1.0, digit=0.005))  # of the tolerance
+        found.append(Knob(word="outside", careful=0.0, bold=1.0, digit=0.005))  # of the tolerance
         if forward or (options.follows_contour and not machine.takes_positions):
             least_m = max(min(0.5 * DEFAULT_CONTOUR_M, 0.2 * spent_m), LEAST_CONTOUR_M)
             most_m = (1.0 if forward else 1.5) * spent_m
@@ -172,9 +172,9 @@ def chosen(
     """
     values = {knob.word: knob.value(at) for knob, at in zip(knobs, places, strict=True)}
     tolerance_m = values.get("tolerance", options.tolerance_m)
-    swing_m = options.swing_m
-    if "swing" in values:
-        swing_m = min(_typed_m(values["swing"] * tolerance_m), tolerance_m)
+    outside_m = options.outside_m
+    if "outside" in values:
+        outside_m = min(_typed_m(values["outside"] * tolerance_m), tolerance_m)
     narrow = options.narrow
     if narrower:
         narrow = tuple(
@@ -183,7 +183,7 @@ def chosen(
     return replace(
         options,
         tolerance_m=tolerance_m,
-        swing_m=swing_m,
+        outside_m=outside_m,
         narrow=narrow,
         contour_m=values.get("contour", options.contour_m),
         reserve=Reserve(*(values[word] for word in RESERVES))
@@ -256,7 +256,7 @@ def places_of(options: Options, knobs: Sequence[Knob], machine: Machine) -> tupl
     kept = _kept(machine) if options.reserve is None else options.reserve
     values = {
         "tolerance": options.tolerance_m,
-        "swing": options.swing_m / options.tolerance_m,
+        "outside": options.outside_m / options.tolerance_m,
         "contour": min(options.allowance_m, 1.0),
         "volts": kept.volts,
         "current": kept.current,

@@ -39,14 +39,14 @@ class Corners:
 
     Parameters
     ----------
-    swing_m
+    outside_m
         Largest distance of the path from the program on the outside of a corner.
     narrow
         Lines of the program, and how far the corner at the end of the move of each may be cut, if
         that is less than at others; it is left on its outside by less in the same ratio.
     """
 
-    swing_m: float = 0.0
+    outside_m: float = 0.0
     narrow: tuple[tuple[int, float], ...] = ()
 
 
@@ -118,17 +118,17 @@ def _moved(known: Vertices, programmed: ProgrammedPath, cut_m: float, corners: C
     inside_m = share * cut_m
     # A leg moves by less than its vertex, by the cosine of half the angle between the legs.
     beside = np.sqrt(np.maximum(1.0 - 0.25 * turn[1:-1] ** 2, _LEAST_COSINE**2))
-    most_m = share * min(corners.swing_m, cut_m) / beside
-    swung_m = np.clip(could_m - inside_m, 0.0, most_m)
-    swung_m[turn[1:-1] >= _BACK] = 0.0
+    most_m = share * min(corners.outside_m, cut_m) / beside
+    outer_m = np.clip(could_m - inside_m, 0.0, most_m)
+    outer_m[turn[1:-1] >= _BACK] = 0.0
     at_tool = np.diff(known.positions * radius_m, axis=0) / length_m[:, None]
     inward = np.diff(at_tool, axis=0)
     size = np.linalg.norm(inward, axis=1)
     way_m: FloatArray = np.divide(
-        swung_m, size, out=np.zeros_like(size), where=(size > 0.0) & (swung_m > 0.0)
+        outer_m, size, out=np.zeros_like(size), where=(size > 0.0) & (outer_m > 0.0)
     )
     positions = known.positions.copy()
     positions[1:-1] -= way_m[:, None] * inward / radius_m
     more_m = np.zeros(len(known))
-    more_m[1:-1] = swung_m + inside_m - cut_m
+    more_m[1:-1] = outer_m + inside_m - cut_m
     return replace(known, positions=positions, more_m=more_m)

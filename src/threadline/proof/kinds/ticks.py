@@ -254,7 +254,7 @@ def _shape(programmed: ProgrammedPath, machine: Machine, choice: PathChoice) -> 
         machine,
         choice.interpolation,
         choice.tolerance_m,
-        corners=Corners(swing_m=choice.swing_m, narrow=choice.narrow),
+        corners=Corners(outside_m=choice.outside_m, narrow=choice.narrow),
     )
 
 
