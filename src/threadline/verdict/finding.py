@@ -27,7 +27,8 @@ class Finding:
     ``value`` is None if nothing could be measured; ``note`` then says why. ``step`` is the step of
     a move list. ``seen`` is the worst value of places that the recording reached, if ``value`` also
     counts places that it did not. ``unseen`` says which part was not seen, if ``value`` is only the
-    worst of the rest: then it can fail a limit, but not pass one.
+    worst of the rest: then it can fail a limit, but not pass one. ``typical`` is the median of all
+    runs, for a measure of many runs together.
     """
 
     value: float | None
@@ -40,6 +41,7 @@ class Finding:
     step: str = ""
     seen: Finding | None = None
     unseen: str = ""
+    typical: float | None = None
 
     def worse(self, other: Finding) -> Finding:
         """Return the worse of the same finding in two recordings.
