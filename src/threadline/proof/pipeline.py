@@ -201,6 +201,8 @@ def open_job(job_file: Path, machine: Machine, options: Options) -> Job:
     told = {} if options.dialect is None else {"dialect": options.dialect}
     if options.feed_mode is not None:
         told |= parse_feed_mode(options.feed_mode)
+    if options.axes is not None:
+        told["axes"] = options.axes
     if options.needle is not None:
         told["needle_speed"] = options.needle
     known = with_radii(machine, options.radius)
