@@ -344,7 +344,8 @@ TABLE: tuple[Option, ...] = (
     ),
     Option(
         name="tolerances", group=Group.LEVEL, type=Type.FLAG, verbs=_PROVING, default=False,
-        help="Also judge 200 other machines within the tolerances of the machine file.",
+        help="Also judge the worst machine within the tolerances of the machine file that a search "
+        "finds, and 200 drawn ones.",
         doors=(Door.LINE,),
     ),
     Option(

@@ -62,7 +62,8 @@ class Finding:
     a move list. ``seen`` is the worst value of places that the recording reached, if ``value`` also
     counts places that it did not. ``unseen`` says which part was not seen, if ``value`` is only the
     worst of the rest: then it can fail a limit, but not pass one. ``hidden`` says how much larger
-    the value may be between two samples of a recording.
+    the value may be between two samples of a recording. ``typical`` is the median of all runs, for
+    a measure of many runs together.
     """
 
     value: float | None
@@ -76,6 +77,7 @@ class Finding:
     seen: Finding | None = None
     unseen: str = ""
     hidden: Hidden | None = None
+    typical: float | None = None
 
     def worse(self, other: Finding) -> Finding:
         """Return the worse of the same finding in two recordings.
