@@ -43,11 +43,11 @@ from threadline.proof.option_words import (
     parse_damping,
     parse_feed,
     parse_narrow,
+    parse_outside_m,
     parse_reserve,
     parse_robust,
     parse_shaper_text,
     parse_share,
-    parse_outside_m,
     parse_tolerance_m,
     parse_width_s,
     reserve_words,
@@ -299,7 +299,9 @@ TABLE: tuple[Option, ...] = (
         helps={"fastest": "With optimal: how far the path may leave the program on the outside of "
                "its corners; default: searched."},
         attribute="outside_m", parse=parse_outside_m,
-        recorded=FileForm(key="outside", write=lambda m: _exact("m")(m or None), read=parse_outside_m),
+        recorded=FileForm(
+            key="outside", write=lambda m: _exact("m")(m or None), read=parse_outside_m
+        ),
     ),
     Option(
         name="reserve", group=Group.PLAN, verbs=_TYPED, kinds=(TICKS,),
