@@ -53,10 +53,8 @@ CORNER = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1]])
 ZIGZAG = np.array([[0.0, 0.0], [0.1, 0.0], [0.16, 0.05], [0.25, 0.02], [0.3, 0.1], [0.4, 0.1]])
 
 
-def test_a_corner_of_its_own_is_passed_inside_by_the_tolerance_and_outside_by_the_distance_outside() -> (
-    None
-):
-    """The vertex is missed by the whole tolerance, on the inside; the legs by less than that distance.
+def test_a_corner_of_its_own_is_passed_inside_by_the_tolerance_and_on_its_outside() -> None:
+    """The vertex is missed by the whole tolerance, on the inside; the legs by less than asked.
 
     The curvature falls with the distance over which a corner is cut: the tolerance before; then
     also by how far its vertex is moved, the root of 2 of the distance of its legs.

@@ -65,8 +65,8 @@ def fastest(
     every machine at the ends of the tolerances. With --band "20 %" the commands of an on/off
     machine must pass for all modes within 20 % of their frequency. With --interpolation optimal no
     feed is searched, but all other choices of a plan that are not given: tolerance, distance
-    outside corners, reserve, smoothing, contour, feed-forward. The fastest in spec is compared with the least times within
-    the limits of axes and drives alone.
+    outside corners, reserve, smoothing, contour, feed-forward. The
+    fastest in spec is compared with the least times within the limits of axes and drives alone.
 
     Exit status: 0 if a feed passes, 1 if none does, 2 for wrong input.
 

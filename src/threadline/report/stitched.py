@@ -283,6 +283,11 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
             f"{told['steps']:.4g} steps",
         ],
         ["Time", f"{stitched.duration_s:.4g} s, {plan.planned_with}"],
+        [
+            "Thread",
+            f"{thread_m(plan):.4g} m on the upper side, from hole to hole with the jumps between; "
+            "what the stitches draw in comes on top",
+        ],
     ]
     slowest = _MINUTE * len(stitched.turns) / stitched.slowest_s
     return [
@@ -299,6 +304,12 @@ def stitch_rows(plan: Plan) -> list[list[str]]:
             "inertia, and did earlier ones leave nothing swinging; no plan",
         ],
     ]
+
+
+def thread_m(plan: Plan) -> float:
+    """Return the length in m of the thread of a plan from hole to hole, jumps between included."""
+    holes = plan.stitched.places_m[plan.stitched.turns.moves.needle == 1]
+    return float(np.hypot(*np.diff(holes, axis=0).T).sum())
 
 
 def _speed_words(plan: Plan) -> str:

@@ -49,7 +49,8 @@ _STEPS = 6  # plans between careful and bold
 _LEAST_PLANS, _MOST_PLANS = 12, 240
 _ALL_TICKS = 150_000  # of all plans of a search together
 BOLD: Mapping[str, float] = {
-    "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6, "smoothing": 0.57,
+    "tolerance": 0.8, "outside": 1.0, "volts": 0.9, "current": 0.7, "contour": 0.6,
+    "smoothing": 0.57,
 }  # fmt: skip
 """Places of the knobs of the boldest plan that is tried first."""
 
