@@ -19,7 +19,7 @@ from threadline.base.option_defaults import DEFAULT_INTERPOLATION
 from threadline.base.wording import plain
 from threadline.errors import OptionError
 from threadline.machine import Machine
-from threadline.motion.timing import retime
+from threadline.motion.timing.retime import retime
 from threadline.proof.asked import Words, check_target, chosen_machine, python_type, with_radii_of
 from threadline.proof.option_form import Door, Word
 from threadline.proof.option_table import options_for
@@ -129,7 +129,7 @@ class Proved(Answer):
     @checked
     def report(self, folder: PathLike) -> Path:
         """Write the report (HTML, PDF, PNG, SVG) into a folder; return its page."""
-        from threadline.report import write_report
+        from threadline.report.proof import write_report
         from threadline.search.studied import studied
 
         place = Path(folder)

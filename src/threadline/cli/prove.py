@@ -27,9 +27,8 @@ from threadline.proof.asked import Words
 from threadline.proof.kinds.kind import WRITING, Share
 from threadline.proof.pipeline import Proof, with_shaping
 from threadline.proof.pipeline import prove as prove_job
-from threadline.proof.proof_file import write_proof
 from threadline.proof.recorded import warnings_of
-from threadline.report import about, write_report
+from threadline.report.lines import about
 from threadline.verdict import (
     Verdict,
     closing,
@@ -88,10 +87,13 @@ def prove(
                 watched = Share(proof.plan, progress, 1, WRITING).of([proof.recording])
                 write_recording(watched[0], recording, plot_every=plot_every(chosen))
             if proof_file is not None:
+                from threadline.proof.proof_file import write_proof
+
                 write_proof(proof, proof_file, key)
             written = None
             if report is not None:
                 # Searches take a while to load, and most proofs have no report.
+                from threadline.report.proof import write_report
                 from threadline.search.studied import studied
 
                 progress("drawing the report", 0.0)

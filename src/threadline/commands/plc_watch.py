@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from threadline.commands.intents import Scheduled, ScheduledMove
 from threadline.commands.plc_net import Names, NetPlace, PetriNet
-from threadline.commands.schedule import Scheduled, ScheduledMove
 from threadline.commands.schedule_moves import Homing, home_stage, home_switch, slowest
 from threadline.errors import Place, PlanError
 from threadline.machine import Machine

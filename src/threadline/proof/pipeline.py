@@ -25,8 +25,8 @@ from threadline.machine.model import check_dynamics
 from threadline.machine.radii import with_radii
 from threadline.machine.variants import check_uncertain, drawn, ends_then_drawn
 from threadline.machine.vary import Others, band_of, ends_of
-from threadline.proof.kinds import KINDS, check_loops, kind_of, kind_of_commands
-from threadline.proof.kinds.kind import Share
+from threadline.proof.kinds import KINDS, kind_of, kind_of_commands
+from threadline.proof.kinds.kind import Share, check_loops
 from threadline.proof.kinds.variants import answering, played_by, rejects, unanswered
 from threadline.proof.options import Options
 from threadline.verdict import Judge, Spec, Status, Verdict

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from threadline.dynamics import EARLIEST
+from threadline.dynamics.table_ends import EARLIEST
 from threadline.errors import LimitError
 from threadline.jobs.operations import Feed, FeedMode, Job
 from threadline.machine import Machine

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray, IntArray
 from threadline.base.compiled import njit
-from threadline.geometry.contours import DrawnLine
 from threadline.verdict.finding import Finding, Found, Worst
 from threadline.verdict.measure import Measure, Option
 from threadline.verdict.needle import Stitches, has_stitches, planned_stitches
 from threadline.verdict.samples import Block, Setting, enough_of, lanes
 from threadline.verdict.sewn import PART_OF_STITCH, SewnStitches, StitchFollower
 from threadline.verdict.stitch_run import too_short
+
+if TYPE_CHECKING:
+    from threadline.geometry.contours import DrawnLine
 
 _PARTS = 16  # of the drawn stretch of a stitch: a bow of 0.25 mm between two places is 1 um
 _NEAR = 4  # neighbouring stitches that a place may lie on: the free lag
