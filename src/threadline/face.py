@@ -156,7 +156,7 @@ class Proved(Answer):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class FastestResult:
     """The result of a search for the fastest way to do a job in spec.
 
     Parameters
@@ -266,7 +266,7 @@ def prove(job: PathLike, machine: PathLike | Machine, **words: Word) -> Proved:
 
 @_with_options
 @checked
-def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
+def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> FastestResult:
     """Find the fastest way to do a job in spec.
 
     Of a part program the feed is searched, of a seam the needle speed, of a move list the commands
@@ -289,7 +289,7 @@ def fastest(job: PathLike, machine: PathLike | Machine, **words: Word) -> Found:
     from threadline.search.question import question_of
 
     found = answered(question_of(Words.of("fastest", Door.PYTHON, words), Path(job), machine))
-    return Found(
+    return FastestResult(
         found.best if found.over_band is None else found.over_band.cycle_s,
         found.unit,
         found.limited_by,
