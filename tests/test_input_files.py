@@ -88,5 +88,5 @@ def test_the_table_of_formats_names_the_endings_that_its_readers_know() -> None:
     assert known["seam"].extensions == seam_job.SUFFIXES
     assert known["embroidery design"].extensions == records.SUFFIXES
     assert known["seam"].options == STITCHING_KEYS
-    assert known["part program"].options == ("dialect", "feed_mode", "base_axes")
+    assert known["part program"].options == ("dialect", "feed_mode", "base_axes", "axes")
     assert known["move list"].options == ()

@@ -14,6 +14,7 @@ from threadline.files import TickTable, tick_table
 from threadline.jobs.gcode.feeds import of_which
 from threadline.jobs.operations import Job, Source, begins_circuit
 from threadline.proof.pipeline import Proof
+from threadline.verdict import is_assumed
 
 if TYPE_CHECKING:
     from threadline.dynamics.preview import Demand
@@ -154,7 +155,6 @@ def about_motion(proof: Proof) -> list[str]:
     plan = proof.plan
     added = plan.motion.path.summary.get("points_added")
     return [
-        *specification_lines(proof),
         *feed_forward_lines(plan.motion.demands),
         *feed_lines(plan),
         *motion_lines(plan),
@@ -185,8 +185,8 @@ def feed_forward_lines(demands: Sequence[Demand]) -> Iterator[str]:
 
 
 def specification_lines(proof: Proof) -> list[str]:
-    """Return a line with the specification, for a machine file that has only limits."""
-    if not proof.plan.machine.without_dynamics:
+    """Return a line with the specification, for limits alone and for an assumed one."""
+    if not (proof.plan.machine.without_dynamics or is_assumed(proof.spec)):
         return []
     return [f"Asked:                {proof.spec.name}"]
 
@@ -295,4 +295,4 @@ _ABOUT: Mapping[type, Callable[[Proof], list[str]]] = {
 
 def about(proof: Proof) -> list[str]:
     """Return the lines of text below the verdict of a proof."""
-    return _ABOUT[type(proof.plan.intent)](proof)
+    return [*specification_lines(proof), *_ABOUT[type(proof.plan.intent)](proof)]
