@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Literal
 
-from threadline.face import Answer, Found, PathLike, Proved
+from threadline.face import Answer, FastestResult, PathLike, Proved
 from threadline.face import load_machine as load_machine
 from threadline.face import retime as retime
 from threadline.face import shaper as shaper
@@ -111,7 +111,7 @@ def fastest(
     high: str | None = None,
     mismatch: bool = False,
     within: str | None = None,
-) -> Found: ...
+) -> FastestResult: ...
 def judge(
     recordings: PathLike | Sequence[PathLike],
     *,

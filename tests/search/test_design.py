@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from threadline.cli import design as command
-from threadline.dynamics import design_lead
+from threadline.dynamics.lead import design_lead
 from threadline.dynamics.loop import axis_loop
 from threadline.dynamics.margins import loop_margins
 from threadline.dynamics.values import Values

@@ -27,7 +27,7 @@ from threadline.motion.shaping.mode_law import Demand, made_law, usual_jerk_m_s3
 from threadline.proof.option_words import parse_feed
 from threadline.proof.options import Options
 from threadline.proof.pipeline import REPEATED, open_job, plan_job, prove
-from threadline.report.stitched import stitch_rows, thread_m
+from threadline.report.lines import stitch_rows, thread_m
 from threadline.verdict import load_spec
 
 MACHINE = load_machine("schiffli-frame")

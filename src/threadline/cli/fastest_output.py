@@ -34,8 +34,8 @@ from threadline.proof.option_words import reserve_words, share_words
 from threadline.proof.options import Options
 from threadline.proof.pipeline import prove_plan
 from threadline.proof.recorded import tolerance_warnings
-from threadline.report import write_report
 from threadline.report.document import Printed
+from threadline.report.proof import write_report
 from threadline.report.strips import binding_lines, binding_of
 from threadline.search import Fastest, FastestJob, Rung
 from threadline.search.by_pace import Answer

@@ -356,7 +356,7 @@ def check_known(names: Iterable[str], among: Iterable[str], where: str, what: st
             raise ValueError(f"{where} names the {what} {name!r}, which does not exist; {hint}")
 
 
-Said = Annotated[str, Field(min_length=1, max_length=400)]
+GuideText = Annotated[str, Field(min_length=1, max_length=400)]
 _Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
 
 
@@ -364,8 +364,8 @@ _Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
 class Connector:
     """A connector: its purpose and location, and the signal at each used pin."""
 
-    title: Said
-    pins: dict[_Pin, Said] = Field(min_length=1)
+    title: GuideText
+    pins: dict[_Pin, GuideText] = Field(min_length=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -375,7 +375,7 @@ class Guide:
     ``presets`` are the steps from the manual of the drives, before the general calibration steps.
     """
 
-    presets: tuple[Said, ...] = ()
+    presets: tuple[GuideText, ...] = ()
     connectors: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,20}$")], Connector] = Field(
         default_factory=dict
     )

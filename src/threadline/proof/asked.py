@@ -17,7 +17,6 @@ from threadline.base.arguments import check_argument
 from threadline.base.option_defaults import MOST_REPEATS, UNSHAPED_WORD, USUAL
 from threadline.errors import OptionError
 from threadline.machine import Machine, load_machine
-from threadline.machine.par import read_parameters
 from threadline.machine.radii import with_radii
 from threadline.motion.path.interpolations import OPTIMAL
 from threadline.proof.kinds import kind_of
@@ -40,7 +39,11 @@ def chosen_machine(machine: str | Path | Machine, par: str | Path | None = None)
         If there is no machine with that name, or the file does not describe one.
     """
     found = machine if isinstance(machine, Machine) else load_machine(machine)
-    return found if par is None else read_parameters(Path(par), found)
+    if par is None:
+        return found
+    from threadline.machine.par import read_parameters
+
+    return read_parameters(Path(par), found)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from threadline.base.arrays import ComplexArray, FloatArray, IntArray
 from threadline.base.option_defaults import FEED_FORWARD
-from threadline.dynamics import lead_deg, lead_from_response
 from threadline.dynamics.elements import working_rates
+from threadline.dynamics.lead import lead_deg, lead_from_response
 from threadline.dynamics.network import PiecewiseLinear, piecewise_linear
 from threadline.dynamics.values import Values
 from threadline.errors import MachineError, PlanError, RecordingError

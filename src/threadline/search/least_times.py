@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from threadline.base.arrays import FloatArray, IntArray
-from threadline.dynamics import EARLIEST
+from threadline.dynamics.table_ends import EARLIEST
 from threadline.files import Stream
 from threadline.jobs.operations import Job
 from threadline.machine import Machine
