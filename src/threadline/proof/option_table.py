@@ -52,6 +52,7 @@ from threadline.proof.option_words import (
     parse_width_s,
     reserve_words,
 )
+from threadline.winding.product import product_text
 
 PLANNERS = (
     "prove", "run", "compile", "compare", "fastest", "yield", "design", "animate", "judge", "panel",
@@ -173,6 +174,14 @@ TABLE: tuple[Option, ...] = (
         attribute="radius", parse=written_out, most_text=MOST_PROFILE,
         recorded=FileForm(key="radius", write=_same, read=str),
         label="Radius", placeholder="the machine's",
+    ),
+    Option(
+        name="product", group=Group.PLAN, kinds=(TICKS,),
+        verbs=tuple(verb for verb in PLANNERS if verb not in {"compile", "panel"}),
+        help="Product of a winder (NAME.wind.toml): where its fibre lies is judged as well.",
+        helps={"judge": "Product of a winder (NAME.wind.toml); default: the recording's."},
+        attribute="product", parse=product_text, doors=(Door.LINE, Door.PYTHON),
+        recorded=FileForm(key="product", write=_same, read=product_text),
     ),
     Option(
         name="offset", group=Group.PLAN, unit="m or rad", verbs=PLANNERS, kinds=(TICKS,),

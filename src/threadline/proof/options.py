@@ -127,6 +127,8 @@ class Options:
     radius
         Text of the radii at which rotary axes act in this job, ``"A=40 mm, B=2 mm"``; None: the
         machine's.
+    product
+        Text of the product of a winder (``winding.product.product_text``), or None.
     offset
         Text of the machine position of the program's zero, ``"X=12 mm, A=30 deg"``; None: the
         machine's zero.
@@ -168,6 +170,7 @@ class Options:
     feed_mode: str | None = None
     axes: str | None = None
     radius: str | None = None
+    product: str | None = None
     offset: str | None = None
     needle: str | None = None
     tolerance_m: float = DEFAULT_TOLERANCE_M

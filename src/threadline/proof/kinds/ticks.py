@@ -47,7 +47,9 @@ from threadline.proof.kinds.kind import Kind, check_loops
 from threadline.proof.options import Options, PathChoice, describe
 from threadline.twin import simulate, simulate_position_runs, simulate_runs
 from threadline.verdict import Criterion, Spec
+from threadline.verdict.fibre import criteria_of
 from threadline.verdict.needle import has_stitches, planned_stitches
+from threadline.winding.product import product_of_text
 
 if TYPE_CHECKING:
     from threadline.files.formats.tick_table import NeedleRows
@@ -131,7 +133,23 @@ class NeedleColumns:
         return trims
 
 
+def _check_product(machine: Machine, product: str | None) -> None:
+    """Refuse a product on a machine without an eye.
+
+    Raises
+    ------
+    OptionError
+        Names the machine.
+    """
+    if product is not None and (machine.tool is None or machine.tool.kind != "eye"):
+        raise OptionError(
+            f"--product needs the eye of a winder, and {machine.name} has none",
+            remedy='Describe it in the machine file: [tool] kind = "eye", turn, along and across.',
+        )
+
+
 def _check_options(machine: Machine, options: Options) -> None:
+    _check_product(machine, options.product)
     if options.shaper_mode is not None or options.shaper_damping is not None:
         raise OptionError(
             f"--mode and --damping are for on/off machines, which {machine.name} is not",
@@ -290,21 +308,35 @@ def _others(
     phases = random.uniform(0.0, 1.0, (len(parts), len(table.axes)))
     if machine.position_sources:
         return [
-            simulate(table, variant(machine, row), encoder_phase=phase)
-            for row, phase in zip(parts, phases, strict=True)
+            _as_drawn(simulate(table, variant(machine, row), encoder_phase=phase), number)
+            for number, (row, phase) in enumerate(zip(parts, phases, strict=True))
         ]
     values = Values.of(machine, numbers_at(machine, parts))
     return [
-        simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED)
+        _as_drawn(
+            simulate_runs(table, sharing, encoder_phase=phases[places], kinds=_RECORDED),
+            int(places[0]),
+        )
         for sharing, places in values.by_delay()
     ]
+
+
+def _as_drawn(recording: Recording, number: int) -> Recording:
+    """Return runs of drawn machines with the number of the first: its product is drawn as well."""
+    return replace(recording, origin={**recording.origin, "drawn": str(number)})
 
 
 def _with_criteria(spec: Spec, options: Options) -> Spec:
     """Add ``shaping_deviation`` to the specification if the motion is shaped or smoothed.
 
-    The deviation caused by shaping is always reported, with or without a limit.
+    The deviation caused by shaping is always reported, with or without a limit. A product adds the
+    criteria of its fibre that the specification does not name.
     """
+    if options.product is not None:
+        given = {criterion.name for criterion in spec.criteria}
+        asked = criteria_of(product_of_text(options.product))
+        own = tuple(criterion for criterion in asked if criterion.name not in given)
+        spec = replace(spec, criteria=(*spec.criteria, *own))
     shaped = options.timing.shaper is not None or options.timing.smoothing_s is not None
     named = any(criterion.name == "shaping_deviation" for criterion in spec.criteria)
     if named or not shaped:
