@@ -138,7 +138,7 @@ class Amplifier:
     ``limits`` is the kind of current limit of a motor with inductance: ``state`` stops the current
     at the limit; ``output`` clips the output of an integrator that winds up (as in simulations with
     a saturation block). ``reserve`` is the share of the voltage and current limits that a plan
-    leaves to the control loop.
+    leaves to the control loop; ``current_reserve`` is another share for the current.
     """
 
     mode: Literal["voltage", "current"]
@@ -147,6 +147,7 @@ class Amplifier:
     current_limit: Annotated[Quantity, Units(("A",), positive=True)] | None = None
     limits: Literal["state", "output"] = "state"
     reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
+    current_reserve: Annotated[Quantity, Units(("",), not_negative=True, most=0.9)] | None = None
 
     @model_validator(mode="after")
     def _gain_unit(self) -> Amplifier:
@@ -466,7 +467,7 @@ def check_known(names: Iterable[str], among: Iterable[str], where: str, what: st
             raise ValueError(f"{where} names the {what} {name!r}, which does not exist; {hint}")
 
 
-Said = Annotated[str, Field(min_length=1, max_length=400)]
+GuideText = Annotated[str, Field(min_length=1, max_length=400)]
 _Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
 
 
@@ -474,8 +475,8 @@ _Pin = Annotated[str, Field(pattern=r"^[A-Za-z0-9]{1,4}$")]
 class Connector:
     """A connector: its purpose and location, and the signal at each used pin."""
 
-    title: Said
-    pins: dict[_Pin, Said] = Field(min_length=1)
+    title: GuideText
+    pins: dict[_Pin, GuideText] = Field(min_length=1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, config=STRICT)
@@ -485,7 +486,7 @@ class Guide:
     ``presets`` are the steps from the manual of the drives, before the general calibration steps.
     """
 
-    presets: tuple[Said, ...] = ()
+    presets: tuple[GuideText, ...] = ()
     connectors: dict[Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,20}$")], Connector] = Field(
         default_factory=dict
     )

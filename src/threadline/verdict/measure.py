@@ -75,11 +75,12 @@ Needs = tuple[tuple[ChannelKind, ...], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Running:
-    """A started measurement: its kind, how it reads its run, and the measure."""
+    """A started measurement: its kind, how it reads its run, the measure, and its options."""
 
     kind: MeasureKind
     reading: RunReading
     measure: Measure
+    options: Mapping[str, float] = field(default_factory=dict)
 
 
 class Run(Protocol):
