@@ -22,9 +22,10 @@ _IN_BLOCK = 256
 _BLOCK_S = 32.0  # longest block: samples of slow turns would not fit into the fast memory
 _WHOLE = 1e-3  # units: how near a place must be to the grid of the design
 _BUDGET_S = 1e-9
+_CONVERGED = 1.0 + 1e-5
 # A search plans one job at many shaft speeds; the shortest windows depend on none of them.
-_PACES: Recent[tuple[Machine, Law, float], Pace] = Recent(
-    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2] == b[2]
+_PACES: Recent[tuple[Machine, Law, float, float], Pace] = Recent(
+    4, lambda a, b: a[0] is b[0] and a[1] is b[1] and a[2:] == b[2:]
 )
 
 
@@ -86,10 +87,12 @@ class Stitched:
     constant, given
         Whether the shaft turns at one speed, and whether the user gave that speed.
     alone_s
-        Lower bound of the time, s: each stitch is planned as if the frame were at rest before it,
-        on a spindle without inertia.
+        Time if each stitch were planned as if the frame were at rest before it, on a spindle
+        without inertia, s. A schedule that cancels the swing of earlier stitches may be shorter.
     slowest_s
         Time at the constant speed that the slowest stitch alone needs, s.
+    bound_s
+        No schedule on the grid of speeds takes less time, s; None without a schedule.
     """
 
     job: Job
@@ -102,6 +105,7 @@ class Stitched:
     given: bool
     alone_s: float
     slowest_s: float
+    bound_s: float | None
 
     @property
     def axes(self) -> tuple[str, ...]:
@@ -120,8 +124,21 @@ class Stitched:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings of the plan: none, because the verdict reports everything."""
-        return ()
+        """Which stitches the forecast has beyond the tolerance, unless the user gave the speed."""
+        if self.given:
+            return ()
+        turns, limit_m = self.turns, self.pace.tolerance_m
+        swings_m = self.pace.robust_swings_m(turns.moves, turns.turn_s)
+        over = np.flatnonzero(swings_m > limit_m * _CONVERGED)
+        if not len(over):
+            return ()
+        worst = int(np.argmax(swings_m))
+        return (
+            f"no speeds of the shaft were found at which every needle enters within "
+            f"{limit_m * 1e3:.4g} mm: {len(over)} of {int((turns.stitch > 0).sum())} stitches are "
+            f"forecast beyond it, the worst by {swings_m[worst] * 1e3:.4g} mm at "
+            f"{turns.name(worst)}. Give a larger --tolerance, a smaller --robust, or another --law",
+        )
 
     def interpolation(self, options: Mapping[str, str]) -> str:  # noqa: ARG002
         """Return the motion law, which takes the place of an interpolation."""
@@ -151,6 +168,8 @@ class Stitched:
                 "fastest_turn_s": float(self.turns.turn_s.min()),
                 "each_alone_s": self.alone_s,
                 "slowest_alone_s": self.slowest_s,
+                "schedule_bound_s": self.bound_s,
+                "robust_share": self.pace.robust_share,
             }
         }
 
@@ -185,7 +204,12 @@ class Stitched:
 
 
 def stitch(
-    job: Job, machine: Machine, law: Law, tolerance_m: float, turn_s: float | None
+    job: Job,
+    machine: Machine,
+    law: Law,
+    tolerance_m: float,
+    turn_s: float | None,
+    robust_share: float = 0.0,
 ) -> Stitched:
     """Return the plan of a design.
 
@@ -202,6 +226,8 @@ def stitch(
     turn_s
         Time of every turn. None slows each stitch as much as it needs. If the spindle cannot change
         its speed, None gives the highest speed at which every needle enters within the tolerance.
+    robust_share
+        Share of the tolerances of loads and springs for which the tolerance is kept.
 
     Raises
     ------
@@ -211,7 +237,10 @@ def stitch(
     BudgetError
         If the design takes longer than the machine's tick budget.
     """
-    pace = _PACES.of((machine, law, tolerance_m), lambda: Pace(machine, law, tolerance_m))
+    pace = _PACES.of(
+        (machine, law, tolerance_m, robust_share),
+        lambda: Pace(machine, law, tolerance_m, robust_share),
+    )
     shaft = pace.shaft
     rows = _rows(job, pace)
     moves: Moves = rows["moves"]
@@ -227,7 +256,12 @@ def stitch(
             remedy="Choose a speed between them.",
         )
     count = len(moves.needle)
-    turns_s = np.full(count, given) if constant else pace.scheduled(moves)
+    bound_s = None
+    if constant:
+        turns_s = np.full(count, given)
+    else:
+        schedule = pace.scheduled(moves)
+        turns_s, bound_s = schedule.turn_s, schedule.bound_s
     clock = machine.clock(pace.tables.clock)
     period_s = float(clock.period_s)
     windows = np.rint(pace.share * turns_s / period_s)
@@ -266,6 +300,7 @@ def stitch(
         given=turn_s is not None,
         alone_s=float(needed.sum()),
         slowest_s=float(needed[sewn].max()) * count,
+        bound_s=bound_s,
     )
 
 

@@ -293,7 +293,7 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
         Names the pair.
     """
     interpolation, forward = given["interpolation"], given["feed_forward"]
-    smoothing, contour, robust = given["smoothing"], given["contour"], given["robust"]
+    smoothing, contour = given["smoothing"], given["contour"]
     if smoothing is not None and not forward:
         raise OptionError(
             f"--smoothing {smoothing!r} needs feed-forward", remedy="Give --feed-forward too."
@@ -310,11 +310,6 @@ def _refuse_pairs(given: Mapping[str, Word]) -> None:
             f"--contour {contour!r} bounds the path deviation with {OPTIMAL}, and not with "
             f"{interpolation}",
             remedy=f"Leave it out, or give --interpolation {OPTIMAL}.",
-        )
-    if robust is not None and (not forward or interpolation not in USUAL):
-        raise OptionError(
-            f"--robust {robust!r} needs feed-forward along the programmed chords and times",
-            remedy="Give --feed-forward too, and no other --interpolation.",
         )
     shaped = given["shaper"] not in (None, UNSHAPED_WORD)
     if not shaped and (given["mode"] is not None or given["damping"] is not None):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from threadline.base.arrays import FloatArray
+from threadline.base.option_defaults import USUAL
 from threadline.commands import followed_by_loads, followed_by_motors, robust_averages
 from threadline.commands.plan import Following, Motion, Plan
 from threadline.commands.write import TABLES, TICK_TARGETS, TableWriter, Target, WrittenPlan
@@ -153,6 +154,13 @@ def check_loops(machine: Machine) -> None:
 
 
 def _check_options(machine: Machine, options: Options) -> None:
+    forward = options.following is Following.LOAD and options.interpolation in USUAL
+    if options.robust_share is not None and not forward:
+        raise OptionError(
+            f"--robust '{options.robust_share * 100:g} %' needs feed-forward along the programmed "
+            "chords and times",
+            remedy="Give --feed-forward too, and no other --interpolation.",
+        )
     if options.shaper_mode is not None or options.shaper_damping is not None:
         raise OptionError(
             f"--mode and --damping are for on/off machines, which {machine.name} is not",
